@@ -1,0 +1,125 @@
+"""CAN frames as the core sees them, and the identifiers of the predefined connection set.
+
+A `Frame` is what a transport carries: identifier, data, two flags. It is plain data and is never changed after it was made,
+so it may be queued, compared and shared freely. Classical CAN only: CAN FD is refused where frames enter (transports).
+
+Three numbers that are easily mixed up:
+
+- CAN-ID   what stands on the wire, 11 or 29 bits: `Frame.can_id`.
+- COB-ID   what stands in an object such as 0x1800:01: a CAN-ID with three flag bits above it (CiA 301 v4.2.0, 7.5.2.33).
+- key      a CAN-ID with the frame's flags above it, which is what machines ask for in `Machine.can_ids()` and what routing
+           tables are made of: `Frame.key`. For an ordinary 11-bit data frame the key is the CAN-ID.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+REMOTE: Final = 1
+"""Frame flag: remote transmission request; the frame has no data, only a length."""
+EXTENDED: Final = 2
+"""Frame flag: 29-bit identifier."""
+
+KEY_REMOTE: Final = REMOTE << 29
+KEY_EXTENDED: Final = EXTENDED << 29
+
+# COB-ID flag bits (CiA 301 v4.2.0, 7.5.2.33, and 7.5.2.5 for SYNC, 7.5.2.17 for EMCY)
+COB_ID_INVALID: Final = 1 << 31
+"""PDO, EMCY, SDO: the object does not exist / is not valid. (SYNC and TIME give bits 30 and 31 other meanings.)"""
+COB_ID_NO_RTR: Final = 1 << 30
+"""TPDO: remote requests are not answered. SYNC, TIME: the device produces it."""
+COB_ID_EXTENDED: Final = 1 << 29
+"""29-bit identifier."""
+
+# Function codes of the predefined connection set, as the CAN-ID of node 0 (CiA 301 v4.2.0, 7.3.3, tables 36 and 37)
+NMT: Final = 0x000
+SYNC: Final = 0x080
+EMCY: Final = 0x080
+TIME: Final = 0x100
+TPDO1: Final = 0x180
+RPDO1: Final = 0x200
+TPDO2: Final = 0x280
+RPDO2: Final = 0x300
+TPDO3: Final = 0x380
+RPDO3: Final = 0x400
+TPDO4: Final = 0x480
+RPDO4: Final = 0x500
+SDO_SERVER_TO_CLIENT: Final = 0x580
+SDO_CLIENT_TO_SERVER: Final = 0x600
+ERROR_CONTROL: Final = 0x700
+
+MAX_NODE_ID: Final = 127
+
+_CANDUMP = re.compile(r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A-Fa-f]{2}\.?){0,8}))\s*")
+
+
+class Frame:
+    """One classical CAN frame. Never change one after it was made.
+
+    can_id: 0..0x7FF, or 0..0x1FFFFFFF with EXTENDED. data: 0 to 8 bytes; a remote frame has none, and says in `dlc` how many
+    bytes it asks for. The constructor does not check (it stands in every hot path); `Frame.parse` and the transports do.
+    """
+
+    __slots__ = ("can_id", "data", "dlc", "flags")
+
+    def __init__(self, can_id: int, data: bytes = b"", flags: int = 0, dlc: int = -1) -> None:
+        self.can_id = can_id
+        self.data = data
+        self.flags = flags
+        self.dlc = len(data) if dlc < 0 else dlc
+
+    @property
+    def key(self) -> int:
+        """The CAN-ID with the flags above it: what routing tables are made of."""
+        return self.can_id | self.flags << 29
+
+    @classmethod
+    def parse(cls, text: str) -> Frame:
+        """A frame from candump's notation: "60C#4041600000000000", "705#R1", "18FF0001#", "123#11.22.33".
+
+        Three identifier digits mean 11 bits, eight mean 29. Raises ValueError that names the text; CAN FD ("##") is refused.
+        """
+        match = _CANDUMP.fullmatch(text)
+        if match is None:
+            reason = "CAN FD frames are not supported" if "##" in text else "expected candump notation such as 60C#4041600000000000"
+            raise ValueError(f"not a classical CAN frame: {text!r}: {reason}")
+        identifier, remote_dlc, data = match.groups()
+        can_id = int(identifier, 16)
+        flags = EXTENDED if len(identifier) == 8 else 0
+        if can_id > (0x1FFFFFFF if flags else 0x7FF):
+            raise ValueError(f"not a classical CAN frame: {text!r}: identifier out of range")
+        if data is None:
+            return cls(can_id, b"", flags | REMOTE, int(remote_dlc or 0))
+        return cls(can_id, bytes.fromhex(data.replace(".", "")), flags)
+
+    def __str__(self) -> str:
+        identifier = f"{self.can_id:08X}" if self.flags & EXTENDED else f"{self.can_id:03X}"
+        if self.flags & REMOTE:
+            return f"{identifier}#R{self.dlc or ''}"
+        return f"{identifier}#{self.data.hex().upper()}"
+
+    def __repr__(self) -> str:
+        return f"<Frame {self}>"
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Frame):
+            return NotImplemented
+        return (self.can_id, self.data, self.flags, self.dlc) == (other.can_id, other.data, other.flags, other.dlc)
+
+    def __hash__(self) -> int:
+        return hash((self.can_id, self.data, self.flags, self.dlc))
+
+
+def key_of_cob_id(cob_id: int) -> int:
+    """The routing key of a COB-ID as it stands in the dictionary: its CAN-ID, and EXTENDED where bit 29 is set."""
+    if cob_id & COB_ID_EXTENDED:
+        return cob_id & 0x1FFFFFFF | KEY_EXTENDED
+    return cob_id & 0x7FF
+
+
+def frame_for_key(key: int, data: bytes) -> Frame:
+    """A data frame to the CAN-ID that stands in a routing key."""
+    if key & KEY_EXTENDED:
+        return Frame(key & 0x1FFFFFFF, data, EXTENDED)
+    return Frame(key, data)
