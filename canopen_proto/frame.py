@@ -82,7 +82,7 @@ class Frame:
         """
         match = _CANDUMP.fullmatch(text)
         if match is None:
-            reason = "CAN FD frames are not supported" if "##" in text else "expected candump notation such as 60C#4041600000000000"
+            reason = "CAN FD is not supported" if "##" in text else "expected candump notation such as 60C#4041600000000000"
             raise ValueError(f"not a classical CAN frame: {text!r}: {reason}")
         identifier, remote_dlc, data = match.groups()
         can_id = int(identifier, 16)

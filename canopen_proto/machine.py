@@ -17,8 +17,8 @@ There are three kinds of method, and no other:
    returns a `RequestId`, and exactly one `Outcome` event with that id follows;
 3. getters, which change nothing.
 
-The one driver loop, whatever the framework: 1. mutate (input or command); 2. take `frames, events`; 3. send the frames; 4. deliver
-the events; 5. wait for a frame, a command, or the deadline. `Network.drain` does step 2 for many machines; a machine that stands
+The one driver loop, whatever the framework: 1. mutate (input or command); 2. take `frames, events`; 3. send the frames;
+4. deliver the events; 5. wait for a frame, a command, or the deadline. `Network.drain` does step 2 for many machines; a machine that stands
 alone is drained by reading and clearing `out.frames` and `out.events`.
 
 A machine works alone (`SdoClient(Outbox(), node_id=12)`), and it works in a `Group` or `Network`, which route frames to it and
@@ -182,4 +182,4 @@ def check_node_id(node_id: int) -> int:
 
 def fields_of(report: Event) -> dict[str, Any]:
     """An event's fields by name, for logs and JSON."""
-    return {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}  # type: ignore[arg-type]
+    return {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}

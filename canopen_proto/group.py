@@ -1,0 +1,173 @@
+"""Several machines behind one: who gets which frame, who is woken next, and what follows from what they report.
+
+A `Group` is a `Machine` made of machines. `LocalNode` and `RemoteNode` are groups, and `Network` is the outermost one, so that a
+node can be embedded alone just like a single client. A group
+
+- routes a frame by one look-up: a key (CAN-ID with flags) maps to a tuple of machines, in the order of their attachment;
+- keeps its members' deadlines in a lazy heap: a deadline that moved later waits for the early wake (measured five times cheaper
+  than pushing at each re-arm), one that moved nearer is announced by the member in `out.armed`;
+- turns one member's events into another's commands, by a table `event type -> reaction`, as soon as the input is handled and
+  before the next one is: a PDO right behind "NMT start" already finds the PDOs alive. No machine ever calls a sibling.
+
+Nothing is copied from layer to layer: a nested outbox shares its frames and events with the outer one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from heapq import heapify, heappop, heappush
+from typing import Any, Final, TypeAlias
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time
+
+Reaction: TypeAlias = Callable[[Any, Time], None]
+
+SPARE_WAKES: Final = 64
+"""Superseded entries that the heap may hold besides two for each member, before it is built anew (bounded memory)."""
+
+
+class Members:
+    """The machines on one outbox: their routes and their deadlines."""
+
+    __slots__ = ("_heap", "_keys", "_out", "_sequence", "routes")
+
+    def __init__(self, out: Outbox) -> None:
+        self._out = out
+        self._keys: dict[Machine, tuple[int, ...]] = {}
+        self._heap: list[tuple[Time, int, Machine]] = []
+        self._sequence = 0
+        self.routes: dict[int, tuple[Machine, ...]] = {}
+
+    def __iter__(self) -> Iterator[Machine]:
+        return iter(self._keys)
+
+    def attach(self, machine: Machine) -> None:
+        """Route to the machine what it asks for, and hold its deadline. Its outbox must be ours; twice is once."""
+        if machine.out is not self._out:
+            raise ValueError(f"{type(machine).__name__} was made with another Outbox than the group that it is attached to")
+        if machine in self._keys:
+            return
+        self._keys[machine] = ()
+        self._route(machine)
+        machine._wake = NEVER
+        machine._arm(machine.deadline)
+
+    def detach(self, machine: Machine) -> None:
+        """Forget the machine: no frame and no wake reaches it any more. Unknown machines are ignored."""
+        if self._keys.get(machine) is None:
+            return
+        self._unroute(machine)
+        del self._keys[machine]
+        machine._wake = NEVER  # what the heap still holds of it no longer counts
+        for pending in (self._out.armed, self._out.rerouted):
+            if machine in pending:
+                pending.remove(machine)
+        machine._in_armed = machine._in_rerouted = False
+
+    def _unroute(self, machine: Machine) -> None:
+        for key in self._keys[machine]:
+            rest = tuple(other for other in self.routes[key] if other is not machine)
+            if rest:
+                self.routes[key] = rest
+            else:
+                del self.routes[key]
+
+    def _route(self, machine: Machine) -> None:
+        self._unroute(machine)
+        self._keys[machine] = keys = tuple(dict.fromkeys(machine.can_ids()))
+        for key in keys:
+            self.routes[key] = (*self.routes.get(key, ()), machine)
+
+    def refresh(self) -> None:
+        """Take up what the members announced: changed CAN-IDs and nearer deadlines."""
+        out = self._out
+        while out.rerouted:
+            machine = out.rerouted.pop()
+            machine._in_rerouted = False
+            if machine in self._keys:
+                self._route(machine)
+        if out.armed:
+            for machine in out.armed:
+                machine._in_armed = False
+                if machine in self._keys:
+                    self._sequence += 1
+                    heappush(self._heap, (machine._wake, self._sequence, machine))
+            out.armed.clear()
+            if len(self._heap) > SPARE_WAKES + 2 * len(self._keys):
+                self._rebuild_heap()
+
+    def _rebuild_heap(self) -> None:
+        self._heap.clear()
+        for machine in self._keys:
+            if machine._wake < NEVER:
+                self._sequence += 1
+                self._heap.append((machine._wake, self._sequence, machine))
+        heapify(self._heap)
+
+    def next_deadline(self) -> Time:
+        """The nearest wake that is held: never late, perhaps early."""
+        self.refresh()
+        return self._heap[0][0] if self._heap else NEVER
+
+    def handle_timeout(self, now: Time) -> None:
+        """Wake each member whose deadline has come, once, in the order of their deadlines."""
+        self.refresh()
+        heap = self._heap
+        while heap and heap[0][0] <= now:
+            wake, _, machine = heappop(heap)
+            if machine._wake != wake:
+                continue  # superseded by a nearer one, or detached
+            machine._wake = NEVER
+            if machine.deadline <= now:
+                machine.handle_timeout(now)
+            else:
+                machine._arm(machine.deadline)  # it had moved later meanwhile
+
+
+class Group(Machine):
+    """A machine made of machines; see this module's text. Members are made with `inner` as their outbox."""
+
+    __slots__ = ("_members", "_reactions", "inner")
+
+    def __init__(self, out: Outbox) -> None:
+        super().__init__(out)
+        self.inner = Outbox(within=out, owner=self)
+        self._members = Members(self.inner)
+        self._reactions: dict[type[Event], Reaction] = {}
+
+    def can_ids(self) -> Iterable[int]:
+        self._members.refresh()
+        return tuple(self._members.routes)
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        inner = self.inner
+        inner.timestamp = self.out.timestamp
+        mark = len(inner.events)
+        for machine in self._members.routes.get(frame.key, ()):
+            machine.receive(frame, now)
+        self._settle(mark, now)
+
+    def handle_timeout(self, now: Time) -> None:
+        if now < self.deadline:
+            return
+        self.inner.timestamp = None
+        mark = len(self.inner.events)
+        self._members.handle_timeout(now)
+        self._settle(mark, now)
+
+    def _settle(self, mark: int, now: Time) -> None:
+        """React to what was reported since `mark` (and to what the reactions report), then take up routes and deadlines.
+
+        Inputs end with this; so does every command of a group that makes members report something.
+        """
+        events = self.inner.events
+        reactions = self._reactions
+        while mark < len(events):
+            reaction = reactions.get(type(events[mark]))
+            if reaction is not None:
+                reaction(events[mark], now)
+            mark += 1
+        deadline = self._members.next_deadline()
+        if deadline != self.deadline:
+            self._arm(deadline)

@@ -1,0 +1,191 @@
+"""`Network`: everything that one participant runs on one bus, and the handle that a driver holds.
+
+The driver loop, the only one there is:
+
+    1. mutate: `network.receive(frame, now)`, `network.handle_timeout(now)`, or a command of any attached machine
+    2. frames, events = network.drain(now)
+    3. send the frames, in order          4. deliver the events
+    5. wait for a frame, a command, or `network.next_deadline()`
+
+`drain` also feeds the events to running procedures (`run`), whose next requests then leave in the same turn. A driver never
+empties the outbox itself. Who drives several networks with one Runner drains all of them after each mutation: a procedure may
+have mutated any.
+
+What one participant's own machines tell each other, since a bus does not hand our own frames back to us: a SYNC that we sent (or
+heard) releases the synchronous PDOs of every attached `RemoteNode`, and an NMT command that we sent changes what we expect of it.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol, TypeVar, runtime_checkable
+
+from canopen_proto.frame import Frame
+from canopen_proto.group import Members, Reaction
+from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time, event
+from canopen_proto.nmt import NmtCommand, NmtCommandSent
+from canopen_proto.procedures.runner import Runner
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.sync import SyncReceived, SyncSent
+
+T = TypeVar("T")
+
+MAX_UNDRAINED_EVENTS: Final = 10_000
+"""Notifications held for a driver that does not drain: half a second of a 1 Mbit/s bus that is full of empty frames."""
+
+
+@event
+class EventsDropped(Event):
+    """The driver did not drain for so long that `count` notifications were dropped, the oldest first. Outcomes never are."""
+
+    count: int
+
+
+@runtime_checkable
+class Follower(Protocol):
+    """A machine (a RemoteNode) that is told of what the network's other machines sent or heard."""
+
+    node_id: int
+
+    def on_sync(self, counter: int | None, now: Time) -> None:
+        """A SYNC was sent or heard."""
+
+    def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
+        """An NMT command for this node was sent by us."""
+
+
+class Network:
+    """All machines of one participant on one bus."""
+
+    __slots__ = ("_dropped", "_followers", "_members", "_now", "_reactions", "_settled", "out", "runner")
+
+    def __init__(self, runner: Runner | None = None) -> None:
+        """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
+        self.out = Outbox()
+        self._members = Members(self.out)
+        self._followers: tuple[Follower, ...] = ()
+        self._now: Time = 0
+        self._dropped = 0
+        self._settled = 0
+        self._reactions: dict[type[Event], Reaction] = {
+            SyncSent: self._on_sync,
+            SyncReceived: self._on_sync,
+            NmtCommandSent: self._on_nmt_command,
+        }
+        if runner is None:
+            runner = Runner(self.out)
+            self.attach(runner)
+        self.runner = runner
+
+    def attach(self, machine: Machine) -> None:
+        """Route frames to a machine that was made with this network's `out`, and wake it at its deadlines."""
+        self._members.attach(machine)
+        if isinstance(machine, Follower) and machine not in self._followers:
+            self._followers = (*self._followers, machine)
+
+    def detach(self, machine: Machine) -> None:
+        """Forget a machine. Its open requests get no outcome: abort them first."""
+        self._members.detach(machine)
+        self._followers = tuple(follower for follower in self._followers if follower != machine)
+
+    def can_ids(self) -> tuple[int, ...]:
+        """The keys of all frames that any machine wants, for a transport that can filter."""
+        self._members.refresh()
+        return tuple(self._members.routes)
+
+    def receive(self, frame: Frame, now: Time, timestamp: int | None = None) -> None:
+        """Hand a received frame to whoever wants it. timestamp: the transport's own, in ns, for information only."""
+        if now < self._now:
+            now = self._now  # a clock that ran back counts as the last time seen
+        self._now = now
+        out = self.out
+        out.timestamp = timestamp
+        for machine in self._members.routes.get(frame.key, ()):
+            machine.receive(frame, now)
+        if len(out.events) > self._settled:
+            self._settle(now)
+        if out.rerouted:
+            self._members.refresh()
+
+    def next_deadline(self) -> Time:
+        """When to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) when nothing changed."""
+        return self._members.next_deadline()
+
+    def handle_timeout(self, now: Time) -> None:
+        """Wake every machine whose deadline has come. Early calls do nothing."""
+        now = max(now, self._now)
+        self._now = now
+        self.out.timestamp = None
+        self._members.handle_timeout(now)
+        self._settle(now)
+        self._members.refresh()
+
+    def drain(self, now: Time) -> tuple[list[Frame], list[Event]]:
+        """The frames to send and the events to deliver since the last drain, each in order."""
+        now = max(now, self._now)
+        self._now = now
+        out = self.out
+        self._settle(now)
+        fed = 0
+        while self.runner.busy and fed < len(out.events):  # procedures may report more while they are fed
+            self.runner.observe(out.root, out.events[fed], now)
+            fed += 1
+            self._settle(now)
+        self._members.refresh()
+        frames, events = out.frames[:], out.events[:]
+        out.frames.clear()
+        out.events.clear()
+        self._settled = 0
+        if self._dropped:
+            events.insert(0, EventsDropped(0, self._dropped))
+            self._dropped = 0
+        return frames, events
+
+    def run(self, procedure: Procedure[T], now: Time) -> RequestId:
+        """Start a procedure (see `canopen_proto.procedures`); ProcedureFinished, -Failed or -Cancelled follows with this id."""
+        now = max(now, self._now)
+        self._now = now
+        request_id = self.runner.start(procedure, now)
+        self._settle(now)
+        return request_id
+
+    def cancel(self, request_id: RequestId, now: Time) -> None:
+        """Cancel a running procedure: it cleans up first (CLEAN_UP_TIME), then ProcedureCancelled follows."""
+        now = max(now, self._now)
+        self._now = now
+        self.runner.cancel(request_id, now)
+        self._settle(now)
+
+    def _settle(self, now: Time) -> None:
+        """React to what was reported since the last time, be it by an input or by a command of some machine."""
+        events = self.out.events
+        while self._settled < len(events):
+            report = events[self._settled]
+            self._settled += 1
+            reaction = self._reactions.get(type(report))
+            if reaction is not None:
+                reaction(report, now)
+        if len(events) > MAX_UNDRAINED_EVENTS:
+            self._shed()
+
+    def _shed(self) -> None:
+        """Drop the oldest notifications, down to half of the bound, so that the cost of shedding is spread."""
+        events = self.out.events
+        excess = len(events) - MAX_UNDRAINED_EVENTS // 2
+        kept: list[Event] = []
+        for report in events:
+            if excess > 0 and not isinstance(report, Outcome):
+                excess -= 1
+                self._dropped += 1
+            else:
+                kept.append(report)
+        events[:] = kept
+        self._settled = len(kept)
+
+    def _on_sync(self, sync: SyncSent | SyncReceived, now: Time) -> None:
+        for follower in self._followers:
+            follower.on_sync(sync.counter, now)
+
+    def _on_nmt_command(self, sent: NmtCommandSent, now: Time) -> None:
+        for follower in self._followers:
+            if sent.node_id in (0, follower.node_id):
+                follower.on_nmt_command(sent.command, now)

@@ -1,0 +1,166 @@
+"""What a procedure is made of.
+
+A procedure is a sequence of requests without I/O: homing, PDO remapping, a scan. It is a generator that yields `Step`s to a
+`Runner` and gets their results; typed helpers hide the yields, so that it reads like blocking code and stays honest under
+`mypy --strict`:
+
+    def identify(node: RemoteNode) -> Procedure[int]:
+        data = yield from upload(node.sdo, 0x1018, 1)
+        yield from sleep(100 * MILLISECOND)
+        return int.from_bytes(data, "little")
+
+`yield from` composes in sequence, `all_of` side by side. A step that fails raises a `ProcedureError` at the `yield from`. A
+procedure that is cancelled gets `Cancelled` there: a BaseException, so that no `except Exception` swallows it. Clean-up stands in
+`except Cancelled:` and may use steps again (they go before all queued requests, and share CLEAN_UP_TIME); never in `finally`,
+since a generator that is collected may not yield.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, Protocol, TypeAlias, TypeVar
+
+from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.sdo.abort import text_of
+from canopen_proto.sdo.client import AbortOrigin, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+
+T = TypeVar("T")
+E = TypeVar("E", bound=Event)
+
+
+class Cancelled(BaseException):
+    """Thrown into a procedure that is cancelled. Catch it to clean up with further steps; then end or raise it again."""
+
+
+class ProcedureError(Exception):
+    """A procedure could not do what it is for. The message says what failed, what was seen, and what to try."""
+
+
+class StepTimeout(ProcedureError):
+    """What was waited for did not come in time."""
+
+
+class SdoFailed(ProcedureError):
+    """An SDO transfer of the procedure ended with an abort, ours or the node's."""
+
+    def __init__(self, aborted: SdoAborted, attempt: str) -> None:
+        self.node_id = aborted.node_id
+        self.index = aborted.index
+        self.subindex = aborted.subindex
+        self.abort_code = aborted.abort_code
+        self.origin = aborted.origin
+        place = f"{attempt} 0x{aborted.index:04X}:{aborted.subindex:02X}"
+        if aborted.origin is AbortOrigin.TIMEOUT:
+            hint = "" if attempt == "reading" else " (not confirmed: it may have been executed)"
+            message = f"node {self.node_id} did not answer {place}{hint}"
+        elif aborted.origin is AbortOrigin.PEER:
+            message = f"node {self.node_id} refused {place}: abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
+        else:
+            message = f"{place} of node {self.node_id} was given up: 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
+        super().__init__(message)
+
+
+class Requester(Protocol):
+    """A machine whose commands have outcomes and can be taken back."""
+
+    out: Outbox
+
+    def cancel(self, request_id: RequestId, now: Time) -> object:
+        """Take back a command."""
+
+
+class Step:
+    """What a procedure yields. The four subclasses are all there are."""
+
+    __slots__ = ()
+
+
+class Act(Step):
+    """Call `function(now)` at once; its result is the step's. For commands without an outcome (NMT, a PDO image, SYNC)."""
+
+    __slots__ = ("function",)
+
+    def __init__(self, function: Callable[[Time], object]) -> None:
+        self.function = function
+
+
+class Request(Step):
+    """Give a command with an outcome: `submit(now, urgent)` returns its RequestId; the step's result is the Outcome event."""
+
+    __slots__ = ("requester", "submit")
+
+    def __init__(self, requester: Requester, submit: Callable[[Time, bool], RequestId]) -> None:
+        self.requester = requester
+        self.submit = submit
+
+
+class Wait(Step):
+    """Wait until an event of `source`'s network matches (the result), or until `timeout` ns have passed (the result is None)."""
+
+    __slots__ = ("match", "source", "timeout")
+
+    def __init__(self, timeout: Time | None, source: Machine | None = None, match: Callable[[Event], bool] | None = None) -> None:
+        self.timeout = timeout
+        self.source = source
+        self.match = match
+
+
+class AllOf(Step):
+    """Run procedures side by side; the result is the list of theirs. The first failure cancels the rest, then is raised here."""
+
+    __slots__ = ("procedures",)
+
+    def __init__(self, procedures: Sequence[Procedure[Any]]) -> None:
+        self.procedures = procedures
+
+
+Procedure: TypeAlias = Generator[Step, Any, T]
+
+
+def act(function: Callable[[Time], T]) -> Procedure[T]:
+    """Call function(now) at once and return what it returns."""
+    result: T = yield Act(function)
+    return result
+
+
+def current_time() -> Procedure[Time]:
+    """The driver's time now, in ns."""
+    return (yield from act(lambda now: now))
+
+
+def sleep(duration: Time) -> Procedure[None]:
+    """Wait for `duration` ns."""
+    yield Wait(duration)
+
+
+def wait_for_event(
+    source: Machine, kind: type[E], timeout: Time, what: str, match: Callable[[E], bool] | None = None
+) -> Procedure[E]:
+    """Wait for an event of a kind from source's network, at most `timeout` ns, else StepTimeout that names `what`."""
+    result = yield Wait(timeout, source, lambda report: isinstance(report, kind) and (match is None or match(report)))
+    if not isinstance(result, kind):
+        raise StepTimeout(f"{what} did not come within {timeout / 1e9:g} s")
+    return result
+
+
+def all_of(*procedures: Procedure[T]) -> Procedure[list[T]]:
+    """Run procedures side by side; their results in order. The first failure cancels the rest (they clean up), then is raised."""
+    results: list[T] = yield AllOf(procedures)
+    return results
+
+
+def upload(client: SdoClient, index: int, subindex: int = 0) -> Procedure[bytes]:
+    """Read an object by SDO: its bytes, or SdoFailed."""
+    outcome: Outcome = yield Request(client, lambda now, urgent: client.upload(index, subindex, now, urgent=urgent))
+    if isinstance(outcome, SdoUploaded):
+        return outcome.data
+    assert isinstance(outcome, SdoAborted)
+    raise SdoFailed(outcome, "reading")
+
+
+def download(client: SdoClient, index: int, subindex: int, data: bytes) -> Procedure[None]:
+    """Write an object by SDO; returns when the node has confirmed it, else SdoFailed."""
+    outcome: Outcome = yield Request(client, lambda now, urgent: client.download(index, subindex, data, now, urgent=urgent))
+    if not isinstance(outcome, SdoDownloaded):
+        assert isinstance(outcome, SdoAborted)
+        raise SdoFailed(outcome, "writing")
