@@ -18,8 +18,8 @@ There are three kinds of method, and no other:
 3. getters, which change nothing.
 
 The one driver loop, whatever the framework: 1. mutate (input or command); 2. take `frames, events`; 3. send the frames;
-4. deliver the events; 5. wait for a frame, a command, or the deadline. `Network.drain` does step 2 for many machines; a machine that stands
-alone is drained by reading and clearing `out.frames` and `out.events`.
+4. deliver the events; 5. wait for a frame, a command, or the deadline. `Network.drain` does step 2 for many machines; a machine
+that stands alone is drained by reading and clearing `out.frames` and `out.events`.
 
 A machine works alone (`SdoClient(Outbox(), node_id=12)`), and it works in a `Group` or `Network`, which route frames to it and
 wake it. For those it keeps two promises: it enters itself in `out.armed` when its deadline came nearer than the wake that is

@@ -62,7 +62,7 @@ class Network:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
         self._members = Members(self.out)
-        self._followers: tuple[Follower, ...] = ()
+        self._followers: dict[Machine, Follower] = {}
         self._now: Time = 0
         self._dropped = 0
         self._settled = 0
@@ -79,13 +79,13 @@ class Network:
     def attach(self, machine: Machine) -> None:
         """Route frames to a machine that was made with this network's `out`, and wake it at its deadlines."""
         self._members.attach(machine)
-        if isinstance(machine, Follower) and machine not in self._followers:
-            self._followers = (*self._followers, machine)
+        if isinstance(machine, Follower):
+            self._followers[machine] = machine
 
     def detach(self, machine: Machine) -> None:
         """Forget a machine. Its open requests get no outcome: abort them first."""
         self._members.detach(machine)
-        self._followers = tuple(follower for follower in self._followers if follower != machine)
+        self._followers.pop(machine, None)
 
     def can_ids(self) -> tuple[int, ...]:
         """The keys of all frames that any machine wants, for a transport that can filter."""
@@ -182,10 +182,10 @@ class Network:
         self._settled = len(kept)
 
     def _on_sync(self, sync: SyncSent | SyncReceived, now: Time) -> None:
-        for follower in self._followers:
+        for follower in self._followers.values():
             follower.on_sync(sync.counter, now)
 
     def _on_nmt_command(self, sent: NmtCommandSent, now: Time) -> None:
-        for follower in self._followers:
+        for follower in self._followers.values():
             if sent.node_id in (0, follower.node_id):
                 follower.on_nmt_command(sent.command, now)
