@@ -1,0 +1,41 @@
+"""The object dictionary: its description (`model`), one device's memory for it (`values`), and the files it comes from."""
+
+from canopen_proto.dictionary.model import (
+    Access,
+    Constant,
+    ConstantNotFound,
+    Direction,
+    Filler,
+    Key,
+    Message,
+    NotInDictionary,
+    Object,
+    ObjectDictionary,
+    ObjectNotFound,
+    ObjectType,
+    PdoDescription,
+    PdoNotFound,
+    Variable,
+    mux,
+)
+from canopen_proto.dictionary.values import Values
+
+__all__ = [
+    "Access",
+    "Constant",
+    "ConstantNotFound",
+    "Direction",
+    "Filler",
+    "Key",
+    "Message",
+    "NotInDictionary",
+    "Object",
+    "ObjectDictionary",
+    "ObjectNotFound",
+    "ObjectType",
+    "PdoDescription",
+    "PdoNotFound",
+    "Values",
+    "Variable",
+    "mux",
+]

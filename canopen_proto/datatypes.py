@@ -1,0 +1,351 @@
+"""The data types of CiA 301 and their Python values.
+
+Theory of operation
+-------------------
+Every object of a dictionary has one of the static data types of CiA 301 v4.2.0, 7.1 (and table 44 for their codes, which are
+also the indices of the dummy entries of a PDO mapping). On the wire all are little-endian; here they are
+
+    BOOLEAN                            bool                  one byte by SDO, one bit in a PDO
+    INTEGER8 .. 64, UNSIGNED8 .. 64    int                   with the 24-, 40-, 48- and 56-bit ones
+    REAL32, REAL64                     float                 IEEE 754
+    VISIBLE_STRING                     str                   see below
+    UNICODE_STRING                     str                   16-bit units
+    OCTET_STRING, DOMAIN               bytes
+    TIME_OF_DAY                        datetime (UTC)        milliseconds and days since 1984-01-01
+    TIME_DIFFERENCE                    timedelta             milliseconds and days
+
+`decode` loses nothing: a value that it gave can be encoded again, and gives the same bytes (the four unused bits of the two
+times excepted). So a server may keep values instead of bytes. That is why a VISIBLE_STRING is read and written as Latin-1,
+although the standard allows 0x00 and 0x20..0x7E only (devices do send degree signs), and why padding NULs at its end stay:
+`text.rstrip("\\0")` takes them off for people.
+
+Left out: the bit-wise types of PDO mapping parameters (INTEGERn with n below 8), which no object has, and the records of
+7.1.6 (PDO parameters and the like), which are objects with subindices and are read as such.
+"""
+
+from __future__ import annotations
+
+import datetime
+import reprlib
+import struct
+from abc import ABC, abstractmethod
+from enum import IntEnum
+from typing import Final, TypeAlias
+
+from canopen_proto.machine import LocalProtocolError
+
+Value: TypeAlias = bool | int | float | str | bytes | datetime.datetime | datetime.timedelta
+"""What an object can hold, as Python sees it."""
+
+EPOCH: Final = datetime.datetime(1984, 1, 1, tzinfo=datetime.UTC)
+"""Day 0 of TIME_OF_DAY (CiA 301 v4.2.0, 7.1.6.6)."""
+
+_MS_PER_DAY: Final = 86_400_000
+_TIME = struct.Struct("<IH")
+
+
+class DataType(IntEnum):
+    """Codes of the static data types, as they stand in EDS files and in the dictionary (CiA 301 v4.2.0, 7.4.7, table 44)."""
+
+    BOOLEAN = 0x01
+    INTEGER8 = 0x02
+    INTEGER16 = 0x03
+    INTEGER32 = 0x04
+    UNSIGNED8 = 0x05
+    UNSIGNED16 = 0x06
+    UNSIGNED32 = 0x07
+    REAL32 = 0x08
+    VISIBLE_STRING = 0x09
+    OCTET_STRING = 0x0A
+    UNICODE_STRING = 0x0B
+    TIME_OF_DAY = 0x0C
+    TIME_DIFFERENCE = 0x0D
+    DOMAIN = 0x0F
+    INTEGER24 = 0x10
+    REAL64 = 0x11
+    INTEGER40 = 0x12
+    INTEGER48 = 0x13
+    INTEGER56 = 0x14
+    INTEGER64 = 0x15
+    UNSIGNED24 = 0x16
+    UNSIGNED40 = 0x18
+    UNSIGNED48 = 0x19
+    UNSIGNED56 = 0x1A
+    UNSIGNED64 = 0x1B
+
+
+class ValueRangeError(LocalProtocolError, ValueError):
+    """A value does not fit its object: wrong kind, out of range, wrong length. The text names object, type and range."""
+
+
+def encode(value: Value, data_type: DataType, name: str = "value") -> bytes:
+    """The bytes of a value as SDO carries them.
+
+    Integers take int (and bool); reals take float and int; REAL32 rounds to the nearest value that it can hold, and the times
+    drop what is finer than a millisecond. name: how errors call the object. Raises ValueRangeError.
+    Source: CiA 301 v4.2.0, 7.1.
+    """
+    return _CODECS[data_type].encode(value, name)
+
+
+def decode(data: bytes, data_type: DataType, name: str = "value") -> Value:
+    """The value of bytes as SDO carries them.
+
+    Raises ValueRangeError where the length is not the type's, or a time has more milliseconds than a day: machines that decode
+    what a peer sent catch it. Source: CiA 301 v4.2.0, 7.1.
+    """
+    return _CODECS[data_type].decode(data, name)
+
+
+def size_of(data_type: DataType) -> int | None:
+    """Bytes by SDO; None where the length varies (strings, DOMAIN)."""
+    return _CODECS[data_type].size
+
+
+def bit_length_of(data_type: DataType) -> int | None:
+    """Bits in a PDO (1 for BOOLEAN); None where the length varies."""
+    if data_type == DataType.BOOLEAN:
+        return 1
+    size = _CODECS[data_type].size
+    return None if size is None else size * 8
+
+
+def is_integer(data_type: DataType) -> bool:
+    """INTEGERn or UNSIGNEDn."""
+    return isinstance(_CODECS[data_type], _Integer)
+
+
+def is_signed(data_type: DataType) -> bool:
+    """INTEGERn."""
+    codec = _CODECS[data_type]
+    return isinstance(codec, _Integer) and codec.signed
+
+
+def is_number(data_type: DataType) -> bool:
+    """INTEGERn, UNSIGNEDn or REALn."""
+    return isinstance(_CODECS[data_type], _Integer | _Real)
+
+
+def range_of(data_type: DataType) -> tuple[int, int] | None:
+    """Least and greatest value of an integer type (0 and 1 for BOOLEAN); None for all others."""
+    if data_type == DataType.BOOLEAN:
+        return 0, 1
+    codec = _CODECS[data_type]
+    return (codec.low, codec.high) if isinstance(codec, _Integer) else None
+
+
+def zero_of(data_type: DataType) -> Value:
+    """What an object without a default value holds: 0, False, "", b"", the epoch."""
+    return _CODECS[data_type].zero
+
+
+def integer_type(size: int, *, signed: bool = False) -> DataType:
+    """The integer type of `size` bytes, 1..8. Raises KeyError for other sizes."""
+    return _INTEGER_TYPES[size, signed]
+
+
+class _Codec(ABC):
+    """How one data type is written and read."""
+
+    __slots__ = ("data_type", "size", "zero")
+
+    def __init__(self, data_type: DataType, size: int | None, zero: Value) -> None:
+        self.data_type = data_type
+        self.size = size
+        self.zero = zero
+
+    @abstractmethod
+    def encode(self, value: Value, name: str) -> bytes:
+        ...
+
+    @abstractmethod
+    def decode(self, data: bytes, name: str) -> Value:
+        ...
+
+    def wrong_kind(self, value: object, name: str, expected: str) -> ValueRangeError:
+        return ValueRangeError(f"{name}: {self.data_type.name} takes {expected}, not {_show(value)}")
+
+    def wrong_length(self, data: bytes, name: str, expected: object) -> ValueRangeError:
+        return ValueRangeError(f"{name}: {self.data_type.name} has {expected} bytes, not {len(data)}")
+
+
+class _Boolean(_Codec):
+    """One byte by SDO. Any byte but 0 is read as true, since devices send 0xFF as well as 1."""
+
+    __slots__ = ()
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if value is True or value is False or (isinstance(value, int) and value in (0, 1)):
+            return b"\x01" if value else b"\x00"
+        raise self.wrong_kind(value, name, "True or False")
+
+    def decode(self, data: bytes, name: str) -> bool:
+        if len(data) != 1:
+            raise self.wrong_length(data, name, 1)
+        return data[0] != 0
+
+
+class _Integer(_Codec):
+    """Two's complement for the signed ones."""
+
+    __slots__ = ("high", "low", "signed", "width")
+
+    def __init__(self, data_type: DataType, size: int, signed: bool) -> None:
+        super().__init__(data_type, size, 0)
+        self.width = size
+        self.signed = signed
+        self.low = -(1 << 8 * size - 1) if signed else 0
+        self.high = (1 << 8 * size - signed) - 1
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, int):
+            raise self.wrong_kind(value, name, "an integer")
+        try:
+            return value.to_bytes(self.width, "little", signed=self.signed)
+        except OverflowError:
+            limits = f"{self.low}..{self.high}"
+            raise ValueRangeError(f"{name}: {_show(value)} is outside {limits} ({self.data_type.name})") from None
+
+    def decode(self, data: bytes, name: str) -> int:
+        if len(data) != self.width:
+            raise self.wrong_length(data, name, self.width)
+        return int.from_bytes(data, "little", signed=self.signed)
+
+
+class _Real(_Codec):
+    """IEEE 754. Infinities and NaN are values like others."""
+
+    __slots__ = ("layout",)
+
+    def __init__(self, data_type: DataType, layout: str) -> None:
+        self.layout = struct.Struct(layout)
+        super().__init__(data_type, self.layout.size, 0.0)
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, float | int):
+            raise self.wrong_kind(value, name, "a number")
+        try:
+            return self.layout.pack(value)
+        except OverflowError:
+            raise ValueRangeError(f"{name}: {_show(value)} is too large for {self.data_type.name}") from None
+
+    def decode(self, data: bytes, name: str) -> float:
+        if len(data) != self.size:
+            raise self.wrong_length(data, name, self.size)
+        value: float = self.layout.unpack(data)[0]
+        return value
+
+
+class _VisibleString(_Codec):
+    __slots__ = ()
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, str):
+            raise self.wrong_kind(value, name, "text")
+        try:
+            return value.encode("latin-1")
+        except UnicodeEncodeError as error:
+            foreign = value[error.start]
+            raise ValueRangeError(f"{name}: a VISIBLE_STRING has no character {foreign!a} ({_show(value)})") from None
+
+    def decode(self, data: bytes, name: str) -> str:
+        return bytes(data).decode("latin-1")
+
+
+class _UnicodeString(_Codec):
+    """An array of UNSIGNED16 to the standard, which says no more of it: half of a surrogate pair passes, so nothing is lost."""
+
+    __slots__ = ()
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, str):
+            raise self.wrong_kind(value, name, "text")
+        return value.encode("utf-16-le", "surrogatepass")
+
+    def decode(self, data: bytes, name: str) -> str:
+        if len(data) % 2:
+            raise self.wrong_length(data, name, "an even number of")
+        return bytes(data).decode("utf-16-le", "surrogatepass")
+
+
+class _Octets(_Codec):
+    __slots__ = ()
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, bytes | bytearray | memoryview):
+            raise self.wrong_kind(value, name, "bytes")
+        return bytes(value)
+
+    def decode(self, data: bytes, name: str) -> bytes:
+        return bytes(data)
+
+
+class _Difference(_Codec):
+    """28 bits of milliseconds, 4 unused bits, 16 bits of days (CiA 301 v4.2.0, 7.1.6.7)."""
+
+    __slots__ = ()
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, datetime.timedelta):
+            raise self.wrong_kind(value, name, "a timedelta")
+        days, milliseconds = divmod(value // datetime.timedelta(milliseconds=1), _MS_PER_DAY)
+        if not 0 <= days <= 0xFFFF:
+            raise ValueRangeError(f"{name}: {value} is outside 0..65535 days ({self.data_type.name})")
+        return _TIME.pack(milliseconds, days)
+
+    def decode(self, data: bytes, name: str) -> Value:
+        return self.span(data, name)
+
+    def span(self, data: bytes, name: str) -> datetime.timedelta:
+        if len(data) != _TIME.size:
+            raise self.wrong_length(data, name, _TIME.size)
+        milliseconds, days = _TIME.unpack(data)
+        milliseconds &= 0x0FFF_FFFF
+        if milliseconds >= _MS_PER_DAY:
+            raise ValueRangeError(f"{name}: {milliseconds} ms is more than a day ({self.data_type.name})")
+        return datetime.timedelta(days=days, milliseconds=milliseconds)
+
+
+class _TimeOfDay(_Difference):
+    """The same bits, counted from the epoch. The standard names no time zone; UTC is what can be told from anywhere."""
+
+    __slots__ = ()
+
+    def encode(self, value: Value, name: str) -> bytes:
+        if not isinstance(value, datetime.datetime) or value.tzinfo is None:
+            raise self.wrong_kind(value, name, "a datetime with its time zone")
+        try:
+            return super().encode(value - EPOCH, name)
+        except ValueRangeError:
+            last = (EPOCH + datetime.timedelta(days=0xFFFF)).date()
+            raise ValueRangeError(f"{name}: {value} is outside {EPOCH.date()}..{last} (TIME_OF_DAY)") from None
+
+    def decode(self, data: bytes, name: str) -> Value:
+        return EPOCH + self.span(data, name)
+
+
+def _show(value: object) -> str:
+    """A value in an error text, cut to a line; CPython refuses to print integers of thousands of digits."""
+    if isinstance(value, int) and value.bit_length() > 128:
+        return f"an integer of {value.bit_length()} bits"
+    return reprlib.repr(value)
+
+
+_INTEGER_TYPES: Final[dict[tuple[int, bool], DataType]] = {
+    (size, signed): DataType[f"{'INTEGER' if signed else 'UNSIGNED'}{8 * size}"]
+    for size in range(1, 9)
+    for signed in (False, True)
+}
+
+_CODECS: Final[dict[DataType, _Codec]] = {
+    DataType.BOOLEAN: _Boolean(DataType.BOOLEAN, 1, False),
+    **{data_type: _Integer(data_type, size, signed) for (size, signed), data_type in _INTEGER_TYPES.items()},
+    DataType.REAL32: _Real(DataType.REAL32, "<f"),
+    DataType.REAL64: _Real(DataType.REAL64, "<d"),
+    DataType.VISIBLE_STRING: _VisibleString(DataType.VISIBLE_STRING, None, ""),
+    DataType.OCTET_STRING: _Octets(DataType.OCTET_STRING, None, b""),
+    DataType.UNICODE_STRING: _UnicodeString(DataType.UNICODE_STRING, None, ""),
+    DataType.TIME_OF_DAY: _TimeOfDay(DataType.TIME_OF_DAY, 6, EPOCH),
+    DataType.TIME_DIFFERENCE: _Difference(DataType.TIME_DIFFERENCE, 6, datetime.timedelta(0)),
+    DataType.DOMAIN: _Octets(DataType.DOMAIN, None, b""),
+}

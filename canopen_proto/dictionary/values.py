@@ -1,0 +1,79 @@
+"""What the objects of one device hold.
+
+Theory of operation
+-------------------
+An `ObjectDictionary` describes and never changes; `Values` is one device's memory for it. SDO and PDO read and write the same
+`Values`: a device's dictionary and its PDOs are one memory. It holds Python values, not bytes, so that a PDO that arrives is
+unpacked once and read often.
+
+`store` is public on purpose: hot paths (PDO, the simulated drive) read and write it directly, by mux and without any check.
+Everything that comes from outside goes through `write` (our own caller) or through the server's checks (a peer).
+
+`Values` does not look at access rights: a device writes its own read-only objects. It holds no history and tells nobody of a
+change; effects of objects are the business of the node that owns it.
+"""
+
+from __future__ import annotations
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFound, Variable
+
+
+class Values:
+    """The memory of one device. node_id is added to the defaults that depend on it.
+
+    store: every variable of the dictionary by its mux, always complete.
+    """
+
+    __slots__ = ("dictionary", "node_id", "store")
+
+    def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
+        self.dictionary = dictionary
+        self.node_id = node_id
+        self.store: dict[int, Value] = {variable.mux: variable.default_of(node_id) for variable in dictionary}
+
+    def __getitem__(self, mux: int) -> Value:
+        """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
+        return self.store[mux]
+
+    def __setitem__(self, mux: int, value: Value) -> None:
+        """Set the value at a mux; the value is not checked. Raises KeyError where the dictionary has no such object."""
+        if mux not in self.store:
+            raise ObjectNotFound(f"object 0x{mux >> 8:04X}:{mux & 0xFF:02X} is not in the dictionary")
+        self.store[mux] = value
+
+    def read(self, key: Key) -> Value:
+        """The value of an object. Raises ObjectNotFound."""
+        return self.store[self._held(key).mux]
+
+    def write(self, key: Key, value: Value) -> None:
+        """Set the value of an object; a constant's name stands for its value.
+
+        Raises ObjectNotFound, ConstantNotFound, or ValueRangeError where the value fits not the type or the limits; then nothing
+        has changed.
+        """
+        variable = self._held(key)
+        value = self.dictionary.value_from(variable, value)
+        variable.encode(value)
+        variable.check_limits(value)
+        self.store[variable.mux] = value
+
+    def raw(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of an object as SDO carries them. Raises ObjectNotFound."""
+        variable = self._held((index, subindex))
+        return variable.encode(self.store[variable.mux])
+
+    def reset(self, first_index: int = 0, last_index: int = 0xFFFF) -> None:
+        """Put the defaults back, in all objects from first_index to last_index: what an NMT reset does.
+
+        0x1000..0x1FFF is the communication profile area (reset communication). Source: CiA 301 v4.2.0, 7.3.2.2.1.
+        """
+        for variable in self.dictionary:
+            if first_index <= variable.index <= last_index:
+                self.store[variable.mux] = variable.default_of(self.node_id)
+
+    def _held(self, key: Key) -> Variable:
+        variable = self.dictionary.variable(key)
+        if variable.mux not in self.store:
+            raise ObjectNotFound(f"{variable.label} is no object of this device")
+        return variable
