@@ -1,0 +1,238 @@
+"""Heartbeat: a node says that it lives and in which NMT state; others notice when it stops (CiA 301 v4.2.0, 7.2.8.3.2.2).
+
+Theory of operation
+-------------------
+The producer sends one byte, its NMT state, on 0x700 + node-ID once per producer heartbeat time (0x1017, 0: never). The same
+CAN-ID carries the boot-up frame, the one byte 0, which the producer's NmtSlave sends.
+
+`HeartbeatProducer` follows 7.2.8.3.2.2 to the letter about the beginning. A time that is set while the node runs begins at once,
+with a frame. A time that is already there when the node boots begins with the boot-up frame, which counts as the first heartbeat;
+so the first real one comes a period later. A change of state sends nothing by itself: the next heartbeat bears it.
+
+`HeartbeatConsumer` listens to one node. With a consumer heartbeat time (0x1016) it also watches: from the first heartbeat on
+(7.5.2.19; a boot-up frame is none, so a node that has no heartbeat can't be lost), each one must follow within that time.
+
+    not begun --heartbeat--> watching --time over: HeartbeatLost--> lost --heartbeat: HeartbeatRecovered--> watching
+
+A boot-up frame does not move between these, and gives a watched node its full time anew: it lives, and its heartbeat time may
+begin only now. A node that forgets its heartbeat time in the reset is lost one consumer time after its boot-up.
+
+Every frame becomes an event of its own, in order. So a heartbeat right behind a boot-up hides nothing.
+
+A heartbeat that was waiting to be handled when its time ran out counts as in time: a driver that was stalled hands over the
+frames first, then the time, and no node is lost by our own delay.
+
+Left out: node guarding, which shares the CAN-ID but is asked for by remote frames (guarding.py). A guarding answer's toggle
+bit is masked out here, so that a node that is guarded by somebody else is still understood. EMCY 0x8130 and the error
+behaviour of a device that lost a heartbeat belong to its node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.frame import ERROR_CONTROL, Frame
+from canopen_proto.machine import (
+    MILLISECOND,
+    NEVER,
+    Event,
+    FrameIgnored,
+    LocalProtocolError,
+    Machine,
+    Outbox,
+    Time,
+    check_node_id,
+    event,
+)
+from canopen_proto.nmt import NmtState, state_from_byte
+
+MIN_PERIOD: Final = MILLISECOND
+"""The shortest heartbeat time: the unit of 0x1016 and 0x1017."""
+
+
+@event
+class HeartbeatsSkipped(Event):
+    """Our producer was woken so late that it left out heartbeats. skipped: how many, 1 or more."""
+
+    skipped: int
+
+
+@event
+class HeartbeatReceived(Event):
+    """A heartbeat. timestamp: the transport's, if it has one."""
+
+    state: NmtState
+    timestamp: int | None
+
+
+@event
+class NodeBooted(Event):
+    """A boot-up frame: the node was reset or switched on, and is in PRE-OPERATIONAL now. timestamp: as in HeartbeatReceived."""
+
+    timestamp: int | None
+
+
+@event
+class NmtStateReported(Event):
+    """A node's heartbeat or boot-up shows a state that is not the one known before. previous: None if none was known."""
+
+    previous: NmtState | None
+    state: NmtState
+
+
+@event
+class HeartbeatLost(Event):
+    """No heartbeat within the consumer time. Once; HeartbeatRecovered follows with the next heartbeat.
+
+    state: the last one heard. last_heard: when the last frame came. timeout: the consumer time that is over.
+    """
+
+    state: NmtState | None
+    last_heard: Time
+    timeout: Time
+
+
+@event
+class HeartbeatRecovered(Event):
+    """A lost node's heartbeat is back (the HeartbeatReceived before this one)."""
+
+    state: NmtState
+
+
+def _check_time(name: str, value: Time) -> Time:
+    if value != 0 and value < MIN_PERIOD:
+        raise LocalProtocolError(f"{name} is {value} ns, neither 0 (off) nor 1 ms or more")
+    return value
+
+
+class HeartbeatProducer(Machine):
+    """Sends a node's heartbeat: once per period, in every state but INITIALISING.
+
+    period: ns, 0 is off. state: what the next heartbeat bears. Both read-only outside.
+    """
+
+    __slots__ = ("node_id", "period", "state")
+
+    def __init__(self, out: Outbox, node_id: int) -> None:
+        """node_id: 1..127, else LocalProtocolError. The state is INITIALISING, the period 0."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.period: Time = 0
+        self.state = NmtState.INITIALISING
+
+    def set_period(self, period: Time, now: Time) -> None:
+        """Set the producer heartbeat time: 0 stops; 1 ms or more begins at once, with a frame, unless the node is INITIALISING.
+
+        Raises LocalProtocolError for other values. CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.5.2.20
+        """
+        self.period = _check_time("the producer heartbeat time", period)
+        if period == 0:
+            self._arm(NEVER)
+        elif self.state is not NmtState.INITIALISING:
+            self._send()
+            self._arm(now + period)
+
+    def set_state(self, state: NmtState, now: Time) -> None:
+        """Say what state the node is in now; the next heartbeat bears it.
+
+        Leaving INITIALISING starts the period, without a frame: the boot-up frame is the first heartbeat. Entering it stops.
+        CiA 301 v4.2.0, 7.2.8.3.2.2
+        """
+        previous, self.state = self.state, state
+        if state is NmtState.INITIALISING:
+            self._arm(NEVER)
+        elif previous is NmtState.INITIALISING and self.period:
+            self._arm(now + self.period)
+
+    def handle_timeout(self, now: Time) -> None:
+        """Send the due heartbeat. Late by whole periods, it sends one, keeps its phase and reports HeartbeatsSkipped."""
+        if now < self.deadline:
+            return
+        self._send()
+        skipped = (now - self.deadline) // self.period
+        self._arm(self.deadline + (skipped + 1) * self.period)
+        if skipped:
+            self.out.events.append(HeartbeatsSkipped(self.node_id, skipped))
+
+    def _send(self) -> None:
+        self.out.frames.append(Frame(ERROR_CONTROL + self.node_id, bytes((self.state,))))
+
+
+class HeartbeatConsumer(Machine):
+    """Hears one node's boot-ups and heartbeats, and notices when they stop.
+
+    state: the node's NMT state as last heard; None before the first frame, and from HeartbeatLost to the next frame. After a
+    boot-up frame it is PRE_OPERATIONAL: that is what the frame says (7.2.8.3.3). last_heard: when, on the driver's clock, or
+    None. lost: HeartbeatLost was reported and no heartbeat came since. timeout: ns, 0 only listens. All read-only outside.
+    """
+
+    __slots__ = ("_begun", "last_heard", "lost", "node_id", "state", "timeout")
+
+    def __init__(self, out: Outbox, node_id: int, timeout: Time = 0) -> None:
+        """node_id: 1..127. timeout: as in set_timeout. LocalProtocolError for others."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.timeout = _check_time("the consumer heartbeat time", timeout)
+        self.state: NmtState | None = None
+        self.last_heard: Time | None = None
+        self.lost = False
+        self._begun = False  # a heartbeat was heard: monitoring has begun
+
+    def can_ids(self) -> Iterable[int]:
+        return (ERROR_CONTROL + self.node_id,)
+
+    def set_timeout(self, timeout: Time, now: Time) -> None:
+        """Set the consumer heartbeat time: 0 only listens; else 1 ms or more.
+
+        A node whose heartbeat was heard before is watched from now on; another from its first heartbeat on. A lost node stays
+        lost until it is heard, or until 0 is set. Raises LocalProtocolError for other values. CiA 301 v4.2.0, 7.5.2.19
+        """
+        self.timeout = _check_time("the consumer heartbeat time", timeout)
+        if timeout == 0:
+            self.lost = False
+            self._arm(NEVER)
+        elif self._begun and not self.lost:
+            self._arm(now + timeout)
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take a boot-up frame or a heartbeat.
+
+        Events, in this order: NodeBooted or HeartbeatReceived; HeartbeatRecovered if it was lost; NmtStateReported if the
+        state is not the one known. A frame that is not one byte long, or names no state, is FrameIgnored and no sign of life.
+        CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.2.8.3.3
+        """
+        data = frame.data
+        if len(data) != 1:
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"a heartbeat has 1 byte, not {len(data)}"))
+            return
+        state = state_from_byte(data[0])
+        if state is None:
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT state"))
+            return
+        self.last_heard = now
+        out = self.out
+        if state:
+            out.events.append(HeartbeatReceived(self.node_id, state, out.timestamp))
+            if self.lost:
+                self.lost = False
+                out.events.append(HeartbeatRecovered(self.node_id, state))
+            self._begun = True
+        else:
+            out.events.append(NodeBooted(self.node_id, out.timestamp))
+            state = NmtState.PRE_OPERATIONAL
+        if self.timeout and self._begun and not self.lost:
+            self._arm(now + self.timeout)
+        if state is not self.state:
+            out.events.append(NmtStateReported(self.node_id, self.state, state))
+            self.state = state
+
+    def handle_timeout(self, now: Time) -> None:
+        """Report HeartbeatLost, once, when the consumer time is over."""
+        if now < self.deadline:
+            return
+        self._arm(NEVER)
+        assert self.last_heard is not None  # the deadline is armed by frames, or after one
+        self.out.events.append(HeartbeatLost(self.node_id, self.state, self.last_heard, self.timeout))
+        self.lost = True
+        self.state = None

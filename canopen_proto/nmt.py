@@ -1,0 +1,240 @@
+"""Network management: who may do what on the bus, and who says so (CiA 301 v4.2.0, 7.2.8 and 7.3.2).
+
+Theory of operation
+-------------------
+Every node is in one of four NMT states, and the state decides which services live (`SERVICES`). One participant, the NMT master,
+moves the others by an unconfirmed frame of two bytes on CAN-ID 0: the command, and the node-ID that it is for (0: all of them).
+The node does not answer. That it went where it was told shows in its heartbeat (heartbeat.py), and that it came through a reset
+in its boot-up frame, 0x700 + node-ID with the one byte 0, which the slave sends when its initialisation is done.
+
+Roles: `NmtMaster` sends the five commands. `NmtSlave` is a node's own state machine: `TRANSITIONS`, one table.
+
+A reset is two steps here, because the initialisation between them is not NMT's: the slave enters INITIALISING and reports
+`NmtResetRequested`; the node puts its parameters back (all of them, or those of communication) and calls `boot`, which sends the
+boot-up frame and enters PRE-OPERATIONAL. A node that starts itself (0x1F80) then calls `execute(NmtCommand.START, now)`.
+
+Left out: the NMT inhibit time (0x102A), as a master sends a handful of commands and not a stream; the start-up of a network by
+CiA 302-2, which is a procedure; a flying master. Nobody hears his own frames on CAN, so a node that is master and slave at once
+executes what it sends to all by `execute`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import Enum, IntEnum
+from types import MappingProxyType
+from typing import Final
+
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame
+from canopen_proto.machine import Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id, event
+
+ALL_NODES: Final = 0
+"""As the node-ID of an NMT command: every node of the network."""
+
+
+class NmtState(IntEnum):
+    """The NMT states, by the number that a heartbeat bears. CiA 301 v4.2.0, 7.2.8.3.2.2."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class NmtCommand(IntEnum):
+    """The NMT node control services, by command specifier. CiA 301 v4.2.0, 7.2.8.3.1."""
+
+    START = 0x01
+    STOP = 0x02
+    ENTER_PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class Service(Enum):
+    """The communication services whose life depends on the NMT state."""
+
+    BOOT_UP = "boot-up"
+    NMT = "NMT node control"
+    ERROR_CONTROL = "error control"
+    SDO = "SDO"
+    PDO = "PDO"
+    SYNC = "SYNC"
+    TIME = "TIME"
+    EMCY = "EMCY"
+
+
+_ALWAYS: Final = frozenset({Service.NMT, Service.ERROR_CONTROL})
+_CONFIGURING: Final = _ALWAYS | {Service.SDO, Service.SYNC, Service.TIME, Service.EMCY}
+
+SERVICES: Final[Mapping[NmtState, frozenset[Service]]] = MappingProxyType(
+    {
+        NmtState.INITIALISING: frozenset({Service.BOOT_UP}),
+        NmtState.PRE_OPERATIONAL: _CONFIGURING,
+        NmtState.OPERATIONAL: _CONFIGURING | {Service.PDO},
+        NmtState.STOPPED: _ALWAYS,
+    }
+)
+"""Which services live in which state: `Service.SDO in SERVICES[state]`. CiA 301 v4.2.0, 7.3.2.2.5."""
+
+_TARGETS: Final = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+    NmtCommand.RESET_NODE: NmtState.INITIALISING,
+    NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
+}
+
+TRANSITIONS: Final[Mapping[tuple[NmtState, NmtCommand], NmtState]] = MappingProxyType(
+    {
+        (state, command): target
+        for state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED)
+        for command, target in _TARGETS.items()
+    }
+)
+"""(state, command) -> next state. Every command leads from each of the three to one and the same state; INITIALISING has no rows,
+since a node that is initialising is not on the bus: it leaves that state by itself. CiA 301 v4.2.0, 7.3.2.1"""
+
+_STATES: Final = tuple(NmtState(number) if number in set(NmtState) else None for number in range(128))
+_COMMANDS: Final = {int(command): command for command in NmtCommand}
+
+
+def state_from_byte(byte: int) -> NmtState | None:
+    """The state that the byte of a heartbeat or guarding answer names, whatever its toggle bit (bit 7); None if it names none."""
+    return _STATES[byte & 0x7F]
+
+
+def target_of(command: NmtCommand) -> NmtState:
+    """The state that a command leads to; a node that is reset goes on from INITIALISING to PRE-OPERATIONAL by itself."""
+    return _TARGETS[command]
+
+
+@event
+class NmtCommandSent(Event):
+    """The master's command is in the outbox. node_id 0: it goes to all nodes."""
+
+    command: NmtCommand
+
+
+@event
+class NmtStateChanged(Event):
+    """Our own slave (NmtSlave) is in another state now."""
+
+    previous: NmtState
+    state: NmtState
+
+
+@event
+class NmtResetRequested(Event):
+    """Our own slave shall reset: everything (RESET_NODE) or the communication parameters, 0x1000 to 0x1FFF (RESET_COMMUNICATION).
+
+    It is in INITIALISING already (the NmtStateChanged before this one). The node resets itself, then calls `NmtSlave.boot`.
+    """
+
+    command: NmtCommand
+
+
+class NmtMaster(Machine):
+    """Sends NMT commands to one node or to all. It receives nothing: HeartbeatConsumer tells how the nodes took it."""
+
+    __slots__ = ()
+
+    def send(self, command: NmtCommand, node_id: int, now: Time) -> None:
+        """Send a command to node 1..127, or to ALL_NODES. Event: NmtCommandSent, at once.
+
+        Raises LocalProtocolError for another node-ID. CiA 301 v4.2.0, 7.2.8.3.1
+        """
+        if not ALL_NODES <= node_id <= MAX_NODE_ID:
+            raise LocalProtocolError(f"NMT {command.name}: node-ID {node_id} is outside 0 (all) to 127")
+        self.out.frames.append(Frame(NMT, bytes((command, node_id))))
+        self.out.events.append(NmtCommandSent(node_id, command))
+
+    def start(self, node_id: int, now: Time) -> None:
+        """Command OPERATIONAL: PDOs live. CiA 301 v4.2.0, 7.2.8.2.1.2"""
+        self.send(NmtCommand.START, node_id, now)
+
+    def stop(self, node_id: int, now: Time) -> None:
+        """Command STOPPED: nothing but NMT and error control lives. CiA 301 v4.2.0, 7.2.8.2.1.3"""
+        self.send(NmtCommand.STOP, node_id, now)
+
+    def enter_pre_operational(self, node_id: int, now: Time) -> None:
+        """Command PRE-OPERATIONAL: SDOs live, PDOs don't. CiA 301 v4.2.0, 7.2.8.2.1.4"""
+        self.send(NmtCommand.ENTER_PRE_OPERATIONAL, node_id, now)
+
+    def reset_node(self, node_id: int, now: Time) -> None:
+        """Command a restart, as after power-on. The node's boot-up frame follows. CiA 301 v4.2.0, 7.2.8.2.1.5"""
+        self.send(NmtCommand.RESET_NODE, node_id, now)
+
+    def reset_communication(self, node_id: int, now: Time) -> None:
+        """Command a restart of the communication. The node's boot-up frame follows. CiA 301 v4.2.0, 7.2.8.2.1.6"""
+        self.send(NmtCommand.RESET_COMMUNICATION, node_id, now)
+
+
+class NmtSlave(Machine):
+    """A node's own NMT state machine. It begins in INITIALISING, mute, until `boot`.
+
+    state: read-only outside.
+    """
+
+    __slots__ = ("node_id", "state")
+
+    def __init__(self, out: Outbox, node_id: int) -> None:
+        """node_id: 1..127, else LocalProtocolError."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.state = NmtState.INITIALISING
+
+    def can_ids(self) -> Iterable[int]:
+        return (NMT,)
+
+    def allows(self, service: Service) -> bool:
+        """Whether a service lives in the present state."""
+        return service in SERVICES[self.state]
+
+    def boot(self, now: Time) -> None:
+        """Initialisation is done: send the boot-up frame and enter PRE-OPERATIONAL. Event: NmtStateChanged, at once.
+
+        Raises LocalProtocolError unless the state is INITIALISING. CiA 301 v4.2.0, 7.2.8.3.3 and 7.3.2.2.1
+        """
+        if self.state is not NmtState.INITIALISING:
+            raise LocalProtocolError(f"boot of node {self.node_id}: it is {self.state.name}, and boots from INITIALISING only")
+        self.out.frames.append(Frame(ERROR_CONTROL + self.node_id, b"\x00"))
+        self._enter(NmtState.PRE_OPERATIONAL)
+
+    def execute(self, command: NmtCommand, now: Time) -> None:
+        """Do what an NMT command says, for a reason of our own: start by itself (0x1F80), error behaviour (0x1029).
+
+        Events: NmtStateChanged and NmtResetRequested as for a received command; none if the node is in the state already. Nothing
+        happens in INITIALISING. CiA 301 v4.2.0, 7.3.2.1 ("initiated locally")
+        """
+        state = TRANSITIONS.get((self.state, command))
+        if state is None or state is self.state:
+            return
+        self._enter(state)
+        if state is NmtState.INITIALISING:
+            self.out.events.append(NmtResetRequested(self.node_id, command))
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Obey a command to this node or to all.
+
+        A frame that is not two bytes long, or bears an unknown command for us, is reported as FrameIgnored. CiA 301 v4.2.0,
+        7.2.8.3.1
+        """
+        if self.state is NmtState.INITIALISING:
+            return  # not on the bus
+        data = frame.data
+        if len(data) != 2:
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"an NMT command has 2 bytes, not {len(data)}"))
+            return
+        if data[1] != self.node_id and data[1] != ALL_NODES:
+            return
+        command = _COMMANDS.get(data[0])
+        if command is None:
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT command"))
+            return
+        self.execute(command, now)
+
+    def _enter(self, state: NmtState) -> None:
+        previous = self.state
+        self.state = state
+        self.out.events.append(NmtStateChanged(self.node_id, previous, state))

@@ -1,0 +1,162 @@
+"""SYNC: the beat to which synchronous PDOs are sent and taken (CiA 301 v4.2.0, 7.2.5).
+
+Theory of operation ------------------- The producer sends a frame without data on CAN-ID 0x80 (0x1005), once per
+communication cycle period (0x1006) or whenever it is told to. With a synchronous counter overflow value (0x1019) of 2 to 240
+the frame has one byte, a counter that runs 1, 2 ... overflow, 1 ..., so that nodes can send their PDOs in different cycles. 0
+means no counter; 1 and 241 to 255 are reserved, and refused.
+
+`SyncProducer` keeps its phase: cycle n is due at start + n * period, however late the driver comes. Late by a whole period or
+more, it sends one SYNC and not the missed ones (their cycles are over, and consumers would act twice at once);
+`SyncSent.skipped` tells how many. The counter counts frames on the bus, so it has no gaps. `start` sends the first SYNC
+itself: the standard wants it within one cycle (7.5.2.5).
+
+`SyncConsumer` reports each SYNC. One whose length is not the expected is `SyncLengthUnexpected` and is not acted on, as a
+counter would then be made up or lost; the EMCY 0x8240 that a device may send for it is its node's business. A counter's value
+is handed on as it came: to compare it with a SYNC start value is the PDO's business.
+
+Left out: the synchronous window length (0x1007), as it is about the PDOs. That 0x1019 must not be changed while a period is
+set (abort 0x08000022), and that SYNC lives neither in STOPPED nor in INITIALISING and counts from 1 after them, is for the
+node to see to: it stops the producer and starts it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.frame import SYNC, Frame, frame_for_key
+from canopen_proto.machine import MICROSECOND, NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, event
+
+MAX_COUNTER: Final = 240
+"""The largest counter overflow value of 0x1019."""
+MIN_PERIOD: Final = MICROSECOND
+"""The shortest period: the unit of 0x1006."""
+
+
+@event
+class SyncSent(Event):
+    """Our producer's SYNC is in the outbox; node_id is 0.
+
+    counter: the one it bears, or None. skipped: the cycles that were left out before it because the driver came late.
+    """
+
+    counter: int | None
+    skipped: int
+
+
+@event
+class SyncReceived(Event):
+    """A SYNC came; node_id is 0. counter: the one it bears, or None. timestamp: the transport's, if it has one."""
+
+    counter: int | None
+    timestamp: int | None
+
+
+@event
+class SyncLengthUnexpected(FrameIgnored):
+    """A SYNC whose length is not what 0x1019 says. expected: 0 or 1 byte. (A device may send EMCY 0x8240 for it.)"""
+
+    expected: int
+
+
+def check_counter_overflow(value: int) -> int:
+    """value itself if 0x1019 may hold it (0, 2..240), else LocalProtocolError. CiA 301 v4.2.0, 7.5.2.22"""
+    if value != 0 and not 2 <= value <= MAX_COUNTER:
+        raise LocalProtocolError(f"synchronous counter overflow value {value} is neither 0 (no counter) nor 2..{MAX_COUNTER}")
+    return value
+
+
+class SyncProducer(Machine):
+    """Sends SYNC, periodically or one at a time.
+
+    key: the routing key of its COB-ID. period: ns, 0 while stopped. counter: what the next SYNC bears, if it bears one.
+    counter_overflow: as in 0x1019. All read-only outside.
+    """
+
+    __slots__ = ("counter", "counter_overflow", "key", "period")
+
+    def __init__(self, out: Outbox, key: int = SYNC, counter_overflow: int = 0) -> None:
+        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`). LocalProtocolError for a counter overflow value that is reserved."""
+        super().__init__(out)
+        self.key = key
+        self.counter_overflow = check_counter_overflow(counter_overflow)
+        self.counter = 1
+        self.period: Time = 0
+
+    def start(self, period: Time, now: Time, counter_overflow: int | None = None) -> None:
+        """Send SYNC now and then once per period (ns, 1 us or more); a producer that runs begins anew. The counter begins with 1.
+
+        counter_overflow: 0 or 2..240; None leaves it as it is. Event: SyncSent with each frame. Raises LocalProtocolError for
+        other values. CiA 301 v4.2.0, 7.2.5.2, 7.5.2.5, 7.5.2.6 and 7.5.2.22
+        """
+        if period < MIN_PERIOD:
+            raise LocalProtocolError(f"a SYNC period is 1 us or more, not {period} ns; stop() ends it")
+        if counter_overflow is not None:
+            self.counter_overflow = check_counter_overflow(counter_overflow)
+        self.period = period
+        self.counter = 1
+        self._send(0)
+        self._arm(now + period)
+
+    def stop(self) -> None:
+        """Send no more SYNC by itself. The counter begins with 1 when it is used next."""
+        self.period = 0
+        self.counter = 1
+        self._arm(NEVER)
+
+    def send(self, now: Time) -> None:
+        """Send one SYNC now. A running period keeps its phase. Event: SyncSent, at once. CiA 301 v4.2.0, 7.2.5.2"""
+        self._send(0)
+
+    def handle_timeout(self, now: Time) -> None:
+        """Send the due SYNC: one, however late. Event: SyncSent."""
+        if now < self.deadline:
+            return
+        skipped = (now - self.deadline) // self.period
+        self._send(skipped)
+        self._arm(self.deadline + (skipped + 1) * self.period)
+
+    def _send(self, skipped: int) -> None:
+        if self.counter_overflow:
+            counter = self.counter
+            self.counter = counter + 1 if counter < self.counter_overflow else 1
+            self.out.frames.append(frame_for_key(self.key, bytes((counter,))))
+            self.out.events.append(SyncSent(0, counter, skipped))
+        else:
+            self.out.frames.append(frame_for_key(self.key, b""))
+            self.out.events.append(SyncSent(0, None, skipped))
+
+
+class SyncConsumer(Machine):
+    """Reports each SYNC on the bus.
+
+    key: the routing key of its COB-ID. counter_overflow: as in 0x1019: whether a counter is expected. Both read-only outside.
+    """
+
+    __slots__ = ("counter_overflow", "key")
+
+    def __init__(self, out: Outbox, key: int = SYNC, counter_overflow: int = 0) -> None:
+        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`). LocalProtocolError for a counter overflow value that is reserved."""
+        super().__init__(out)
+        self.key = key
+        self.counter_overflow = check_counter_overflow(counter_overflow)
+
+    def can_ids(self) -> Iterable[int]:
+        return (self.key,)
+
+    def configure(self, key: int, counter_overflow: int) -> None:
+        """Take another COB-ID (0x1005) or counter overflow value (0x1019); LocalProtocolError for a reserved one."""
+        self.counter_overflow = check_counter_overflow(counter_overflow)
+        if key != self.key:
+            self.key = key
+            self._reroute()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take a SYNC. Event: SyncReceived, or SyncLengthUnexpected. CiA 301 v4.2.0, 7.2.5.3"""
+        data = frame.data
+        expected = 1 if self.counter_overflow else 0
+        if len(data) != expected:
+            reason = f"a SYNC has {expected} data bytes here, not {len(data)}"
+            self.out.events.append(SyncLengthUnexpected(0, frame, reason, expected))
+            return
+        self.out.events.append(SyncReceived(0, data[0] if data else None, self.out.timestamp))
