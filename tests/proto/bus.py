@@ -1,0 +1,226 @@
+"""A CAN bus in virtual time that couples machines, for tests: deterministic, and as faulty as asked for.
+
+It is a driver like any other: it takes frames from outboxes, hands each to every other participant that asks for its key, and
+calls `handle_timeout` when a deadline comes. Machines that share an Outbox are one participant, which does not hear itself; so is
+a Network. It asks for `can_ids()` and deadlines anew in each step, so any Machine will do, alone or as a Group.
+
+    bus = Bus(seed=1, delay=(50 * MICROSECOND, 2 * MILLISECOND), loss=0.1, copies=0.1)
+    client = bus.attach(SdoClient(Outbox(), node_id=12))
+    bus.attach(SdoServer(Outbox(), 12, store))
+    client.upload(0x1018, 1, bus.now)
+    bus.settle()                                   # until nothing is on the way and no deadline is set
+    assert bus.events == [SdoUploaded(...)]
+
+Faults happen per frame and receiver. `loss`, `copies`, `late_copies`, `reordering` are their probabilities; or `fates` says it
+frame by frame (hypothesis shrinks such a list well); what lies behind its end is delivered. What a real CAN can do is LOST,
+COPIED and any delay: the order within a CAN-ID is kept, another CAN-ID may overtake. COPIED_LATE and LATE break that order; no
+CAN does so, but gateways do.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Callable, Iterable, Iterator
+from enum import Enum
+from typing import TypeVar
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Machine, Outbox, Time
+from canopen_proto.network import Network
+
+M = TypeVar("M", bound=Machine | Network)
+E = TypeVar("E", bound=Event)
+
+MAX_STEPS = 2_000_000  # a machine whose deadline does not move, or two that chat for ever, end here and not never
+
+
+class Fate(Enum):
+    """What becomes of a frame on its way to one receiver."""
+
+    DELIVERED = "delivered"
+    LOST = "lost"
+    COPIED = "copied"  # delivered, and once more right behind it
+    COPIED_LATE = "copied late"  # delivered, and once more at any later time, out of order
+    LATE = "late"  # overtaken by frames of its own CAN-ID
+
+
+CAN_FATES = (Fate.DELIVERED, Fate.LOST, Fate.COPIED)
+"""What CAN itself can do to a frame."""
+
+
+class Bus:
+    """See the text of this module."""
+
+    def __init__(
+        self,
+        seed: int | random.Random = 0,
+        *,
+        delay: tuple[Time, Time] = (100 * MICROSECOND, 100 * MICROSECOND),
+        loss: float = 0.0,
+        copies: float = 0.0,
+        late_copies: float = 0.0,
+        reordering: float = 0.0,
+        late: tuple[Time, Time] = (0, SECOND),
+        fates: Iterable[Fate] = (),
+        now: Time = 0,
+    ) -> None:
+        """delay: least and largest; late: how much later than that COPIED_LATE and LATE frames come."""
+        self.now = now
+        self.machines: list[Machine | Network] = []
+        self.sent: list[tuple[Time, Frame]] = []  # every frame that was put on the bus, lost ones too
+        self.events: list[Event] = []  # of all participants, in order
+        self.on_event: Callable[[Event], object] | None = None  # the host: may give commands to machines
+        self._random = seed if isinstance(seed, random.Random) else random.Random(seed)
+        self._delay = delay
+        self._late = late
+        self._odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
+        self._fates: Iterator[Fate] = iter(fates)
+        self._on_the_way: list[tuple[Time, int, Outbox, Frame]] = []
+        self._count = 0
+        self._last_arrival: dict[tuple[int, int], Time] = {}  # per receiver and key: order within a CAN-ID is kept
+
+    def attach(self, machine: M) -> M:
+        """Couple a machine or a network to the bus; it comes back, so that the call can stand around its construction."""
+        self.machines.append(machine)
+        return machine
+
+    def detach(self, machine: Machine | Network) -> None:
+        """The machine vanishes from the bus (a cable is pulled)."""
+        self.machines.remove(machine)
+
+    def send(self, frame: Frame | str) -> None:
+        """Put a frame (candump text will do) on the bus as a participant of your own; all machines hear it."""
+        self._put(Frame.parse(frame) if isinstance(frame, str) else frame, None)
+
+    def pump(self) -> None:
+        """Take what the outboxes hold: frames go on their way, events to `events` and `on_event`."""
+        busy = True
+        while busy:
+            busy = False
+            for machine in list(self.machines):
+                frames, events = self._drain(machine)
+                for frame in frames:
+                    self._put(frame, machine.out)
+                self.events += events
+                if self.on_event is not None and events:
+                    busy = True
+                    for event in events:
+                        self.on_event(event)
+
+    def next_time(self) -> Time:
+        """When the next thing happens: an arrival or a deadline; NEVER if the bus is idle."""
+        self.pump()
+        arrival = self._on_the_way[0][0] if self._on_the_way else NEVER
+        return min([arrival, *map(_deadline_of, self.machines)])
+
+    def step(self) -> bool:
+        """Let the next thing happen: one arrival, or one deadline if no frame arrives by then. False if there is nothing."""
+        time = self.next_time()
+        if time == NEVER:
+            return False
+        self.now = max(self.now, time)
+        if self._on_the_way and self._on_the_way[0][0] <= self.now:
+            _, _, receiver, frame = heapq.heappop(self._on_the_way)
+            self._deliver(receiver, frame)
+        else:
+            min(self.machines, key=_deadline_of).handle_timeout(self.now)
+        self.pump()
+        return True
+
+    def settle(self, limit: Time = 3600 * SECOND) -> None:
+        """Run until nothing is on the way and no deadline is set. Fails if that takes longer than `limit`."""
+        end = self.now + limit
+        for _ in range(MAX_STEPS):
+            if not self.step():
+                return
+            assert self.now <= end, f"still busy after {limit} ns"
+        raise AssertionError(f"still busy after {MAX_STEPS} steps")
+
+    def run(self, duration: Time) -> None:
+        """Run for `duration`; `now` is exactly that much later then."""
+        end = self.now + duration
+        for _ in range(MAX_STEPS):
+            if self.next_time() > end:
+                self.now = end
+                return
+            self.step()
+        raise AssertionError(f"more than {MAX_STEPS} steps in {duration} ns")
+
+    def run_until(self, condition: Callable[[], bool], limit: Time = 60 * SECOND) -> None:
+        """Run until the condition holds. Fails if the bus falls idle or `limit` passes before."""
+        end = self.now + limit
+        self.pump()
+        while not condition():
+            assert self.step(), "the bus is idle and the condition does not hold"
+            assert self.now <= end, f"the condition does not hold after {limit} ns"
+
+    def take_events(self, kind: type[E]) -> list[E]:
+        """The events of one type; they are taken out of `events`."""
+        taken = [event for event in self.events if isinstance(event, kind)]
+        self.events = [event for event in self.events if not isinstance(event, kind)]
+        return taken
+
+    def trace(self) -> list[str]:
+        """All frames that were put on the bus, in candump's notation."""
+        return [str(frame) for _, frame in self.sent]
+
+    # --- inside
+
+    def _drain(self, machine: Machine | Network) -> tuple[list[Frame], list[Event]]:
+        if isinstance(machine, Network):
+            return machine.drain(self.now)
+        out = machine.out
+        frames, events = out.frames[:], out.events[:]
+        out.frames.clear()
+        out.events.clear()
+        return frames, events
+
+    def _outboxes(self) -> list[Outbox]:
+        return list({id(machine.out): machine.out for machine in self.machines}.values())
+
+    def _put(self, frame: Frame, sender: Outbox | None) -> None:
+        self.sent.append((self.now, frame))
+        for receiver in self._outboxes():
+            if receiver is not sender:
+                self._schedule(frame, receiver)
+
+    def _schedule(self, frame: Frame, receiver: Outbox) -> None:
+        fate = self._fate()
+        if fate is Fate.LOST:
+            return
+        arrival = self.now + self._random.randint(*self._delay)
+        if fate is Fate.LATE:
+            self._enter(arrival + self._random.randint(*self._late), receiver, frame)
+            return
+        last = (id(receiver), frame.key)
+        arrival = max(arrival, self._last_arrival.get(last, 0))
+        self._enter(arrival, receiver, frame)
+        if fate is Fate.COPIED:
+            self._enter(arrival, receiver, frame)
+        self._last_arrival[last] = arrival
+        if fate is Fate.COPIED_LATE:
+            self._enter(arrival + self._random.randint(*self._late), receiver, frame)
+
+    def _enter(self, arrival: Time, receiver: Outbox, frame: Frame) -> None:
+        self._count += 1
+        heapq.heappush(self._on_the_way, (arrival, self._count, receiver, frame))
+
+    def _fate(self) -> Fate:
+        fate = next(self._fates, None)
+        if fate is not None:
+            return fate
+        for fate, odds in self._odds:
+            if odds and self._random.random() < odds:
+                return fate
+        return Fate.DELIVERED
+
+    def _deliver(self, receiver: Outbox, frame: Frame) -> None:
+        key = frame.key
+        for machine in self.machines:
+            if machine.out is receiver and key in machine.can_ids():
+                machine.receive(frame, self.now)
+
+
+def _deadline_of(machine: Machine | Network) -> Time:
+    return machine.next_deadline() if isinstance(machine, Network) else machine.deadline
