@@ -1,0 +1,154 @@
+"""Motion in closed form: trapezoidal profiles and stop ramps that are planned once and can be evaluated at any time.
+
+Theory of operation
+-------------------
+A `Profile` is a row of pieces of constant acceleration, the last of which (rest, or constant speed) holds for ever. `move`,
+`stop`, `run`, `line` and `hold` plan one from any position *and any velocity*, so a running motion is changed by planning anew
+from where it is now. Nothing is stepped: `at(now)` costs one look at a few numbers, however long ago the plan was made, and gives
+the same answer however often it is asked. Arithmetic is float (IEEE 754 double), hence the same on every machine.
+
+A point-to-point move is the time-optimal one within its limits: speed grows by at most `acceleration` and falls by at most
+`deceleration`. Would a stop from the present velocity end beyond the target (or does the axis move away), then it first brakes to
+rest and comes back; is it faster than `max_velocity`, it first brakes to that.
+
+Units are the caller's (device units, units/s, units/s²); a profile's own time is in seconds since its `start`, the clock's in ns.
+Left out: limited jerk (6086h = 3) and a final velocity other than 0 (6082h).
+
+Source: IEC 61800-7-201 (CiA 402-2), profile position mode, linear ramp (6086h = 0).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, TypeAlias
+
+from canopen_proto.machine import NEVER, Time
+
+_SECONDS: Final = 1e-9
+_NANOSECONDS: Final = 1e9
+
+Piece: TypeAlias = tuple[float, float, float, float]
+"""From when (s after the profile's start), and then position, velocity (units/s) and acceleration (units/s²) at that time."""
+
+
+class Profile:
+    """A planned motion. Never changed after it was made.
+
+    start: when it was planned; end: the first nanosecond at which only its last piece is left, NEVER if that lies beyond the
+    clock. pieces: oldest first, at least one. final_position, final_velocity: how the last piece begins; where final_velocity is
+    0 that is where the motion ends.
+    """
+
+    __slots__ = ("end", "final_position", "final_velocity", "pieces", "start")
+
+    def __init__(self, start: Time, pieces: tuple[Piece, ...]) -> None:
+        self.start = start
+        self.pieces = pieces
+        duration, self.final_position, self.final_velocity, _ = pieces[-1]
+        self.end: Time = min(start + math.ceil(duration * _NANOSECONDS), NEVER)
+
+    def at(self, now: Time) -> tuple[float, float, float]:
+        """Position, velocity and acceleration at `now`; before `start`, those of the start."""
+        time = (now - self.start) * _SECONDS if now > self.start else 0.0
+        for begin, position, velocity, acceleration in reversed(self.pieces):
+            if time >= begin:
+                elapsed = time - begin
+                return (
+                    position + (velocity + 0.5 * acceleration * elapsed) * elapsed,
+                    velocity + acceleration * elapsed,
+                    acceleration,
+                )
+        raise AssertionError("the first piece begins at 0")
+
+    def at_rest(self, now: Time) -> bool:
+        """True once the motion is over: nothing will move any more."""
+        return now >= self.end and self.final_velocity == 0.0
+
+
+class _Plan:
+    """Pieces being lined up, each beginning as the one before it ends."""
+
+    __slots__ = ("pieces", "position", "time", "velocity")
+
+    def __init__(self, position: float, velocity: float) -> None:
+        self.pieces: list[Piece] = []
+        self.time = 0.0
+        self.position = position
+        self.velocity = velocity
+
+    def ramp(self, velocity: float, rate: float) -> None:
+        """Change to `velocity` at `rate` units/s² (a magnitude)."""
+        change = velocity - self.velocity
+        if change:
+            duration = abs(change) / rate
+            self.pieces.append((self.time, self.position, self.velocity, math.copysign(rate, change)))
+            self.position += 0.5 * (self.velocity + velocity) * duration
+            self.velocity = velocity
+            self.time += duration
+
+    def cruise(self, distance: float) -> None:
+        """Go on for `distance`, which is in the direction of the present velocity, or not at all."""
+        if distance * self.velocity > 0.0:
+            self.pieces.append((self.time, self.position, self.velocity, 0.0))
+            self.position += distance
+            self.time += distance / self.velocity
+
+    def finish(self, start: Time, position: float) -> Profile:
+        """Hold the present velocity for ever, from `position`: where the pieces end but for rounding."""
+        self.pieces.append((self.time, position, self.velocity, 0.0))
+        return Profile(start, tuple(self.pieces))
+
+
+def hold(start: Time, position: float) -> Profile:
+    """Rest at a position."""
+    return Profile(start, ((0.0, position, 0.0, 0.0),))
+
+
+def line(start: Time, position: float, target: float, duration: float) -> Profile:
+    """From `position` to `target` at constant speed in `duration` seconds (above 0), then rest: one step of an interpolation."""
+    return Profile(start, ((0.0, position, (target - position) / duration, 0.0), (duration, target, 0.0, 0.0)))
+
+
+def stop(start: Time, position: float, velocity: float, deceleration: float) -> Profile:
+    """Brake to rest at `deceleration` (above 0)."""
+    plan = _Plan(position, velocity)
+    plan.ramp(0.0, deceleration)
+    return plan.finish(start, plan.position)
+
+
+def run(start: Time, position: float, velocity: float, to_velocity: float, acceleration: float, deceleration: float) -> Profile:
+    """Change to `to_velocity` (of either sign) and keep it. Both rates are magnitudes above 0."""
+    plan = _Plan(position, velocity)
+    if velocity * to_velocity < 0.0:
+        plan.ramp(0.0, deceleration)
+    plan.ramp(to_velocity, acceleration if abs(to_velocity) > abs(plan.velocity) else deceleration)
+    return plan.finish(start, plan.position)
+
+
+def move(
+    start: Time, position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float
+) -> Profile:
+    """To `target` and rest there, from `position` at `velocity`. The limits are magnitudes above 0; see the module's text."""
+    plan = _Plan(position, velocity)
+    ahead = target - position - _braking_distance(velocity, deceleration)
+    if velocity * ahead < 0.0:  # it moves away, or cannot stop in time: brake, then come back
+        plan.ramp(0.0, deceleration)
+    direction = math.copysign(1.0, ahead or velocity)
+    distance = (target - plan.position) * direction
+    speed = plan.velocity * direction
+    if speed < max_velocity:
+        # the peak from which braking ends at the target: v² = 2 a d d' / (a + d') with the speed at the start added
+        peak_squared = (2.0 * acceleration * distance + speed * speed) * deceleration / (acceleration + deceleration)
+        peak = min(max_velocity, math.sqrt(max(peak_squared, 0.0)))
+        if peak > speed:
+            plan.ramp(peak * direction, acceleration)
+    else:
+        plan.ramp(max_velocity * direction, deceleration)
+    plan.cruise(target - plan.position - _braking_distance(plan.velocity, deceleration))
+    plan.ramp(0.0, deceleration)
+    return plan.finish(start, target)
+
+
+def _braking_distance(velocity: float, deceleration: float) -> float:
+    """How far an axis gets, with its sign, while it brakes to rest."""
+    return velocity * abs(velocity) / (2.0 * deceleration)
