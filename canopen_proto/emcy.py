@@ -39,8 +39,8 @@ MAX_PENDING: Final = 16
 MAX_HISTORY: Final = 254
 """0x1003 has sub-indices 1 to 254."""
 MAX_ACTIVE: Final = 254
-"""Errors that are there at once: as many as the history can name. (A further one is dropped and reported: it may be a peer's doing,
-such as a PDO of a wrong length, so it is no mistake of our caller.)"""
+"""Errors that are there at once: as many as the history can name. A further one is dropped and reported; it does not raise, since
+what leads to it may be a peer's doing, such as a PDO of a wrong length."""
 VENDOR_BYTES: Final = 5
 _RESERVED_BIT: Final = 0x40
 _GENERIC_BIT: Final = 0x01
@@ -111,7 +111,7 @@ class EmcyProducer(Machine):
         return tuple(self._active)
 
     def raise_error(self, code: int, register_bits: int, vendor_data: bytes, now: Time, additional_info: int = 0) -> None:
-        """An error is there: it enters the register and the history, and its frame is sent. Nothing happens if it was there before.
+        """An error is there: it enters the register and the history, and its frame is sent. Does nothing if it is there already.
 
         code: 0x0100..0xFFFF. register_bits: of 0x1001 (`register_bits_of(code)`); the generic bit is added. vendor_data: up
         to 5 bytes. additional_info: 16 bits, for the history, and to tell errors of one code apart. Event: EmcySent, at once
