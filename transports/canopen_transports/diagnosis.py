@@ -1,0 +1,257 @@
+"""What python-can's exceptions mean, in one screen: what failed, what was seen, the likely cause, the next step.
+
+python-can has no one way to say that a bus cannot be opened: a missing Kvaser library is a NameError, a missing PEAK library an
+OSError without errno, a missing module an ImportError or CanInterfaceNotImplementedError, an unknown PEAK channel a KeyError, an
+option that the backend does not know a TypeError. `OPENING_ERRORS` lists these families; here they become `TransportError`.
+"""
+
+from __future__ import annotations
+
+import errno
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import can
+
+from canopen_transports.errors import BUS_LOST, CANNOT_OPEN, NO_PERMISSION, NOT_ACKNOWLEDGED, TransportError
+from canopen_transports.locator import Locator, bitrate_text, nearest
+
+OPENING_ERRORS: Final = (
+    can.CanError,
+    OSError,  # SocketCAN, serial ports, PCAN-Basic not found
+    ImportError,  # python-ics
+    NameError,  # Kvaser's CANlib not found; AttributeError below: foreign systems' ctypes
+    AttributeError,
+    ValueError,
+    TypeError,  # an option that the backend does not have, a required one that is missing (socketcand's host and port)
+    LookupError,  # PEAK channel names
+    RuntimeError,  # NotImplementedError among others
+)
+IO_ERRORS: Final = (can.CanError, OSError, ValueError)
+"""What a backend's send and recv raise. ValueError: a serial line that talks nonsense, too high a descriptor for `select`."""
+
+SAMPLE_BITRATE: Final = 500_000
+"""What a suggested command shows where we do not know the bus's bit rate."""
+
+# The extra of python-can that brings a backend's Python modules.
+_EXTRAS: Final = {
+    "slcan": "serial",
+    "serial": "serial",
+    "robotell": "serial",
+    "seeedstudio": "seeedstudio",
+    "gs_usb": "gs-usb",
+    "neovi": "neovi",
+    "canalystii": "canalystii",
+    "cantact": "cantact",
+    "nixnet": "nixnet",
+    "usb2can": "pywin32",
+    "udp_multicast": "multicast",
+}
+# What the maker of the adapter provides.
+_DRIVERS: Final = {
+    "pcan": "PEAK's driver and its PCAN-Basic library (peak-system.com)",
+    "kvaser": "Kvaser's driver and its CANlib (kvaser.com)",
+    "ixxat": "the VCI driver of Ixxat (Windows)",
+    "vector": "the XL driver library of Vector (Windows)",
+    "nican": "NI-CAN (Windows)",
+    "nixnet": "NI-XNET (Windows)",
+    "systec": "the USB-CANmodul driver of SYS TEC (Windows)",
+    "etas": "the BOA library of ETAS (Windows)",
+    "iscan": "the driver of isCAN",
+    "neousys": "the WDT_DIO library of Neousys",
+}
+_ARPHRD_CAN: Final = 280
+_FULL: Final = re.compile(r"\b(buffer|queue)\b.*\bfull\b", re.IGNORECASE)
+
+
+def error_number(error: BaseException) -> int | None:
+    """The errno of the OSError that an exception is or was raised from. (Drivers' own error codes are other numbers.)"""
+    link: BaseException | None = error
+    while link is not None:
+        if isinstance(link, OSError) and link.errno is not None:
+            return link.errno
+        link = link.__cause__
+    return None
+
+
+def queue_is_full(error: BaseException) -> bool:
+    """Whether a failed send failed only for want of room.
+
+    By errno for SocketCAN and UDP; by text for the others: each driver has its own number, but all say "full" (PCAN-Basic: "The
+    transmit queue is full", python-can: "Transmit buffer full").
+    """
+    return error_number(error) in (errno.ENOBUFS, errno.EAGAIN) or _FULL.search(str(error)) is not None
+
+
+def is_can_device(name: str, root: Path = Path("/")) -> bool | None:
+    """Whether a network interface is a CAN bus; None where the system does not tell."""
+    try:
+        return int((root / "sys/class/net" / name / "type").read_text()) == _ARPHRD_CAN
+    except (OSError, ValueError):
+        return None
+
+
+def found_here(root: Path = Path("/")) -> list[str]:
+    """Locators of what looks like a CAN adapter on this computer."""
+    names = sorted(path.name for path in (root / "sys/class/net").glob("*"))
+    found = [f"socketcan:{name}" for name in names if is_can_device(name, root)]
+    for prefix, pattern in (("", "pcan[0-9]*"), ("slcan:", "ttyACM*"), ("slcan:", "ttyUSB*")):
+        found += [f"{prefix}/dev/{path.name}" for path in sorted((root / "dev").glob(pattern))]
+    return found
+
+
+def bring_up(locator: Locator) -> str:
+    """The command that brings a SocketCAN interface up."""
+    if locator.channel.startswith("vcan"):
+        return f"sudo ip link set {locator.channel} up"
+    return f"sudo ip link set {locator.channel} up type can bitrate {locator.bitrate or SAMPLE_BITRATE}"
+
+
+def cannot_open(locator: Locator, error: BaseException) -> TransportError:
+    """Why a bus could not be opened, by the exception that python-can gave."""
+    number = error_number(error)
+    seen = " ".join(str(error).split()) or type(error).__name__
+    code, cause, tries = CANNOT_OPEN, "", list(_further_steps(locator))
+    device = locator.channel if locator.channel.startswith("/dev/") else ""
+    if number in (errno.EACCES, errno.EPERM):
+        code, cause = NO_PERMISSION, "this user may not use the interface"
+        tries = [
+            "sudo usermod -aG dialout $USER   (then log in again)" if device else "ask for access to it, or run this as root"
+        ]
+    elif number == errno.EBUSY:
+        cause = "another program uses the adapter"
+        tries = [f"fuser -v {device}   (tells which)"] if device else ["close the other program"]
+    elif number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT) and locator.interface == "socketcan":
+        seen = f"this {sys.platform} kernel has no SocketCAN"
+        tries = ["sudo modprobe can_raw", "udp_multicast, or virtual: (no hardware needed)"]
+    elif number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
+        cause = "the adapter is not plugged in, its driver is not loaded, or it has another name"
+    elif _driver_is_missing(error):
+        cause = "the software for this adapter is not installed"
+        tries = [*_driver_steps(locator), *tries]
+    elif isinstance(error, LookupError | ValueError | TypeError):
+        seen = f"{locator.interface} of python-can does not accept channel {locator.channel!r} with these options: {seen}"
+        tries = [*_channel_steps(locator), f"https://python-can.readthedocs.io/ says what {locator.interface} takes"]
+    elif locator.interface == "udp_multicast":
+        cause = "no network interface carries multicast"
+        tries = ["sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)", "virtual: (one process)"]
+    return TransportError(code, locator.text, f"cannot open {locator.text}", seen=seen, cause=cause, tries=tries)
+
+
+def interface_missing(locator: Locator) -> TransportError:
+    """SocketCAN: there is no network interface of that name."""
+    tries = list(_further_steps(locator))
+    if locator.channel.startswith("vcan"):
+        tries.insert(0, f"sudo modprobe vcan && sudo ip link add dev {locator.channel} type vcan && {bring_up(locator)}")
+    return TransportError(
+        CANNOT_OPEN,
+        locator.text,
+        f"cannot open {locator.text}",
+        seen=f"there is no network interface {locator.channel!r}",
+        cause="the adapter is not plugged in, its driver is not loaded, or it has another name",
+        tries=(*tries, "ip link show"),
+    )
+
+
+def not_a_can_interface(locator: Locator) -> TransportError:
+    """SocketCAN: the network interface is an Ethernet card or the like."""
+    return TransportError(
+        CANNOT_OPEN,
+        locator.text,
+        f"cannot open {locator.text}",
+        seen=f"{locator.channel} is a network interface, but not a CAN bus",
+        tries=(*_further_steps(locator), "ip link show"),
+    )
+
+
+def interface_down(locator: Locator) -> TransportError:
+    """SocketCAN: the interface is there and DOWN. (The kernel lets a socket be bound to it all the same.)"""
+    return TransportError(
+        CANNOT_OPEN,
+        locator.text,
+        f"cannot open {locator.text}",
+        seen=f"{locator.channel} is there, but it is DOWN",
+        cause="nobody has brought it up since it was plugged in; the kernel keeps the bit rate, a program cannot set it",
+        tries=(bring_up(locator),),
+    )
+
+
+def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
+    """The adapter does not know this bit rate."""
+    return TransportError(
+        CANNOT_OPEN,
+        locator.text,
+        f"cannot open {locator.text}",
+        seen=f"{locator.interface} has no bit rate {locator.bitrate}",
+        tries=(f"one of {', '.join(bitrate_text(rate) for rate in known)}",),
+    )
+
+
+def bus_lost(locator: Locator, doing: str, error: BaseException) -> TransportError:
+    """The bus worked and has now failed."""
+    number = error_number(error)
+    seen, cause = " ".join(str(error).split()), "the adapter was unplugged, or its driver failed"
+    tries: tuple[str, ...] = ("plug it in again, then open the bus again",)
+    if locator.interface == "socketcan" and number == errno.ENETDOWN:
+        seen, cause = f"{locator.channel} is DOWN", "somebody set it down, or the adapter was unplugged"
+        tries = (bring_up(locator),)
+    elif locator.interface == "udp_multicast":
+        cause, tries = "the network went away, or no route leads to the group", ("sudo ip route add 224.0.0.0/4 dev lo",)
+    return TransportError(BUS_LOST, locator.text, f"cannot {doing} on {locator.text}", seen=seen, cause=cause, tries=tries)
+
+
+def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> TransportError:
+    """Our frames do not get out: the queue stays full, or the controller is bus-off. received: frames heard so far."""
+    rate = f" (ours {bitrate_text(locator.bitrate)})" if locator.bitrate else ""
+    causes = [f"wrong bit rate{rate}", "CAN-H and CAN-L swapped or a wire broken", "termination (60 ohm between them)"]
+    if received:  # somebody is there, and we understand him
+        causes = ["a device or a cable that disturbs the bus", "the bus is overloaded"]
+    else:
+        causes.insert(0, "nobody else on the bus, or its power is off")
+    tries = ["check the causes in that order"]
+    if locator.interface == "socketcan":
+        tries.append(f"ip -details -statistics link show {locator.channel}")
+        tries.append(f"sudo ip link set {locator.channel} down && {bring_up(locator)} restart-ms 100")
+    return TransportError(
+        NOT_ACKNOWLEDGED,
+        locator.text,
+        f"cannot {doing} on {locator.text}: nothing acknowledges our frames",
+        seen=seen,
+        cause="; ".join(causes),
+        tries=tries,
+    )
+
+
+def _driver_is_missing(error: BaseException) -> bool:
+    if isinstance(error, ImportError | NameError | AttributeError | NotImplementedError):
+        return True
+    # PCAN-Basic: OSError("pcanbasic library not found."); ctypes: OSError("libx.so: cannot open shared object file: ...")
+    return type(error) is OSError and error.errno is None
+
+
+def _driver_steps(locator: Locator) -> Iterator[str]:
+    if locator.interface in _EXTRAS:
+        yield f"pip install 'python-can[{_EXTRAS[locator.interface]}]'"
+    if locator.interface in _DRIVERS:
+        yield f"install {_DRIVERS[locator.interface]}"
+    if locator.interface == "pcan":
+        by_kernel = locator._replace(interface="socketcan", channel="can0")
+        yield f"socketcan:can0, after {bring_up(by_kernel)}   (with the kernel's own driver, peak_usb)"
+
+
+def _channel_steps(locator: Locator) -> Iterator[str]:
+    if locator.interface == "pcan":
+        from can.interfaces.pcan.basic import PCAN_CHANNEL_NAMES
+
+        meant = nearest(locator.channel, PCAN_CHANNEL_NAMES) or "PCAN_USBBUS1"
+        yield f"pcan:{meant}@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}"
+
+
+def _further_steps(locator: Locator) -> Iterator[str]:
+    found = [other for other in found_here() if other != locator.text]
+    if found:
+        yield f"what was found here: {', '.join(found)}"
+    yield "virtual: or udp_multicast (no hardware needed)"

@@ -1,0 +1,76 @@
+"""What a transport reports when the world refuses: `TransportError`, one screen that ends in the next step.
+
+Three kinds of failure, and no other, leave a transport:
+
+- `ValueError`: our own caller asked for a frame that classical CAN cannot carry. Nothing was sent.
+- `trio.ClosedResourceError`: our own side closed the transport, before or during the call.
+- `TransportError`: the world refused. `ReceiveOverrun` is the one of these after which the transport works on as before.
+
+The codes are those of the command line: CO1xx is the bus itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+BAD_LOCATOR: Final = "CO100"
+"""The locator makes no sense; nothing was opened."""
+CANNOT_OPEN: Final = "CO101"
+"""The interface is not there, is down, is in use, or its driver is missing."""
+NO_PERMISSION: Final = "CO102"
+"""The interface is there, but this user may not open it."""
+NOT_ACKNOWLEDGED: Final = "CO110"
+"""Frames do not get out: nobody acknowledges them, or the controller is bus-off."""
+BUS_LOST: Final = "CO111"
+"""The bus worked and then failed: adapter unplugged, interface set down, driver error."""
+OVERRUN: Final = "CO112"
+"""Frames were received faster than they were taken; some are lost."""
+
+
+class TransportError(Exception):
+    """The world refused: `str(error)` is the message for people, the fields are for programs.
+
+    code: "CO101" and the like, see this module's constants. locator: the bus, as `open_transport` takes it. failed: what was
+    asked for. seen: what was observed. cause: the likely cause or causes, best first. tries: what to do next, best first;
+    commands stand in them as they are typed.
+    """
+
+    def __init__(
+        self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
+    ) -> None:
+        self.code = code
+        self.locator = locator
+        self.failed = failed
+        self.seen = seen
+        self.cause = cause
+        self.tries = tuple(tries)
+        super().__init__(code, locator, failed)
+
+    def __str__(self) -> str:
+        lines = [f"{self.code}: {self.failed}"]
+        if self.seen:
+            lines.append(f"  seen:  {self.seen}")
+        if self.cause:
+            lines.append(f"  cause: {self.cause}")
+        for number, step in enumerate(self.tries):
+            lines.append(f"  {'or:  ' if number else 'try: '}  {step}")
+        return "\n".join(lines)
+
+
+class ReceiveOverrun(TransportError):
+    """Received frames were lost, at this place in the order of frames. The transport works on: just receive again.
+
+    lost: how many, at least 1. Only a lower bound where a CAN controller reports that it lost some, but not how many.
+    """
+
+    def __init__(self, locator: str, lost: int, seen: str) -> None:
+        super().__init__(
+            OVERRUN,
+            locator,
+            f"{lost} received frame{'s' if lost > 1 else ''} lost on {locator}",
+            seen=seen,
+            cause="this process was too slow, or stalled; a burst was longer than the receive queue",
+            tries=("take frames in a task that does nothing else",),
+        )
+        self.lost = lost

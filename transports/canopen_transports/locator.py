@@ -1,0 +1,160 @@
+"""Locators: the text that names a bus, `INTERFACE:CHANNEL@BITRATE?OPTION=VALUE&...`.
+
+    virtual:demo                        a bus inside this process (the name may be left out)
+    socketcan:can0                      Linux; the bit rate is set with `ip link`, not by us; also just `can0`, `vcan0`
+    pcan:PCAN_USBBUS1@500k              PEAK adapters by PCAN-Basic; 500k where none is given
+    /dev/pcan32  /dev/pcanusb32         the same by PEAK's Linux device file, as the manual's chain files have it
+    slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
+    udp_multicast                       two terminals of one computer
+    udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
+    kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it
+    pythoncan:virtual:demo              the same where we have another meaning for the name: python-can's own `virtual`
+
+Bit rates: `500k`, `1M`, `83.333k`, `125000`. Channels and options are read as python-can reads them in its configuration files:
+`0` is a number, `true` is true.
+
+The device files of PEAK's driver (in its character-device mode, "NET=NO") are numbered by kind of hardware: 0 to 7 PCI, 8 to 15
+ISA, 32 to 39 USB, 40 to 47 PC card. So `/dev/pcan32` is the first USB channel, PCAN-Basic's PCAN_USBBUS1. (16 to 31, the
+parallel-port dongles, are left out: PCAN-Basic has one name for all of them.)
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple, TypeAlias
+
+from can.interfaces import VALID_INTERFACES
+from can.util import cast_from_string
+
+from canopen_transports.errors import BAD_LOCATOR, TransportError
+
+Option: TypeAlias = str | int | float | bool
+
+DEFAULT_BUS_NAME: Final = "default"
+MANUAL_BITRATE: Final = 500_000
+"""For /dev/pcan32, which the manual opens without naming a bit rate."""
+
+OUR_INTERFACES: Final = ("virtual", "pythoncan")
+_EXAMPLES: Final = ("virtual:demo", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "slcan:/dev/ttyACM0@250k", "udp_multicast")
+
+_BITRATE: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([kM]?)")
+_PEAK_DEVICE: Final = re.compile(r"/dev/pcan(usb|pci|isa|pcc)?([0-9]{1,2})")
+_PEAK_KINDS: Final = {0: "PCI", 8: "ISA", 32: "USB", 40: "PCC"}
+_NET_DEVICE: Final = re.compile(r"(?:v|vx|sl)?can[0-9]+")
+
+# Options that would break what a transport promises, with the reason.
+_REFUSED_OPTIONS: Final = {
+    "fd": "CANopen runs on classical CAN; CAN FD is not supported",
+    "receive_own_messages": "a transport never hands out our own frames",
+}
+
+
+class Locator(NamedTuple):
+    """A locator in its parts. own: ours, not python-can's. bitrate: bit/s. channel, options: as python-can takes them."""
+
+    text: str
+    own: bool
+    interface: str
+    channel: str
+    bitrate: int | None
+    options: dict[str, Option]
+
+    @property
+    def python_can_channel(self) -> Option:
+        """The channel as python-can's own configuration would give it: a number where it looks like one."""
+        return cast_from_string(self.channel)
+
+
+def parse_locator(text: str) -> Locator:
+    """A locator's parts. Raises TransportError (CO100) that says which part is wrong and what was perhaps meant."""
+    address, _, query = text.strip().partition("?")
+    options = dict(_options(text, query))
+    address, bitrate = _split_bitrate(text, address)
+    interface, colon, channel = address.partition(":")
+    if interface.startswith("/dev/pcan") and not colon:
+        return Locator(text, False, "pcan", _peak_channel(text, interface), bitrate or MANUAL_BITRATE, options)
+    if _NET_DEVICE.fullmatch(interface) and not colon:
+        return Locator(text, False, "socketcan", interface, bitrate, options)
+    if interface == "virtual":
+        if bitrate is not None or options:
+            raise _bad(text, "a virtual bus has neither bit rate nor options", tries=(f"virtual:{channel}",))
+        return Locator(text, True, interface, channel or DEFAULT_BUS_NAME, None, {})
+    if interface == "pythoncan":
+        interface, _, channel = channel.partition(":")
+    if interface not in VALID_INTERFACES:
+        raise _unknown_interface(text, interface)
+    return Locator(text, False, interface, channel, bitrate, options)
+
+
+def parse_bitrate(text: str) -> int:
+    """Bit/s from "500k", "1M", "83.333k", "125000". ValueError says what is wrong with it."""
+    match = _BITRATE.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a bit rate such as 500k, 1M or 125000")
+    bitrate = round(float(match[1]) * {"": 1, "k": 1_000, "M": 1_000_000}[match[2]])
+    if bitrate > 1_000_000:
+        raise ValueError(f"bit rate {text}: classical CAN has at most 1M")
+    if bitrate < 5_000:  # below it a dominant bit trips the transceivers' time-out; and "500" is always a mistake
+        hint = f"; did you mean {text}k?" if 5 <= bitrate <= 1_000 else ""
+        raise ValueError(f"bit rate {text}: CAN has at least 5k{hint}")
+    return bitrate
+
+
+def bitrate_text(bitrate: int) -> str:
+    """The short way to write a bit rate: 500000 is "500k"."""
+    if bitrate % 1_000_000 == 0:
+        return f"{bitrate // 1_000_000}M"
+    return f"{bitrate // 1000}k" if bitrate % 1000 == 0 else str(bitrate)
+
+
+def _options(text: str, query: str) -> Iterator[tuple[str, Option]]:
+    for option in query.split("&") if query else ():
+        name, equals, value = option.partition("=")
+        if not (name and equals):
+            raise _bad(text, f"the option {option!r} is not of the form NAME=VALUE", tries=("join several options by &",))
+        if name in _REFUSED_OPTIONS and cast_from_string(value) not in (False, 0):
+            raise _bad(text, f"the option {option!r} is refused: {_REFUSED_OPTIONS[name]}")
+        yield name, cast_from_string(value)
+
+
+def _split_bitrate(text: str, address: str) -> tuple[str, int | None]:
+    rest, at, tail = address.rpartition("@")
+    if not at:
+        return address, None
+    try:
+        return rest, parse_bitrate(tail)
+    except ValueError as error:
+        raise _bad(text, str(error), tries=(f"{rest}@500k",)) from None
+
+
+def _peak_channel(text: str, path: str) -> str:
+    match = _PEAK_DEVICE.fullmatch(path)
+    if match is not None:
+        minor = int(match[2])
+        kind = _PEAK_KINDS.get(minor & ~7)
+        if kind is not None and match[1] in (None, kind.lower()):
+            return f"PCAN_{kind}BUS{(minor & 7) + 1}"
+    seen = f"{path} is no device file of a PEAK adapter that has a name in PCAN-Basic"
+    raise _bad(text, seen, tries=("/dev/pcan32", "pcan:PCAN_USBBUS1@500k"))
+
+
+def _unknown_interface(text: str, interface: str) -> TransportError:
+    known = (*OUR_INTERFACES, *sorted(VALID_INTERFACES))
+    meant = nearest(interface, known)
+    tries = [text.replace(interface, meant, 1)] if meant else []
+    seen = f"there is no interface {interface!r}" if interface else "it names no interface"
+    seen += f"; known are {', '.join(dict.fromkeys(known))}"
+    return _bad(text, seen, tries=(*tries, f"a locator such as {', '.join(_EXAMPLES)}"))
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that was probably meant."""
+    spelled = {name.lower(): name for name in known}
+    found = difflib.get_close_matches(word.lower(), spelled, n=1)
+    return spelled[found[0]] if found else None
+
+
+def _bad(text: str, seen: str, tries: tuple[str, ...] = ()) -> TransportError:
+    return TransportError(BAD_LOCATOR, text, f"the bus {text!r} makes no sense", seen=seen, tries=tries)

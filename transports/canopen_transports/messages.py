@@ -1,0 +1,92 @@
+"""The edge between python-can's messages and our frames: nothing but classical CAN frames that make sense gets through.
+
+python-can checks neither direction, and its backends differ: a DLC above 8 with 8 bytes of data (legal on the wire), remote
+frames with data, CAN FD, error frames. What CANopen has no use for is refused here with a reason, so that the core never has to
+ask.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import can
+
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_transports.transport import MAX_EXTENDED_ID, MAX_LENGTH, MAX_STANDARD_ID
+
+
+class RefusedMessage(ValueError):
+    """A message that is not a classical CAN data or remote frame. The text is the reason."""
+
+
+def frame_of(message: can.Message) -> Frame:
+    """The frame that a received message is. Raises RefusedMessage; error frames are to be sorted out before."""
+    if message.is_fd:
+        raise RefusedMessage("a CAN FD frame: CANopen runs on classical CAN")
+    can_id, dlc = message.arbitration_id, message.dlc
+    # The types are looked at too: udp_multicast hands on whatever anybody packed into a datagram.
+    if not (isinstance(can_id, int) and isinstance(dlc, int) and isinstance(message.data, bytes | bytearray)):
+        raise RefusedMessage("its fields have the wrong types")
+    flags = EXTENDED if message.is_extended_id else 0
+    if not 0 <= can_id <= (MAX_EXTENDED_ID if flags else MAX_STANDARD_ID):
+        raise RefusedMessage(f"its CAN-ID 0x{can_id:X} is out of range")
+    # A DLC of 9 to 15 means 8 bytes in classical CAN (ISO 11898-1), and controllers report it as it stood on the wire.
+    if not 0 <= dlc <= 15:
+        raise RefusedMessage(f"its length {dlc} is out of range")
+    length = min(dlc, MAX_LENGTH)
+    if message.is_remote_frame:
+        return Frame(can_id, b"", flags | REMOTE, length)
+    if len(message.data) < length:
+        raise RefusedMessage(f"it announces {length} bytes and has {len(message.data)}")
+    return Frame(can_id, bytes(message.data[:length]), flags)
+
+
+def message_of(frame: Frame, channel: str | None = None) -> can.Message:
+    """The message for a frame that has passed `check_frame`."""
+    return can.Message(
+        arbitration_id=frame.can_id,
+        is_extended_id=bool(frame.flags & EXTENDED),
+        is_remote_frame=bool(frame.flags & REMOTE),
+        dlc=frame.dlc,
+        data=frame.data,
+        channel=channel,
+    )
+
+
+# SocketCAN's error frames (linux/can/error.h): the identifier says which kinds of error, the data bytes give details.
+_CONTROLLER_PROBLEM: Final = 0x004
+_BUS_OFF: Final = 0x040
+_CLASSES: Final = (
+    (0x001, "transmission timed out"),
+    (0x002, "lost arbitration"),
+    (0x008, "protocol violation on the wire"),
+    (0x010, "transceiver fault"),
+    (0x020, "no acknowledge"),
+    (_BUS_OFF, "controller is bus-off"),
+    (0x080, "bus error"),
+    (0x100, "controller restarted"),
+)
+_CONTROLLER: Final = (  # data[1]
+    (0x01, "controller's receive buffer overran"),
+    (0x02, "controller's transmit buffer overran"),
+    (0x0C, "controller warns of errors"),
+    (0x30, "controller is error-passive"),
+    (0x40, "controller is error-active again"),
+)
+
+
+class BusError:
+    """What an error frame of SocketCAN says. text: for people. bus_off: the controller left the bus. overrun: it lost frames."""
+
+    __slots__ = ("bus_off", "overrun", "text")
+
+    def __init__(self, message: can.Message) -> None:
+        data = bytes(message.data).ljust(MAX_LENGTH, b"\0")
+        controller = data[1] if message.arbitration_id & _CONTROLLER_PROBLEM else 0
+        texts = [text for bit, text in _CLASSES if message.arbitration_id & bit]
+        texts += [text for bits, text in _CONTROLLER if controller & bits]
+        if data[6] or data[7]:
+            texts.append(f"tx error counter {data[6]}, rx error counter {data[7]}")
+        self.text = ", ".join(texts) or "unknown error"
+        self.bus_off = bool(message.arbitration_id & _BUS_OFF)
+        self.overrun = bool(controller & 0x01)

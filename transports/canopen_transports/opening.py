@@ -1,0 +1,115 @@
+"""`open_transport`: from a locator to an open bus, or to a message that says what to do about it."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import logging
+import os
+import socket
+from typing import Final, TypeAlias
+
+import can
+import trio
+
+from canopen_transports import diagnosis
+from canopen_transports.errors import BAD_LOCATOR, TransportError
+from canopen_transports.locator import Locator, Option, parse_locator
+from canopen_transports.python_can import PythonCanTransport
+from canopen_transports.virtual import VirtualTransport
+
+OpenTransport: TypeAlias = VirtualTransport | PythonCanTransport
+
+MULTICAST_GROUP: Final = "239.74.163.2"
+"""python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
+MULTICAST_HOP_LIMIT: Final = 0
+"""Frames stay on this computer unless the locator says otherwise: drives must not be moved by a colleague's demonstration."""
+
+# Backends complain to the log before they raise, and Python prints that where nobody has set up logging. What matters is in our
+# errors; an application that does set up logging still gets it all.
+logging.getLogger("can").addHandler(logging.NullHandler())
+
+
+async def open_transport(locator: str) -> OpenTransport:
+    """An open transport for a locator such as "virtual:demo" or "socketcan:can0"; the module `locator` lists them all.
+
+    Must run in trio. The transport is a trio AsyncResource: `async with await open_transport("virtual:demo") as bus: ...` closes
+    it. Cancelled, it leaves nothing open. Raises TransportError: CO100 for a locator that makes no sense, CO101 and CO102 for a
+    bus that cannot be opened.
+    """
+    parsed = parse_locator(locator)
+    if parsed.own:
+        await trio.lowlevel.checkpoint()
+        return VirtualTransport(parsed.channel)
+    await trio.lowlevel.checkpoint_if_cancelled()
+    # In a thread, for drivers take their time (python-can's slcan sleeps 2 s). It is not abandoned when we are cancelled, so that
+    # no adapter stays open behind our back; the cancel comes at the caller's next checkpoint, inside his `async with`.
+    bus = await trio.to_thread.run_sync(_open_bus, parsed)
+    return PythonCanTransport(bus, locator=parsed)
+
+
+def _open_bus(locator: Locator) -> can.BusABC:
+    channel, options = locator.python_can_channel, dict(locator.options)
+    if locator.bitrate is not None:
+        options["bitrate"] = locator.bitrate
+    try:
+        if locator.interface == "socketcan":
+            channel = locator.channel
+            _check_net_device(locator)
+        elif locator.interface == "udp_multicast":
+            channel = _multicast_group(locator)
+            options.setdefault("hop_limit", MULTICAST_HOP_LIMIT)
+        elif locator.interface == "pcan":
+            _check_peak_bitrate(locator)
+        bus = _bus(locator.interface, channel, options)
+    except diagnosis.OPENING_ERRORS as error:
+        raise diagnosis.cannot_open(locator, error) from error
+    if locator.interface == "socketcan" and _pending_error(bus) == errno.ENETDOWN:
+        bus.shutdown()
+        raise diagnosis.interface_down(locator)
+    return bus
+
+
+def _bus(interface: str, channel: Option, options: dict[str, Option]) -> can.BusABC:
+    # ignore_config: python-can would else fill in what the locator leaves out from ~/.canrc and the environment.
+    return can.Bus(channel=channel if channel != "" else None, interface=interface, ignore_config=True, **options)  # type: ignore[arg-type]
+
+
+def _check_net_device(locator: Locator) -> None:
+    # Looked at before python-can does: it leaks its socket when the bind fails.
+    socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()  # OSError: no SocketCAN; AttributeError: not Linux
+    if locator.channel not in (name for _, name in socket.if_nameindex()):
+        raise diagnosis.interface_missing(locator)
+    if diagnosis.is_can_device(locator.channel) is False:
+        raise diagnosis.not_a_can_interface(locator)
+
+
+def _pending_error(bus: can.BusABC) -> int:
+    """The socket's pending error. The kernel binds to an interface that is DOWN, and leaves word of it here."""
+    with socket.socket(fileno=os.dup(bus.fileno())) as own:
+        return own.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+
+
+def _multicast_group(locator: Locator) -> str:
+    group = locator.channel or MULTICAST_GROUP
+    try:
+        is_multicast = ipaddress.ip_address(group).is_multicast
+    except ValueError:
+        is_multicast = False
+    if not is_multicast:
+        raise TransportError(
+            BAD_LOCATOR,
+            locator.text,
+            f"the bus {locator.text!r} makes no sense",
+            seen=f"{group!r} is not a multicast address (224.0.0.0 to 239.255.255.255, or ff00::/8)",
+            tries=("udp_multicast", f"udp_multicast:{MULTICAST_GROUP}"),
+        )
+    return group
+
+
+def _check_peak_bitrate(locator: Locator) -> None:
+    from can.interfaces.pcan.basic import PCAN_BITRATES
+
+    # python-can silently takes 500k for a bit rate that it does not find: with that, we would disturb a live bus.
+    if locator.bitrate is not None and locator.bitrate not in PCAN_BITRATES:
+        raise diagnosis.unknown_bitrate(locator, sorted(PCAN_BITRATES, reverse=True))

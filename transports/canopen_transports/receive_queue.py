@@ -1,0 +1,86 @@
+"""A bounded queue of received frames that says where it lost some.
+
+Filled from the trio thread or from one reader thread, emptied by a trio task. When it is full, what comes next is lost, but not
+silently: a mark goes into the queue at the place of the loss and counts. A reader so gets first all frames from before the loss,
+then one `ReceiveOverrun`, then what came after it, and always knows what it can rely on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Final
+
+import trio
+
+from canopen_transports.errors import ReceiveOverrun, TransportError
+from canopen_transports.transport import Received
+
+RECEIVE_QUEUE_SIZE: Final = 8192
+"""Frames; about one second of a fully loaded 1 Mbit/s bus, which is longer than any stall that a controller survives anyway."""
+
+
+class _Lost:
+    __slots__ = ("count",)
+
+    def __init__(self) -> None:
+        self.count = 1
+
+
+class ReceiveQueue:
+    """See this module's text. `put` and `fail` may be called in any thread, followed by `wake` in the trio thread."""
+
+    def __init__(self, locator: str, size: int) -> None:
+        if size < 1:
+            raise ValueError(f"a receive queue of {size} frames can hold nothing")
+        self._locator = locator
+        self._size = size
+        self._items: deque[Received | _Lost] = deque()
+        self._lock = threading.Lock()
+        self._waiting = trio.lowlevel.ParkingLot()
+        self._failure: TransportError | None = None
+        self._closed = False
+
+    def put(self, received: Received) -> None:
+        """Add a frame, or count it as lost."""
+        with self._lock:
+            items = self._items
+            if len(items) < self._size:
+                items.append(received)
+                return
+            last = items[-1]
+            if isinstance(last, _Lost):  # the mark itself stands above the size: at most size + 1 items
+                last.count += 1
+            else:
+                items.append(_Lost())
+
+    def fail(self, failure: TransportError) -> None:
+        """Nothing more will come: once what is queued was taken, each `get` raises this."""
+        self._failure = failure
+
+    def wake(self) -> None:
+        """Let whoever waits look again. Only in the trio thread."""
+        self._waiting.unpark_all()
+
+    def close(self) -> None:
+        """Wake whoever waits with ClosedResourceError. Only in the trio thread."""
+        self._closed = True
+        self._items.clear()
+        self._waiting.unpark_all()
+
+    async def get(self) -> Received:
+        """The next frame. Cancelled, it took none."""
+        await trio.lowlevel.checkpoint()
+        while True:
+            if self._closed:
+                raise trio.ClosedResourceError(f"{self._locator} was closed")
+            with self._lock:
+                item = self._items.popleft() if self._items else None
+            if item is None:
+                if self._failure is not None:
+                    raise self._failure
+                await self._waiting.park()
+            elif isinstance(item, _Lost):
+                raise ReceiveOverrun(self._locator, item.count, f"the receive queue of {self._size} frames was full")
+            else:
+                return item

@@ -1,0 +1,62 @@
+"""What a transport is: frames in, frames out, nothing else.
+
+A transport knows no CANopen. It carries `Frame`s between one participant and one CAN bus, and it keeps these promises, which
+`tests/transports/conformance.py` checks for each of ours and can check for yours:
+
+- Frames sent by one task arrive at each other participant once and in the order in which they were sent.
+- Our own frames do not come back.
+- Only classical CAN frames that make sense are handed out: CAN FD, error frames and nonsense stop at the edge.
+- A received frame is lost only with a `ReceiveOverrun` at its place.
+- `send` and `receive` are whole or nothing: cancelled, the frame was not sent, and no frame was taken.
+- Once closed, a waiting `receive` or `send` wakes with `trio.ClosedResourceError`, and so does each later one.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, TypeAlias
+
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+
+MAX_STANDARD_ID = 0x7FF
+MAX_EXTENDED_ID = 0x1FFFFFFF
+MAX_LENGTH = 8
+
+Received: TypeAlias = tuple[Frame, int | None]
+"""A frame and its time stamp: ns on the transport's own clock, of whatever origin; None where it has none."""
+
+
+class Transport(Protocol):
+    """One participant's place on one CAN bus. Write your own by giving a class these three methods."""
+
+    async def send(self, frame: Frame) -> None:
+        """Hand a frame to the bus: returns once the bus, or the adapter's queue, has taken it; that is not yet an acknowledge.
+
+        Waits for room where a queue is full, and raises TransportError (CO110) when none comes. ValueError for a frame that
+        classical CAN cannot carry.
+        """
+
+    async def receive(self) -> Received:
+        """The next frame from another participant, with its time stamp. One task at a time should receive.
+
+        Raises ReceiveOverrun where frames were lost (then receive again), TransportError when the bus fails.
+        """
+
+    async def aclose(self) -> None:
+        """Leave the bus. May be called twice. Even if cancelled, the transport is closed afterwards."""
+
+
+def check_frame(frame: Frame) -> None:
+    """ValueError unless classical CAN can carry the frame. (`Frame` itself does not check: it stands in hot paths.)"""
+    extended = frame.flags & EXTENDED
+    limit = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
+    if not 0 <= frame.can_id <= limit:
+        raise ValueError(f"cannot send {frame!r}: CAN-ID 0x{frame.can_id:X} is outside 0..0x{limit:X}")
+    if frame.flags & ~(EXTENDED | REMOTE):
+        raise ValueError(f"cannot send {frame!r}: unknown flags 0x{frame.flags:X}")
+    if len(frame.data) > MAX_LENGTH:
+        raise ValueError(f"cannot send {frame!r}: {len(frame.data)} bytes, classical CAN carries at most {MAX_LENGTH}")
+    if frame.flags & REMOTE:
+        if frame.data or not 0 <= frame.dlc <= MAX_LENGTH:
+            raise ValueError(f"cannot send {frame!r}: a remote frame has no data, and a length of 0..{MAX_LENGTH}")
+    elif frame.dlc != len(frame.data):
+        raise ValueError(f"cannot send {frame!r}: its dlc {frame.dlc} is not the length of its data, {len(frame.data)}")

@@ -1,0 +1,68 @@
+"""`virtual:NAME`: a CAN bus inside this process, for any number of participants.
+
+Pure trio: no thread, no socket, no clock of its own, so that tests and demonstrations run in virtual time (trio's MockClock).
+Every frame reaches every member but its sender, in one order for all. Members of one name meet only within one `trio.run`;
+another run, even in another thread of the same process, has its own buses. (Two processes meet on `udp_multicast`.)
+
+What it leaves out of CAN: bit rate, arbitration, acknowledge. A frame that is sent with nobody else on the bus vanishes, where a
+real controller would repeat it for ever.
+"""
+
+from __future__ import annotations
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
+from canopen_transports.transport import Received, check_frame
+
+_buses: trio.lowlevel.RunVar[dict[str, list[VirtualTransport]]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
+
+
+class VirtualTransport(trio.abc.AsyncResource):
+    """A member of the in-process bus of this name, from now until `aclose`.
+
+    queue_size: how many frames wait for this member at most; what comes on top is lost, with a ReceiveOverrun. Time stamps are
+    trio's clock in ns, the same for all members. Must be made inside a `trio.run`.
+    """
+
+    def __init__(self, name: str, queue_size: int = RECEIVE_QUEUE_SIZE) -> None:
+        self.locator = f"virtual:{name}"
+        self._name = name
+        self._closed = False
+        self._queue = ReceiveQueue(self.locator, queue_size)
+        try:
+            buses = _buses.get()
+        except LookupError:
+            buses = {}
+            _buses.set(buses)
+        self._members = buses.setdefault(name, [])
+        self._members.append(self)
+
+    async def send(self, frame: Frame) -> None:
+        """Put the frame into the queue of every other member. Never waits for them: CAN has no back-pressure."""
+        check_frame(frame)
+        await trio.lowlevel.checkpoint_if_cancelled()
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+        received = (frame, round(trio.current_time() * 1e9))
+        for member in self._members:
+            if member is not self:
+                member._queue.put(received)
+                member._queue.wake()
+        # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
+        await trio.lowlevel.cancel_shielded_checkpoint()
+
+    async def receive(self) -> Received:
+        """The next frame that another member sent."""
+        return await self._queue.get()
+
+    async def aclose(self) -> None:
+        """Leave the bus; the last one to leave takes it down."""
+        if not self._closed:
+            self._closed = True
+            self._members.remove(self)
+            if not self._members:
+                del _buses.get()[self._name]
+            self._queue.close()
+        await trio.lowlevel.checkpoint()
