@@ -342,7 +342,7 @@ class ObjectDictionary:
     def _not_named(self, name: str) -> NoReturn:
         if name in self._fillers:
             raise ObjectNotFound(f"{name!r} is a filler of PDOs; it has no value")
-        raise ObjectNotFound(f"object {name!r} is not in the dictionary{self._of_source()}{_near(name, self._by_name)}")
+        raise ObjectNotFound(f"object {name!r} is not in the dictionary{self._of_source()}{did_you_mean(name, self._by_name)}")
 
     def _of_source(self) -> str:
         return f" ({self.source})" if self.source else ""
@@ -360,7 +360,8 @@ class ObjectDictionary:
         for each in constants:
             if each.name == name:
                 return each
-        raise ConstantNotFound(f"{variable.label} has no constant {name!r}{_near(name, [each.name for each in constants])}")
+        near = did_you_mean(name, [each.name for each in constants])
+        raise ConstantNotFound(f"{variable.label} has no constant {name!r}{near}")
 
     def constant_value(self, key: Key, name: str) -> int:
         """What to write for a constant: its value, negative where the object is signed and the value's highest bit is set."""
@@ -404,7 +405,7 @@ class ObjectDictionary:
         for each in self.pdos:
             if each.name == name:
                 return each
-        near = _near(name, [each.name for each in self.pdos])
+        near = did_you_mean(name, [each.name for each in self.pdos])
         raise PdoNotFound(f"PDO {name!r} is not in the dictionary{self._of_source()}{near}")
 
     def message(self, node_id: int, key: Key, value: Value, timestamp: int | None = None) -> Message:
@@ -473,7 +474,7 @@ def _fold(name: str) -> str:
     return _SEPARATORS.sub("_", name.strip()).casefold()
 
 
-def _near(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str]) -> str:
     """ "; did you mean ...?" where something is near, else what there is where that is little, else nothing."""
     names = list(dict.fromkeys(known))
     whole = {each.casefold(): each for each in reversed(names)}

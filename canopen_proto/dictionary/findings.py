@@ -1,0 +1,59 @@
+"""What reading a description brings to light: errors, of which all are collected before one exception is raised, and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from canopen_proto.machine import LocalProtocolError
+
+MAX_SHOWN: Final = 12
+"""Errors that the text of one exception lists; the rest is counted (a binary file read by mistake has thousands)."""
+
+
+class Severity(StrEnum):
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing found in a file. code: a short name of the rule, for programs. line, column: from 1; 0 = the whole file."""
+
+    severity: Severity
+    code: str
+    message: str
+    source: str
+    line: int = 0
+    column: int = 0
+
+    def __str__(self) -> str:
+        where = f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+        return f"{where}: {self.severity}: {self.message} [{self.code}]"
+
+
+class DictionaryError(LocalProtocolError, ValueError):
+    """A description cannot be used. Holds every error that was found; the text lists the first ones, each with its place."""
+
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        self.findings: tuple[Finding, ...] = tuple(findings)
+        shown = [str(each) for each in self.findings[:MAX_SHOWN]]
+        hidden = len(self.findings) - len(shown)
+        super().__init__("\n".join([*shown, f"... and {hidden} more"] if hidden else shown))
+
+    @property
+    def source(self) -> str:
+        """The file of the first error."""
+        return self.findings[0].source
+
+    @property
+    def line(self) -> int:
+        """The line of the first error, from 1."""
+        return self.findings[0].line
+
+    @property
+    def column(self) -> int:
+        """The column of the first error, from 1."""
+        return self.findings[0].column
