@@ -51,7 +51,7 @@ ERROR_CONTROL: Final = 0x700
 
 MAX_NODE_ID: Final = 127
 
-_CANDUMP = re.compile(r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A-Fa-f]{2}\.?){0,8}))\s*")
+_CANDUMP = re.compile(r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A-Fa-f]{2}(?:\.?[0-9A-Fa-f]{2}){0,7})?))\s*")
 
 
 class Frame:

@@ -167,17 +167,10 @@ class Machine:
 
 
 def check_node_id(node_id: int) -> int:
-    """node_id itself if it is 1..127, else LocalProtocolError with a hint for a hexadecimal number that was meant as such."""
+    """node_id itself if it is 1..127, else LocalProtocolError."""
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
-    hint = ""
-    try:
-        read_as_hex = int(str(node_id), 16)
-        if 1 <= read_as_hex <= MAX_NODE_ID:
-            hint = f"; did you mean 0x{node_id} ({read_as_hex})?"
-    except ValueError:
-        hint = ""
-    raise LocalProtocolError(f"node-ID {node_id} is outside 1..127{hint}")
+    raise LocalProtocolError(f"node-ID {node_id} is outside 1..{MAX_NODE_ID}")
 
 
 def fields_of(report: Event) -> dict[str, Any]:
