@@ -1,0 +1,63 @@
+"""Procedures over the objects of one node, by name and value: what `steps.upload` and `steps.download` do with bytes."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import Key
+from canopen_proto.machine import Outcome
+from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoFailed
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
+
+ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
+"""What a device answers that does not have an object."""
+
+
+class UnexpectedLength(ProcedureError):
+    """A node sent an object with a length that is not that of its type."""
+
+
+def read(node: RemoteNode, key: Key) -> Procedure[Value]:
+    """Read an object by SDO; its value, which `node.values` then holds too. Raises SdoFailed, UnexpectedLength."""
+    variable = node.dictionary.variable(key)
+    outcome: Outcome = yield Request(node.sdo, lambda now, urgent: node.read(variable, now, urgent=urgent))
+    if isinstance(outcome, SdoUploaded):
+        try:
+            return variable.decode(outcome.data)
+        except ValueRangeError as error:
+            raise UnexpectedLength(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
+    assert isinstance(outcome, SdoAborted)
+    raise SdoFailed(outcome, "reading")
+
+
+def read_int(node: RemoteNode, key: Key) -> Procedure[int]:
+    """Read an object that holds an integer."""
+    value = yield from read(node, key)
+    assert isinstance(value, int)
+    return value
+
+
+def read_if_present(node: RemoteNode, key: Key) -> Procedure[Value | None]:
+    """Read an object; None where the dictionary or the device does not have it. Raises SdoFailed for any other abort."""
+    if key not in node.dictionary:
+        return None
+    try:
+        return (yield from read(node, key))
+    except SdoFailed as failed:
+        if failed.abort_code in ABSENT:
+            return None
+        raise
+
+
+def write(node: RemoteNode, key: Key, value: Value) -> Procedure[None]:
+    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoFailed.
+
+    Raises LocalProtocolError or ValueRangeError, with nothing sent, for what the dictionary forbids.
+    """
+    outcome: Outcome = yield Request(node.sdo, lambda now, urgent: node.write(key, value, now, urgent=urgent))
+    if not isinstance(outcome, SdoDownloaded):
+        assert isinstance(outcome, SdoAborted)
+        raise SdoFailed(outcome, "writing")

@@ -1,0 +1,266 @@
+"""`RemoteNode`: one participant's view of another node, that of a master, a service tool or a bus monitor.
+
+A group of the machines that concern one node: SDO client, heartbeat consumer, EMCY consumer, and the PDOs that it exchanges with
+us. It holds
+
+- `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
+  by an SDO read, and by an SDO write that was confirmed; `heard_at` tells when;
+- `nmt_state`: what its heartbeat says, and where it has none, what we commanded.
+
+What follows from what (CiA 301 v4.2.0, 7.3.2.2, table 37):
+
+    node boots, heartbeat lost      open SDO requests are aborted: their answers will not come
+    node Operational / not          its PDOs live / don't: RPDOs are not sent to a node that would ignore them
+    SYNC sent or heard              synchronous RPDOs go out
+    PDO received                    `values` is brought up to date
+
+Directions have the device's point of view: an RPDO is sent by us, a TPDO is received by us.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Final
+
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
+from canopen_proto.emcy import EmcyConsumer, EmcyReceived
+from canopen_proto.group import Group
+from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, NmtStateReported, NodeBooted
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, RequestId, Time, check_node_id
+from canopen_proto.nmt import NmtCommand, NmtState, target_of
+from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
+from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+
+FRESH: Final = 100 * MILLISECOND
+"""A value younger than this is taken as the present one: ten cycles of the usual 10 ms."""
+
+
+class RemoteNode(Group):
+    """Everything that we run for one other node. Made with a Network's `out`, then attached to it."""
+
+    __slots__ = (
+        "_listeners",
+        "_wanted",
+        "_writes",
+        "emcy",
+        "heard_at",
+        "heartbeat",
+        "last_emcy",
+        "nmt_state",
+        "node_id",
+        "rpdos",
+        "sdo",
+        "tpdos",
+        "values",
+    )
+
+    def __init__(
+        self,
+        out: Outbox,
+        node_id: int,
+        dictionary: ObjectDictionary,
+        *,
+        sdo_timeout: Time = 500 * MILLISECOND,
+        heartbeat_timeout: Time = 0,
+    ) -> None:
+        """node_id: 1..127. sdo_timeout: ns for one answer. heartbeat_timeout: ns until HeartbeatLost, 0 to only listen."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.values = Values(dictionary, node_id)
+        self.heard_at: dict[int, Time] = {}
+        self.nmt_state: NmtState | None = None
+        self.last_emcy: EmcyReceived | None = None
+        self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
+        self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
+        self.emcy = EmcyConsumer(self.inner, node_id)
+        self.rpdos: dict[int, PdoProducer] = {}
+        self.tpdos: dict[int, PdoConsumer] = {}
+        self._wanted: set[int] = set()
+        self._writes: dict[RequestId, tuple[Variable, Value]] = {}
+        self._listeners: list[Callable[[Collection[int], Time], None]] = []
+        for machine in (self.sdo, self.heartbeat, self.emcy):
+            self._members.attach(machine)
+        self._reactions.update(
+            {
+                NodeBooted: self._on_boot,
+                HeartbeatLost: self._on_lost,
+                NmtStateReported: self._on_state,
+                EmcyReceived: self._on_emcy,
+                PdoReceived: self._on_pdo,
+                SdoUploaded: self._on_uploaded,
+                SdoDownloaded: self._on_downloaded,
+                SdoAborted: self._on_aborted,
+            }
+        )
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """The description of the node's objects."""
+        return self.values.dictionary
+
+    @property
+    def is_operational(self) -> bool:
+        """Whether the node is in NMT state Operational, as far as we know."""
+        return self.nmt_state is NmtState.OPERATIONAL
+
+    # ---- objects by SDO ----
+
+    def read(self, key: Key, now: Time, *, urgent: bool = False) -> RequestId:
+        """Ask for an object by SDO. SdoUploaded (see `message_of`) or SdoAborted follows. CiA 301 v4.2.0, 7.2.4.2.5"""
+        variable = self.dictionary.variable(key)
+        return self.sdo.upload(variable.index, variable.subindex, now, urgent=urgent)
+
+    def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False) -> RequestId:
+        """Write an object by SDO: a value, or the name of a constant. SdoDownloaded or SdoAborted follows.
+
+        Raises LocalProtocolError for an unknown name or a read-only object, ValueRangeError for a value that does not fit; then
+        nothing was sent. CiA 301 v4.2.0, 7.2.4.2.2
+        """
+        variable, meant, data = self.encode(key, value)
+        request_id = self.sdo.download(variable.index, variable.subindex, data, now, urgent=urgent)
+        self._writes[request_id] = (variable, meant)
+        return request_id
+
+    def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
+        """What a write of `value` (or of a constant's name) to `key` means and sends. Raises as `write` does."""
+        variable = self.dictionary.variable(key)
+        if not variable.access.writable:
+            raise LocalProtocolError(f"{variable.label} of node {self.node_id} is {variable.access}: it can't be written")
+        meant = self.dictionary.value_from(variable, value)
+        variable.check_limits(meant)
+        return variable, meant, variable.encode(meant)
+
+    def message_of(self, uploaded: SdoUploaded) -> Message:
+        """What an upload brought, by name and with its constants. Raises ValueRangeError where the length is not the object's."""
+        variable = self.dictionary.variable((uploaded.index, uploaded.subindex))
+        return self.dictionary.message(self.node_id, variable, variable.decode(uploaded.data), self.out.timestamp)
+
+    def fresh(self, mux: int, now: Time, max_age: Time = FRESH) -> Value | None:
+        """The image of an object if it was heard no longer than max_age ns ago, else None."""
+        heard = self.heard_at.get(mux)
+        return self.values.store[mux] if heard is not None and now - heard <= max_age else None
+
+    # ---- PDOs ----
+
+    def add_pdo(
+        self, description: PdoDescription, now: Time, *, number: int | None = None, transmission_type: int = 1
+    ) -> PdoConsumer | PdoProducer:
+        """Exchange a PDO with the node as described; it replaces the one of that number and direction.
+
+        number: 1..512, by default that of the predefined connection set. transmission_type: of an RPDO, when we send it: 1..240
+        at every n-th SYNC, 254 and 255 when triggered. A TPDO is decoded as it comes. An RPDO is made disabled: `enable_rpdo`.
+        """
+        number = number or description.number
+        if number is None:
+            raise LocalProtocolError(f"PDO {description.name}: 0x{description.cob_base:X} has no predefined number; give one")
+        mapping, key = Mapping.from_description(description), description.can_id(self.node_id)
+        if description.direction is Direction.TPDO:
+            return self.add_tpdo(number, key, mapping, now)
+        return self.add_rpdo(number, key, mapping, transmission_type)
+
+    def add_tpdo(self, number: int, key: int, mapping: Mapping, now: Time) -> PdoConsumer:
+        """Receive the device's TPDO `number` on a CAN-ID (a routing key)."""
+        self.remove_pdo(Direction.TPDO, number)
+        consumer = PdoConsumer(self.inner, self.node_id, number, key, mapping, self.values.store)
+        consumer.set_enabled(True, now)  # a TPDO that comes shows that the node is Operational, whoever started it
+        self.tpdos[number] = consumer
+        self._members.attach(consumer)
+        self._reroute()
+        return consumer
+
+    def add_rpdo(self, number: int, key: int, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
+        """Send the device's RPDO `number` on a CAN-ID (a routing key), once `enable_rpdo` was called."""
+        self.remove_pdo(Direction.RPDO, number)
+        producer = PdoProducer(self.inner, self.node_id, number, key, mapping, self.values.store, transmission_type)
+        self.rpdos[number] = producer
+        self._members.attach(producer)
+        return producer
+
+    def remove_pdo(self, direction: Direction, number: int) -> None:
+        """Exchange that PDO no more; one that is not exchanged is ignored."""
+        machine = (self.tpdos if direction is Direction.TPDO else self.rpdos).pop(number, None)
+        if machine is not None:
+            self._members.detach(machine)
+            self._reroute()
+        if direction is Direction.RPDO:
+            self._wanted.discard(number)
+
+    def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
+        """Let an RPDO be sent while the node is Operational, or not. `values` should hold what the drive is to do: the next SYNC
+        sends it."""
+        producer = self.rpdos.get(number)
+        if producer is None:
+            raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
+        (self._wanted.add if enabled else self._wanted.discard)(number)
+        producer.set_enabled(enabled and self.is_operational, now)
+
+    def rpdo_of(self, index: int, subindex: int = 0) -> PdoProducer | None:
+        """The live RPDO that carries an object, or None."""
+        for producer in self.rpdos.values():
+            if producer.is_live and producer.mapping.find_component((index, subindex)) is not None:
+                return producer
+        return None
+
+    def add_listener(self, listener: Callable[[Collection[int], Time], None]) -> None:
+        """For what is built upon this node (an Axis): called with the muxes of the values that were just brought up to date."""
+        self._listeners.append(listener)
+
+    # ---- what the rest of the network does ----
+
+    def on_sync(self, counter: int | None, now: Time) -> None:
+        for producer in self.rpdos.values():
+            producer.on_sync(counter, now)
+
+    def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
+        self._enter(target_of(command), now)
+
+    # ---- reactions ----
+
+    def _enter(self, state: NmtState, now: Time) -> None:
+        self.nmt_state = state
+        for number in self._wanted:
+            self.rpdos[number].set_enabled(self.is_operational, now)
+
+    def _on_boot(self, report: NodeBooted, now: Time) -> None:
+        self.heard_at.clear()
+        self._enter(NmtState.PRE_OPERATIONAL, now)
+        self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
+
+    def _on_lost(self, report: HeartbeatLost, now: Time) -> None:
+        self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
+
+    def _on_state(self, report: NmtStateReported, now: Time) -> None:
+        self._enter(report.state, now)
+
+    def _on_emcy(self, report: EmcyReceived, now: Time) -> None:
+        self.last_emcy = report
+
+    def _heard(self, muxes: Collection[int], now: Time) -> None:
+        for mux in muxes:
+            self.heard_at[mux] = now
+        for listener in self._listeners:
+            listener(muxes, now)
+
+    def _on_pdo(self, report: PdoReceived, now: Time) -> None:
+        self._heard(report.mapping.muxes, now)
+
+    def _on_uploaded(self, report: SdoUploaded, now: Time) -> None:
+        variable = self.dictionary.get(report.index, report.subindex)
+        if variable is not None:
+            try:
+                self.values.store[variable.mux] = variable.decode(report.data)
+            except ValueRangeError:
+                return  # a length that is not the object's: whoever asked sees the bytes
+            self._heard((variable.mux,), now)
+
+    def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
+        written = self._writes.pop(report.request_id, None)
+        if written is not None:
+            self.values.store[written[0].mux] = written[1]
+
+    def _on_aborted(self, report: SdoAborted, now: Time) -> None:
+        self._writes.pop(report.request_id, None)
