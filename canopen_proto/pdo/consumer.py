@@ -1,0 +1,225 @@
+"""The receiving side of one PDO: a device's RPDO, or the master's view of a device's TPDO.
+
+Theory of operation
+-------------------
+A PDO is one unconfirmed frame (CiA 301 v4.2.0, 7.2.2). When it comes, its values go into the consumer's store, which for a
+device is the memory of its dictionary, and `PdoReceived` tells of it. When they go there is what the transmission type says:
+
+    0..240      synchronous: the last data before a SYNC are held until that SYNC. `on_sync` is the SYNC.
+    254, 255    event-driven: at once.
+
+The frame's length is checked against the mapping (7.5.2.36): a shorter one is not processed, of a longer one the mapped bytes
+are used. Both are reported with the code of the EMCY that a device then sends.
+
+A consumer with an event time watches for its PDO: once one was received, the next has to come within that time (7.5.2.35, sub
+5; "deadline monitoring").
+
+PDOs live in NMT state Operational only. The owner says so by `set_enabled`; whatever comes before is ignored. So is all of a PDO
+that is not valid (bit 31 of its COB-ID) or whose mapping is empty: then it asks for no frame at all.
+
+The master's view of a TPDO is made with type 255 whatever the device's own type is: the device has already waited for the SYNC,
+and waiting for the next would make every actual value one cycle older.
+
+Left out: the inhibit time of an RPDO, to which the standard gives no meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import Key, PdoDescription
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.pdo.mapping import Mapping
+
+LAST_SYNCHRONOUS: Final = 240
+"""Transmission types 0..240 go by SYNC."""
+
+EVENT_DRIVEN: Final = 255
+"""Transmission type: event-driven, as the device profile says (254: as the manufacturer says)."""
+
+EMCY_PDO_NOT_PROCESSED: Final = 0x8210
+EMCY_PDO_LENGTH_EXCEEDED: Final = 0x8220
+EMCY_RPDO_TIMEOUT: Final = 0x8250
+
+
+@event
+class PdoReceived(Event):
+    """The values of a PDO are in the store (a synchronous one: not at its reception, but at the SYNC behind it).
+
+    number: 1..512 of the PDO, 0 where it has none. key: what it came by (`Frame.key`). data: its bytes. components: the values in
+    the order of `mapping.components`; by name: `get`, `values`. timestamp: when the frame came, as the transport says.
+    """
+
+    number: int
+    key: int
+    mapping: Mapping
+    data: bytes
+    components: tuple[Value, ...]
+    timestamp: int | None
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """The values by the names of their objects."""
+        return {entry.name: value for entry, value in zip(self.mapping.components, self.components, strict=True)}
+
+    def get(self, key: Key) -> Value | None:
+        """The value of one object, None where this PDO does not carry it. key: as `Mapping.find_component` takes it."""
+        position = self.mapping.position_of(key)
+        return None if position is None else self.components[position]
+
+
+@event
+class PdoLengthError(Event):
+    """A PDO was shorter or longer than its mapping (bytes). emcy_code: 0x8210, it was not processed; 0x8220, it was too long, and
+    what is mapped is used."""
+
+    number: int
+    key: int
+    expected: int
+    received: int
+    emcy_code: int
+    timestamp: int | None
+
+
+@event
+class PdoOverdue(Event):
+    """A PDO did not come within the event time after the last one. Reported once; the next one that comes is watched again."""
+
+    number: int
+    key: int
+    emcy_code: int
+
+
+class PdoConsumer(Machine):
+    """Receives one PDO into a store; see this module's text.
+
+    node_id: the node that it is about: the device's own, or the one whose TPDO the master watches. number: 1..512, or 0. key:
+    the routing key of its frames, None while the PDO is not valid. store: mux -> value, written without a check of limits.
+    event_time: ns, 0 = not watched. Disabled until `set_enabled`.
+    Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.36.
+    """
+
+    __slots__ = (
+        "_held",
+        "_held_timestamp",
+        "enabled",
+        "event_time",
+        "key",
+        "mapping",
+        "node_id",
+        "number",
+        "store",
+        "synchronous",
+    )
+
+    def __init__(
+        self,
+        out: Outbox,
+        node_id: int,
+        number: int,
+        key: int | None,
+        mapping: Mapping,
+        store: dict[int, Value],
+        transmission_type: int = EVENT_DRIVEN,
+        event_time: Time = 0,
+    ) -> None:
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.number = number
+        self.store = store
+        self.enabled = False
+        self.key: int | None = None
+        self._held: bytes | None = None  # what waits for a SYNC
+        self._held_timestamp: int | None = None
+        self.configure(key, mapping, transmission_type, event_time)
+
+    @classmethod
+    def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[int, Value]) -> PdoConsumer:
+        """A consumer of what PDOs.csv describes: the master's view of a node's TPDO. store: the caller's. Raises MappingError."""
+        mapping = Mapping.from_description(description)
+        return cls(out, node_id, description.number or 0, description.can_id(node_id), mapping, store)
+
+    def configure(self, key: int | None, mapping: Mapping, transmission_type: int = EVENT_DRIVEN, event_time: Time = 0) -> None:
+        """Take up other parameters. Data held for a SYNC are dropped: they were meant for another mapping."""
+        self.mapping = mapping
+        self.synchronous = transmission_type <= LAST_SYNCHRONOUS
+        self.event_time = event_time
+        if not mapping.entries:
+            key = None  # "mapping disabled": there is nothing to process
+        if key != self.key:
+            self.key = key
+            self._reroute()
+        self._forget()
+
+    def set_enabled(self, enabled: bool, now: Time) -> None:
+        """Whether the node is in NMT state Operational. Leaving it drops data held for a SYNC and ends the watch."""
+        if enabled != self.enabled:
+            self.enabled = enabled
+            self._forget()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether it would process a frame now: valid, mapped, and the node Operational."""
+        return self.enabled and self.key is not None
+
+    def can_ids(self) -> Iterable[int]:
+        return () if self.key is None else (self.key,)
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Hold the data for the next SYNC, or put their values into the store and report `PdoReceived`.
+
+        A wrong length is reported by `PdoLengthError`; `FrameIgnored` where the bytes are no value (a time with 25 hours).
+        """
+        if not self.enabled or self.key is None:
+            return
+        data = frame.data
+        expected = self.mapping.byte_length
+        if len(data) != expected:
+            if len(data) < expected:
+                self._report_length(len(data), EMCY_PDO_NOT_PROCESSED)
+                return
+            self._report_length(len(data), EMCY_PDO_LENGTH_EXCEEDED)
+        if self.event_time:
+            self._arm(now + self.event_time)
+        if self.synchronous:
+            self._held = data
+            self._held_timestamp = self.out.timestamp
+        else:
+            self._take(data, self.out.timestamp)
+
+    def on_sync(self, counter: int | None, now: Time) -> None:
+        """A SYNC came: data held for it go into the store, and `PdoReceived` is reported. counter: not used by consumers."""
+        data = self._held
+        if data is not None:
+            self._held = None
+            self._take(data, self._held_timestamp)
+
+    def handle_timeout(self, now: Time) -> None:
+        if now < self.deadline:
+            return
+        self._arm(NEVER)
+        assert self.key is not None  # else it would not watch
+        self.out.events.append(PdoOverdue(self.node_id, self.number, self.key, EMCY_RPDO_TIMEOUT))
+
+    def _take(self, data: bytes, timestamp: int | None) -> None:
+        key = self.key
+        assert key is not None  # nothing is received or held without one
+        try:
+            components = self.mapping.unpack_into(self.store, data)
+        except ValueRangeError as error:
+            self.out.events.append(FrameIgnored(self.node_id, Frame(key & 0x1FFFFFFF, data, key >> 29), str(error)))
+            return
+        self.out.events.append(PdoReceived(self.node_id, self.number, key, self.mapping, data, components, timestamp))
+
+    def _report_length(self, received: int, emcy_code: int) -> None:
+        assert self.key is not None
+        self.out.events.append(
+            PdoLengthError(self.node_id, self.number, self.key, self.mapping.byte_length, received, emcy_code, self.out.timestamp)
+        )
+
+    def _forget(self) -> None:
+        self._held = None
+        self._arm(NEVER)
