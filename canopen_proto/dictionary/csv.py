@@ -93,6 +93,7 @@ def load_csv(
     names = _Names(entries, indices, sources[0])
     by_mux = _constants(constant_rows, names, findings)
     descriptions = [_pdo(row, names, findings) for row in pdo_rows]
+    findings.sort(key=lambda each: (sources.index(each.source), each.line, each.column))
     _raise_errors(findings)
 
     if not index_rows:
@@ -155,7 +156,8 @@ def _variables(rows: Iterable[IndexRow], findings: list[Finding]) -> dict[tuple[
         elif first.length == row.length:
             variables[place] = replace(variables[place], aliases=(*variables[place].aliases, row.alias.text))
         else:
-            message = f"0x{row.index:04X}:{row.subindex:02X} has another length than {first.alias.shown} in line {first.alias.line}"
+            where = f"0x{row.index:04X}:{row.subindex:02X}"
+            message = f"{where} has another length than as {first.alias.shown} in line {first.alias.line}"
             findings.append(row.cells[3].error("length", message))
     return variables
 

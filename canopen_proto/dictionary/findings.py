@@ -1,4 +1,4 @@
-"""What reading a description brings to light: errors, of which all are collected before one exception is raised, and warnings."""
+"""What reading a description brings to light: errors, all collected before one exception is raised, warnings, and notices."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ MAX_SHOWN: Final = 12
 
 
 class Severity(StrEnum):
+    """An error makes the description unusable; a warning is legal but dangerous; a notice tells what was done, and why."""
+
     ERROR = "error"
     WARNING = "warning"
+    NOTICE = "notice"
 
 
 @dataclass(frozen=True, slots=True)

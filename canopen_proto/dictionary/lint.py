@@ -13,7 +13,6 @@ csv.py, where a device exists or may exist for which the row is right. The code 
     reserved-index       an index that no object can have
     outside-mask         a constant with bits outside its mask: no value ever bears it
     constant-too-wide    a constant that does not fit its object
-    same-constant        two names for one (mask, value): both stay, and both are reported for a value
     pdo-short            a PDO of less than 8 bytes; legal, but not what the manual's devices have
     pdo-direction        an alias that contradicts the COB-ID, which counts
     pdo-access           an object that the device cannot send, or cannot receive, in a PDO of that direction
@@ -90,7 +89,6 @@ def _against_the_standard(row: IndexRow, where: str) -> Iterator[Finding]:
 
 
 def _of_constants(rows: Sequence[ConstantRow], objects: Mapping[str, IndexRow]) -> Iterator[Finding]:
-    seen: dict[tuple[str, int, int], ConstantRow] = {}
     for row in rows:
         yield from _decimal_looking(row.cells[2], "mask")
         yield from _decimal_looking(row.cells[3], "value")
@@ -101,10 +99,6 @@ def _of_constants(rows: Sequence[ConstantRow], objects: Mapping[str, IndexRow]) 
         if length is not None and row.value >> 8 * length:
             message = f"0x{row.value:X} does not fit the {length} bytes of {row.alias.text}"
             yield row.cells[3].warning("constant-too-wide", message)
-        first = seen.setdefault((row.alias.text, row.mask, row.value), row)
-        if first is not row:
-            message = f"{row.name.text} means the same as {first.name.text} (line {first.name.line}); both names stay"
-            yield row.name.warning("same-constant", message)
 
 
 def _of_pdos(rows: Sequence[PdoRow], objects: Mapping[str, IndexRow]) -> Iterator[Finding]:
