@@ -1,0 +1,197 @@
+"""The product's data files: the object dictionary of the manual (indices.csv, constants.csv, PDOs.csv) and example chain files.
+
+The files are installed with this package. A user's own file of the same name goes before the installed one: it stands in the
+folder that the caller names, else in $CANOPEN_DATA, else in ~/.canopen. `init` copies the installed files there, to be changed.
+
+This is the one place that reads these files; `canopen_proto` takes their texts. Nothing here prints: what was done is handed
+back, as a `Finding` of severity notice or as the list that `init` gives.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Final
+
+from canopen_proto.dictionary.csv import load_csv
+from canopen_proto.dictionary.findings import Finding, Severity
+from canopen_proto.dictionary.model import ObjectDictionary
+
+__all__ = [
+    "CHAIN_FILES",
+    "DICTIONARY_FILES",
+    "Copied",
+    "DataError",
+    "DataFile",
+    "init",
+    "load_dictionary",
+    "read",
+    "read_chain_file",
+    "user_directory",
+]
+
+DICTIONARY_FILES: Final = ("indices.csv", "constants.csv", "PDOs.csv")
+CHAIN_FILES: Final = ("single_device.csv", "multiple_devices.csv")
+ENVIRONMENT_VARIABLE: Final = "CANOPEN_DATA"
+
+MAX_FILE_SIZE: Final = 16 * 1024 * 1024
+"""Bytes. A larger file is none of ours (a log, a device node), and would only fill the memory."""
+
+
+class DataError(Exception):
+    """A data file or folder cannot be used. hint: what to try."""
+
+    def __init__(self, message: str, hint: str) -> None:
+        super().__init__(f"{message}; {hint}")
+        self.message = message
+        self.hint = hint
+
+
+@dataclass(frozen=True, slots=True)
+class DataFile:
+    """A file's text. source: its path, or "installed NAME". notice: that a user's file took the place of the installed one."""
+
+    name: str
+    text: str
+    source: str
+    notice: Finding | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Copied:
+    """What `init` did with one file. action: "created", "replaced", "kept" (it differs, and force was not asked), "unchanged"."""
+
+    path: Path
+    action: str
+
+
+def user_directory(directory: str | Path | None = None) -> Path | None:
+    """The folder of the user's own files: the argument, else $CANOPEN_DATA, else ~/.canopen where there is one, else None.
+
+    Raises DataError where a folder that was asked for by name does not exist.
+    """
+    named, origin = directory, ""
+    if named is None:
+        named, origin = os.environ.get(ENVIRONMENT_VARIABLE), f" (${ENVIRONMENT_VARIABLE})"
+    if not named:
+        home = _home_directory()
+        return home if home is not None and home.is_dir() else None
+    path = _expanded(named)
+    if not os.path.isdir(path):
+        what = "is not a folder" if os.path.exists(path) else "does not exist"
+        raise DataError(f"the data folder {path}{origin} {what}", "`canopen data init` makes one")
+    return path
+
+
+def read(name: str, directory: str | Path | None = None) -> DataFile:
+    """A data file by its name: the user's one, else the installed one.
+
+    Raises DataError where there is neither (its hint lists the installed ones), or where it cannot be read.
+    """
+    folder = user_directory(directory)
+    installed = name in (*DICTIONARY_FILES, *CHAIN_FILES)
+    if folder is not None:
+        own = folder / name
+        text = _text_of(own, str(own))
+        if text is not None:
+            message = f"used instead of the installed {name}"
+            return DataFile(name, text, str(own), Finding(Severity.NOTICE, "user-file", message, str(own)) if installed else None)
+    text = _text_of(resources.files(__name__) / name, f"installed {name}") if installed else None
+    if text is None:
+        searched = f" in {folder}" if folder is not None else ""
+        known = ", ".join((*DICTIONARY_FILES, *CHAIN_FILES))
+        raise DataError(f"there is no data file {name!r}{searched}", f"installed are {known}")
+    return DataFile(name, text, f"installed {name}")
+
+
+def read_chain_file(name: str | Path, directory: str | Path | None = None) -> DataFile:
+    """A chain file by its path or, where there is no such file, by its name (see `read`). Raises DataError."""
+    path = _expanded(name)
+    text = _text_of(path, str(path))
+    return read(str(name), directory) if text is None else DataFile(path.name, text, str(path))
+
+
+def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictionary, list[Finding]]:
+    """The object dictionary of indices.csv, constants.csv and PDOs.csv, and what was found: notices first, then warnings.
+
+    Raises DataError where a file cannot be read, and DictionaryError, which holds all errors of the three files.
+    """
+    files = [read(name, directory) for name in DICTIONARY_FILES]
+    indices, constants, pdos = files
+    sources = (indices.source, constants.source, pdos.source)
+    dictionary, warnings = load_csv(indices.text, constants.text, pdos.text, sources=sources)
+    return dictionary, [each.notice for each in files if each.notice is not None] + warnings
+
+
+def init(target: str | Path | None = None, *, force: bool = False) -> list[Copied]:
+    """Copy the installed files to `target` ($CANOPEN_DATA, else ~/.canopen), and say what was done with each.
+
+    A file that is there already stays as it is, unless force is given. Raises DataError where the folder or a file cannot be
+    written; files copied before that stay.
+    """
+    folder = _target(target)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return [_copy(name, folder / name, force) for name in (*DICTIONARY_FILES, *CHAIN_FILES)]
+    except OSError as error:
+        raise DataError(f"cannot write to {error.filename or folder}: {error.strerror}", "name another folder") from None
+
+
+def _copy(name: str, path: Path, force: bool) -> Copied:
+    content = (resources.files(__name__) / name).read_bytes()
+    if not path.exists():
+        path.write_bytes(content)
+        return Copied(path, "created")
+    if path.read_bytes() == content:
+        return Copied(path, "unchanged")
+    if not force:
+        return Copied(path, "kept")
+    path.write_bytes(content)
+    return Copied(path, "replaced")
+
+
+def _target(target: str | Path | None) -> Path:
+    named = target if target is not None else os.environ.get(ENVIRONMENT_VARIABLE)
+    if named:
+        return _expanded(named)
+    home = _home_directory()
+    if home is None:
+        raise DataError("there is no home folder", f"name a folder, or set ${ENVIRONMENT_VARIABLE}")
+    return home
+
+
+def _home_directory() -> Path | None:
+    try:
+        return Path.home() / ".canopen"
+    except RuntimeError:  # no HOME and no entry in the password file, as in some containers
+        return None
+
+
+def _expanded(path: str | Path) -> Path:
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise DataError(f"there is no home folder for {path}", "name the folder without ~") from None
+
+
+def _text_of(path: Path | Traversable, source: str) -> str | None:
+    """The text of a file; None where there is no such file."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE_SIZE + 1)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DataError(f"cannot read {source}: {reason}", "check that it is a file and that you may read it") from None
+    if len(content) > MAX_FILE_SIZE:
+        raise DataError(f"{source} is larger than {MAX_FILE_SIZE // 1024**2} MiB", "it cannot be a data file; check its name")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        fault = f"line {line} has the byte 0x{content[error.start]:02X}"
+        raise DataError(f"{source} is not UTF-8 text: {fault}", "save it as UTF-8") from None
