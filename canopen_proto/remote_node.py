@@ -24,7 +24,7 @@ from typing import Final
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
-from canopen_proto.emcy import EmcyConsumer, EmcyReceived
+from canopen_proto.emcy import EmcyConsumer
 from canopen_proto.group import Group
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, NmtStateReported, NodeBooted
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, RequestId, Time, check_node_id
@@ -49,7 +49,6 @@ class RemoteNode(Group):
         "emcy",
         "heard_at",
         "heartbeat",
-        "last_emcy",
         "nmt_state",
         "node_id",
         "rpdos",
@@ -73,7 +72,6 @@ class RemoteNode(Group):
         self.values = Values(dictionary, node_id)
         self.heard_at: dict[int, Time] = {}
         self.nmt_state: NmtState | None = None
-        self.last_emcy: EmcyReceived | None = None
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
         self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
         self.emcy = EmcyConsumer(self.inner, node_id)
@@ -89,7 +87,6 @@ class RemoteNode(Group):
                 NodeBooted: self._on_boot,
                 HeartbeatLost: self._on_lost,
                 NmtStateReported: self._on_state,
-                EmcyReceived: self._on_emcy,
                 PdoReceived: self._on_pdo,
                 SdoUploaded: self._on_uploaded,
                 SdoDownloaded: self._on_downloaded,
@@ -235,9 +232,6 @@ class RemoteNode(Group):
 
     def _on_state(self, report: NmtStateReported, now: Time) -> None:
         self._enter(report.state, now)
-
-    def _on_emcy(self, report: EmcyReceived, now: Time) -> None:
-        self.last_emcy = report
 
     def _heard(self, muxes: Collection[int], now: Time) -> None:
         for mux in muxes:

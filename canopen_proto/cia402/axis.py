@@ -165,7 +165,7 @@ class Axis:
         parts = [f"statusword 0x{self.statusword:04X}: {words}"]
         if self.error_code:
             parts.append(f"error code 0x{self.error_code:04X}")
-        last_emcy = self.node.last_emcy
+        last_emcy = self.node.emcy.last
         if last_emcy is not None and last_emcy.code:
             parts.append(f"last EMCY 0x{last_emcy.code:04X} {last_emcy.text}")
         return "; ".join(parts)

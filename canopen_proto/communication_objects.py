@@ -1,0 +1,208 @@
+"""The communication objects of a device that have an effect: 0x1001 to 0x1019, and the machines that they set.
+
+Theory of operation
+-------------------
+Each index with an effect is a row: what may be written there (`check`), and what the machines do when it was (`apply`). A
+dictionary without an index simply never comes to that row. Two objects are shown rather than held: 0x1001 and 0x1003 are the EMCY
+producer's own, and are copied into the values when they are read (`refresh`).
+
+    0x1003   error history: writing 0 to subindex 0 clears it, nothing else may be written            7.5.2.4
+    0x1005   COB-ID SYNC: bit 30 makes us the producer; the CAN-ID may not change while it is set     7.5.2.5
+    0x1006   communication cycle period in us, 0 stops the producer                                   7.5.2.6
+    0x1014   COB-ID EMCY: the CAN-ID may not change while it is valid                                 7.5.2.17
+    0x1015   EMCY inhibit time in 100 us                                                              7.5.2.18
+    0x1016   heartbeat consumers: node-ID << 16 | ms, one entry for each node at most                 7.5.2.19
+    0x1017   producer heartbeat time in ms                                                            7.5.2.20
+    0x1019   SYNC counter overflow: 0 or 2 to 240, only while 0x1006 is 0                             7.5.2.22
+
+Left out: 0x1007 (window) and 0x1012 (TIME) have no effect yet; 0x100C and 0x100D (guarding) are not served.
+
+Source: CiA 301 v4.2.0, the clause at each row.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Values, mux
+from canopen_proto.emcy import EmcyProducer
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID, key_of_cob_id
+from canopen_proto.group import Members
+from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
+
+SYNC_PRODUCER_BIT: Final = 1 << 30
+_CAN_ID_BITS: Final = 0x3FFF_FFFF
+
+ERROR_REGISTER: Final = mux(0x1001)
+ERROR_HISTORY: Final = mux(0x1003)
+COB_ID_SYNC: Final = mux(0x1005)
+CYCLE_PERIOD: Final = mux(0x1006)
+COB_ID_EMCY: Final = mux(0x1014)
+EMCY_INHIBIT_TIME: Final = mux(0x1015)
+CONSUMER_HEARTBEAT: Final = mux(0x1016)
+PRODUCER_HEARTBEAT: Final = mux(0x1017)
+SYNC_OVERFLOW: Final = mux(0x1019)
+
+DEFAULT_HISTORY_LENGTH: Final = 8
+"""Entries kept where the dictionary has no 0x1003."""
+
+
+class CommunicationObjects:
+    """The machines that a device's communication objects set, and the rules of writing these objects."""
+
+    __slots__ = (
+        "_members",
+        "_out",
+        "_sync_lives",
+        "emcy",
+        "heartbeat",
+        "monitors",
+        "node_id",
+        "sync_consumer",
+        "sync_producer",
+        "values",
+    )
+
+    def __init__(self, out: Outbox, node_id: int, values: Values, members: Members) -> None:
+        """Makes the machines and attaches them to `members`; `reload` sets them by the values."""
+        self._out = out
+        self._sync_lives = False
+        self._members = members
+        self.node_id = node_id
+        self.values = values
+        history = values.dictionary.objects.get(0x1003)
+        length = DEFAULT_HISTORY_LENGTH if history is None else max(1, len(history.variables) - 1)
+        self.emcy = EmcyProducer(out, node_id, history_length=length)
+        self.heartbeat = HeartbeatProducer(out, node_id)
+        self.monitors: dict[int, HeartbeatConsumer] = {}
+        self.sync_producer = SyncProducer(out)
+        self.sync_consumer = SyncConsumer(out)
+        for machine in (self.emcy, self.heartbeat, self.sync_producer, self.sync_consumer):
+            members.attach(machine)
+
+    def _int(self, key: int, default: int = 0) -> int:
+        value = self.values.store.get(key, default)
+        return value if isinstance(value, int) else default
+
+    def reload(self, now: Time) -> None:
+        """Set all machines by the values: at the start, and when a reset has put the defaults back."""
+        self.emcy.set_cob_id(self._int(COB_ID_EMCY, 0x80 + self.node_id), now)
+        self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
+        self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
+        self._set_monitors(now)
+        self._set_sync(now)
+
+    def set_sync_enabled(self, enabled: bool, now: Time) -> None:
+        """Whether SYNC lives in the node's NMT state: a producer starts and stops with that."""
+        self._sync_lives = enabled
+        self._set_sync(now)
+
+    def refresh(self, index: int) -> None:
+        """Bring 0x1001 or 0x1003 into the values, before they are read."""
+        store = self.values.store
+        if index == 0x1001 and ERROR_REGISTER in store:
+            store[ERROR_REGISTER] = self.emcy.error_register
+        elif index == 0x1003:
+            history = tuple(self.emcy.history)
+            store[ERROR_HISTORY] = len(history)
+            for subindex, entry in enumerate(history, start=1):
+                store[ERROR_HISTORY + subindex] = entry
+
+    # ---- the two doors of a write ----
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """What forbids writing this value there, or None; value is right in type and limits already."""
+        if not isinstance(value, int):
+            return None
+        match index:
+            case 0x1003:
+                return None if value == 0 else AbortCode.INVALID_VALUE
+            case 0x1005:
+                return self._check_cob_id(value, COB_ID_SYNC, bool(self._int(COB_ID_SYNC) & value & SYNC_PRODUCER_BIT))
+            case 0x1014:
+                return self._check_cob_id(value, COB_ID_EMCY, not (self._int(COB_ID_EMCY) | value) & COB_ID_INVALID)
+            case 0x1016:
+                return self._check_monitor(subindex, value)
+            case 0x1019:
+                if self._int(CYCLE_PERIOD) and value != self._int(SYNC_OVERFLOW):
+                    return AbortCode.DEVICE_STATE
+                return None if value == 0 or 2 <= value <= MAX_COUNTER else AbortCode.INVALID_VALUE
+        return None
+
+    def apply(self, index: int, subindex: int, now: Time) -> None:
+        """A value was stored there: the machines go by it from now on."""
+        match index:
+            case 0x1003:
+                self.emcy.clear_history()
+                for key in self.values.store:
+                    if key >> 8 == 0x1003:
+                        self.values.store[key] = 0
+            case 0x1005 | 0x1006 | 0x1019:
+                self._set_sync(now)
+            case 0x1014:
+                self.emcy.set_cob_id(self._int(COB_ID_EMCY), now)
+            case 0x1015:
+                self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
+            case 0x1016:
+                self._set_monitors(now)
+            case 0x1017:
+                self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
+
+    # ---- rules ----
+
+    def _check_cob_id(self, value: int, key: int, in_use: bool) -> AbortCode | None:
+        if not value & COB_ID_EXTENDED and value & 0x1FFF_F800:
+            return AbortCode.INVALID_VALUE  # more than 11 bits without the frame bit
+        if in_use and (value ^ self._int(key)) & _CAN_ID_BITS & ~SYNC_PRODUCER_BIT:
+            return AbortCode.DEVICE_STATE
+        return None
+
+    def _check_monitor(self, subindex: int, value: int) -> AbortCode | None:
+        node_id, period = value >> 16 & 0xFF, value & 0xFFFF
+        if not 1 <= node_id <= MAX_NODE_ID or period == 0:
+            return None  # an entry that is not used
+        for other, standing in self._monitor_entries().items():
+            if other != subindex and standing & 0xFFFF and standing >> 16 & 0xFF == node_id:
+                return AbortCode.PARAMETER_INCOMPATIBLE
+        return None
+
+    def _monitor_entries(self) -> dict[int, int]:
+        """0x1016 by subindex."""
+        described = self.values.dictionary.objects.get(0x1016)
+        subindices = [] if described is None else [subindex for subindex in described.variables if subindex]
+        return {subindex: self._int(CONSUMER_HEARTBEAT + subindex) for subindex in subindices}
+
+    # ---- effects ----
+
+    def _set_monitors(self, now: Time) -> None:
+        wanted: dict[int, Time] = {}
+        for entry in self._monitor_entries().values():
+            node_id, period = entry >> 16 & 0xFF, entry & 0xFFFF
+            if 1 <= node_id <= MAX_NODE_ID and period:
+                wanted.setdefault(node_id, period * MILLISECOND)
+        for node_id in [node_id for node_id in self.monitors if node_id not in wanted]:
+            self._members.detach(self.monitors.pop(node_id))
+        for node_id, timeout in wanted.items():
+            monitor = self.monitors.get(node_id)
+            if monitor is None:
+                monitor = self.monitors[node_id] = HeartbeatConsumer(self._out, node_id)
+                self._members.attach(monitor)
+            if monitor.timeout != timeout:
+                monitor.set_timeout(timeout, now)
+
+    def _set_sync(self, now: Time) -> None:
+        cob_id, overflow = self._int(COB_ID_SYNC, 0x80), self._int(SYNC_OVERFLOW)
+        produces = self._sync_lives and bool(cob_id & SYNC_PRODUCER_BIT)
+        period = self._int(CYCLE_PERIOD) * MICROSECOND if produces else 0
+        key, producer = key_of_cob_id(cob_id), self.sync_producer
+        self.sync_consumer.configure(key, overflow)
+        if (producer.key, producer.period, producer.counter_overflow) == (key, period, overflow):
+            return
+        producer.stop()
+        producer.key, producer.counter_overflow = key, overflow
+        if period:
+            producer.start(period, now)

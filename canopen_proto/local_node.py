@@ -1,0 +1,290 @@
+"""`LocalNode`: a device. A dictionary, values of its own, and every service that they describe.
+
+A group of machines, set up by the dictionary: NMT slave, SDO server, heartbeat producer and consumers, SYNC, EMCY, PDOs, and,
+where there is one, an `application` (a simulated drive). `values` is the one memory that all of them share.
+
+**A write is asked, stored, obeyed.** `check_write` and `write` are the doors through which the SDO server comes in. After type,
+access and limits are found right, whoever the object belongs to is asked, and may refuse with an abort code: the
+communication objects (`communication_objects.py`), the PDO parameters (`pdo/parameters.py`), else the application. Then the value
+is stored, and its owner told, before the client gets its answer.
+
+What follows from what:
+
+    NMT state changes          services live or don't (`nmt.SERVICES`); the heartbeat bears the new state; the application hears
+    NMT reset                  values back to power-on (all, or 0x1000 to 0x1FFF), then boot-up
+    SYNC heard or sent         TPDOs are sampled, RPDOs held for it take effect, the application makes its step: in this order
+    PDO received               the application is told of each value
+    heartbeat of 0x1016 lost   EMCY 0x8130, and the application (0x6007); bus errors lead to 0x1029's behaviour, pre-operational
+    PDO too short              EMCY 0x8210, until one of the right length comes
+    drive fault                EMCY, 0x1001 and 0x1003
+
+Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+from canopen_proto.communication_objects import CommunicationObjects
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectDictionary, Values
+from canopen_proto.group import Group
+from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
+from canopen_proto.machine import Event, Outbox, RequestId, Time, check_node_id, event
+from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
+from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError, PdoReceived
+from canopen_proto.pdo.parameters import DevicePdos
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.server import Pending, SdoServer
+from canopen_proto.sdo.store import ValuesStore
+from canopen_proto.sync import SyncReceived, SyncSent
+
+COMMUNICATION_PROFILE: Final = (0x1000, 0x1FFF)
+"""What a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
+
+EMCY_HEARTBEAT: Final = 0x8130
+"""Life guard error or heartbeat error. CiA 301 v4.2.0, 7.2.7.1, table 26."""
+COMMUNICATION_ERROR_BIT: Final = 0x10
+"""Of the error register: communication error (overrun, error state). CiA 301 v4.2.0, 7.5.2.2."""
+ERROR_BEHAVIOUR: Final = 0x1029_01
+
+
+@event
+class ObjectWritten(Event):
+    """A client has written an object of this node by SDO; the value is stored and has taken effect."""
+
+    index: int
+    subindex: int
+    value: Value
+
+
+class Application(Protocol):
+    """What a device does besides communicating: it shares the node's values, and is told of what concerns it.
+
+    It is a Machine too (made with the node's `inner` outbox), so that time drives it.
+    """
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """Whether it would take this value, right in type and limits already: None, or the abort code. Changes nothing."""
+
+    def written(self, index: int, subindex: int, now: Time) -> None:
+        """A value was stored, by SDO or PDO (perhaps the same as before)."""
+
+    def refresh(self, now: Time) -> None:
+        """Bring the values that it shows up to date: they are about to be read."""
+
+    def on_sync(self, now: Time) -> None:
+        """A SYNC came; synchronous RPDOs were taken."""
+
+    def connection_lost(self, now: Time) -> None:
+        """A heartbeat that the node monitors was lost, or the node was stopped while Operational."""
+
+    def reset(self, now: Time) -> None:
+        """Power-on: the values are back at their defaults."""
+
+
+class LocalNode(Group):
+    """A device on the bus; see this module's text. It is mute until `boot`."""
+
+    __slots__ = ("_lost", "_short_pdos", "_store", "application", "communication", "nmt", "node_id", "pdos", "sdo", "values")
+
+    def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary) -> None:
+        """node_id: 1..127; dictionary: what the device is. Its PDO and communication objects decide what runs."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.values = Values(dictionary, node_id)
+        self.application: Application | None = None
+        self.nmt = NmtSlave(self.inner, node_id)
+        self._store = ValuesStore(self.values)
+        self.sdo = SdoServer(self.inner, node_id, self)
+        self.pdos = DevicePdos(self.inner, node_id, self.values)
+        self._lost: set[int] = set()
+        self._short_pdos: set[int] = set()
+        for machine in (self.nmt, self.sdo):
+            self._members.attach(machine)
+        self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
+        for machine in self.pdos.machines:
+            self._members.attach(machine)
+        self._reactions.update(
+            {
+                NmtStateChanged: self._on_state,
+                NmtResetRequested: self._on_reset,
+                SyncReceived: self._on_sync,
+                SyncSent: self._on_sync,
+                PdoReceived: self._on_pdo,
+                PdoLengthError: self._on_length_error,
+                HeartbeatLost: self._on_heartbeat_lost,
+                HeartbeatRecovered: self._on_heartbeat_recovered,
+            }
+        )
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """The description of this device's objects."""
+        return self.values.dictionary
+
+    @property
+    def state(self) -> NmtState:
+        """The node's NMT state."""
+        return self.nmt.state
+
+    def boot(self, now: Time) -> None:
+        """Power on: send the boot-up frame and enter pre-operational. Raises LocalProtocolError if the node is on already.
+
+        CiA 301 v4.2.0, 7.3.2.2.1 and 7.2.8.3.3
+        """
+        mark = len(self.inner.events)
+        self._start(now)
+        self._settle(mark, now)
+
+    def execute(self, command: NmtCommand, now: Time) -> None:
+        """Do what an NMT command says, for a reason of our own: a device that starts itself (0x1F80)."""
+        mark = len(self.inner.events)
+        self.nmt.execute(command, now)
+        self._settle(mark, now)
+
+    def set_value(self, index: int, subindex: int, value: Value, now: Time) -> None:
+        """The device's own side changes a value: event-driven TPDOs that carry it are triggered. No access right is asked.
+
+        Raises LocalProtocolError, ValueRangeError where the dictionary has no such object or it cannot hold the value.
+        """
+        variable = self.dictionary.variable((index, subindex))
+        variable.encode(value)
+        self.values.store[variable.mux] = value
+        self.pdos.trigger(variable.mux, now)
+
+    def raise_error(self, code: int, register_bits: int, vendor_data: bytes, now: Time) -> None:
+        """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error."""
+        self.communication.emcy.raise_error(code, register_bits, vendor_data, now)
+
+    def clear_error(self, code: int, now: Time) -> None:
+        """An error is gone. See EmcyProducer.clear."""
+        self.communication.emcy.clear(code, now)
+
+    def complete(self, access_id: RequestId, result: bytes | AbortCode | None, now: Time) -> None:
+        """The host's answer to ObjectAccessPending. See SdoServer.complete."""
+        mark = len(self.inner.events)
+        self.sdo.complete(access_id, result, now)
+        self._settle(mark, now)
+
+    # ---- what the SDO server asks: it serves this node ----
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        """An object's bytes, brought up to date, or why not."""
+        if index >= 0x2000:
+            if self.application is not None:
+                self.application.refresh(now)
+        elif index <= 0x1003:
+            self.communication.refresh(index)
+        return self._store.read(index, subindex, now)
+
+    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
+        """Whether a download may begin: access, and length where it was announced."""
+        return self._store.check_write(index, subindex, size)
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        """Ask, store, obey; see this module's text."""
+        value = self._store.value_of(index, subindex, data)
+        if isinstance(value, AbortCode):
+            return value
+        if 0x1400 <= index <= 0x1BFF:
+            refusal = self.pdos.check_write(index, subindex, value)
+        elif index < 0x2000:
+            refusal = self.communication.check_write(index, subindex, value)
+        else:
+            refusal = self.application.check_write(index, subindex, value) if self.application is not None else None
+        if refusal is not None:
+            return refusal
+        key = index << 8 | subindex
+        self.values.store[key] = value
+        if 0x1400 <= index <= 0x1BFF:
+            self.pdos.apply(index, subindex, now)
+        elif index < 0x2000:
+            self.communication.apply(index, subindex, now)
+        elif self.application is not None:
+            self.application.written(index, subindex, now)
+        self.pdos.trigger(key, now)
+        self.inner.events.append(ObjectWritten(self.node_id, index, subindex, value))
+        return None
+
+    # ---- reactions ----
+
+    def _start(self, now: Time) -> None:
+        self.pdos.reload(now)
+        self.nmt.boot(now)
+        self.communication.reload(now)
+
+    def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
+        if request.command is NmtCommand.RESET_NODE:
+            self.values.reset()
+            self.communication.emcy.reset()
+            if self.application is not None:
+                self.application.reset(now)
+        else:
+            self.values.reset(*COMMUNICATION_PROFILE)
+        self._lost.clear()
+        self._short_pdos.clear()
+        self._start(now)
+
+    def _on_state(self, change: NmtStateChanged, now: Time) -> None:
+        allows = self.nmt.allows
+        self.sdo.set_enabled(allows(Service.SDO), now)
+        self.communication.emcy.set_enabled(allows(Service.EMCY), now)
+        self.communication.set_sync_enabled(allows(Service.SYNC), now)
+        if self.application is not None:
+            self.application.refresh(now)
+        self.pdos.set_enabled(allows(Service.PDO), now)
+        self.communication.heartbeat.set_state(change.state, now)
+        left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
+        if left_operational and self.application is not None:
+            self.application.connection_lost(now)
+
+    def _on_sync(self, sync: SyncReceived | SyncSent, now: Time) -> None:
+        if not self.nmt.allows(Service.SYNC):
+            return
+        if self.application is not None:
+            self.application.refresh(now)
+        mark = len(self.inner.events)
+        self.pdos.on_sync(sync.counter, now)
+        if self.application is not None:
+            # Before the application's step, not in the course of `_settle`: what came for this SYNC acts at this SYNC.
+            for report in self.inner.events[mark:]:
+                if isinstance(report, PdoReceived):
+                    self._tell_application(report, now)
+            self.application.on_sync(now)
+
+    def _on_pdo(self, report: PdoReceived, now: Time) -> None:
+        if not self.pdos.consumers[report.number].synchronous:
+            self._tell_application(report, now)
+
+    def _tell_application(self, report: PdoReceived, now: Time) -> None:
+        if report.number in self._short_pdos:
+            self._short_pdos.discard(report.number)
+            if not self._short_pdos:
+                self.clear_error(EMCY_PDO_NOT_PROCESSED, now)
+        for entry in report.mapping.components:
+            if self.application is not None:
+                self.application.written(entry.index, entry.subindex, now)
+            self.pdos.trigger(entry.mux, now)
+
+    def _on_length_error(self, report: PdoLengthError, now: Time) -> None:
+        if report.emcy_code == EMCY_PDO_NOT_PROCESSED:
+            self._short_pdos.add(report.number)
+            self.raise_error(EMCY_PDO_NOT_PROCESSED, COMMUNICATION_ERROR_BIT, b"", now)
+
+    def _on_heartbeat_lost(self, report: HeartbeatLost, now: Time) -> None:
+        self._lost.add(report.node_id)
+        self.raise_error(EMCY_HEARTBEAT, COMMUNICATION_ERROR_BIT, bytes((report.node_id,)), now)
+        if self.application is not None:
+            self.application.connection_lost(now)
+        # 0x1029:01: 0 pre-operational (only from operational), 1 no change, 2 stopped. CiA 301 v4.2.0, 7.5.2.32
+        behaviour = self.values.store.get(ERROR_BEHAVIOUR, 0)
+        if behaviour == 0 and self.state is NmtState.OPERATIONAL:
+            self.nmt.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now)
+        elif behaviour == 2:
+            self.nmt.execute(NmtCommand.STOP, now)
+
+    def _on_heartbeat_recovered(self, report: HeartbeatRecovered, now: Time) -> None:
+        self._lost.discard(report.node_id)
+        if not self._lost:
+            self.clear_error(EMCY_HEARTBEAT, now)
