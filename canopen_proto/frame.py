@@ -58,21 +58,19 @@ class Frame:
     """One classical CAN frame. Never change one after it was made.
 
     can_id: 0..0x7FF, or 0..0x1FFFFFFF with EXTENDED. data: 0 to 8 bytes; a remote frame has none, and says in `dlc` how many
-    bytes it asks for. The constructor does not check (it stands in every hot path); `Frame.parse` and the transports do.
+    bytes it asks for. key: the CAN-ID with the flags above it, which routing tables are made of; kept and not computed, since a
+    frame is routed once per layer. The constructor does not check (it stands in every hot path); `Frame.parse` and the
+    transports do.
     """
 
-    __slots__ = ("can_id", "data", "dlc", "flags")
+    __slots__ = ("can_id", "data", "dlc", "flags", "key")
 
     def __init__(self, can_id: int, data: bytes = b"", flags: int = 0, dlc: int = -1) -> None:
         self.can_id = can_id
         self.data = data
         self.flags = flags
         self.dlc = len(data) if dlc < 0 else dlc
-
-    @property
-    def key(self) -> int:
-        """The CAN-ID with the flags above it: what routing tables are made of."""
-        return self.can_id | self.flags << 29
+        self.key = can_id | flags << 29
 
     @classmethod
     def parse(cls, text: str) -> Frame:

@@ -45,7 +45,7 @@ from canopen_proto.machine import (
     check_node_id,
     event,
 )
-from canopen_proto.nmt import NmtState, state_from_byte
+from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 
 MIN_PERIOD: Final = MILLISECOND
 """The shortest heartbeat time: the unit of 0x1016 and 0x1017."""
@@ -206,7 +206,7 @@ class HeartbeatConsumer(Machine):
         if len(data) != 1:
             self.out.events.append(FrameIgnored(self.node_id, frame, f"a heartbeat has 1 byte, not {len(data)}"))
             return
-        state = state_from_byte(data[0])
+        state = STATE_OF_BYTE[data[0]]
         if state is None:
             self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT state"))
             return
@@ -222,7 +222,9 @@ class HeartbeatConsumer(Machine):
             out.events.append(NodeBooted(self.node_id, out.timestamp))
             state = NmtState.PRE_OPERATIONAL
         if self.timeout and self._begun and not self.lost:
-            self._arm(now + self.timeout)
+            self.deadline = deadline = now + self.timeout
+            if deadline < self._wake:  # seldom: a deadline that moves later needs no more than this
+                self._arm(deadline)
         if state is not self.state:
             out.events.append(NmtStateReported(self.node_id, self.state, state))
             self.state = state

@@ -95,13 +95,11 @@ TRANSITIONS: Final[Mapping[tuple[NmtState, NmtCommand], NmtState]] = MappingProx
 """(state, command) -> next state. Every command leads from each of the three to one and the same state; INITIALISING has no rows,
 since a node that is initialising is not on the bus: it leaves that state by itself. CiA 301 v4.2.0, 7.3.2.1"""
 
-_STATES: Final = tuple(NmtState(number) if number in set(NmtState) else None for number in range(128))
-_COMMANDS: Final = {int(command): command for command in NmtCommand}
+_STATE_BY_NUMBER: Final = {int(state): state for state in NmtState}
+_COMMAND_BY_NUMBER: Final = {int(command): command for command in NmtCommand}
 
-
-def state_from_byte(byte: int) -> NmtState | None:
-    """The state that the byte of a heartbeat or guarding answer names, whatever its toggle bit (bit 7); None if it names none."""
-    return _STATES[byte & 0x7F]
+STATE_OF_BYTE: Final = tuple(_STATE_BY_NUMBER.get(byte & 0x7F) for byte in range(256))
+"""The state that the byte of a heartbeat or guarding answer names, whatever its toggle bit (bit 7); None if it names none."""
 
 
 def target_of(command: NmtCommand) -> NmtState:
@@ -228,7 +226,7 @@ class NmtSlave(Machine):
             return
         if data[1] != self.node_id and data[1] != ALL_NODES:
             return
-        command = _COMMANDS.get(data[0])
+        command = _COMMAND_BY_NUMBER.get(data[0])
         if command is None:
             self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT command"))
             return

@@ -24,6 +24,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, Event, FrameIgnored, Local
 from canopen_proto.nmt import (
     ALL_NODES,
     SERVICES,
+    STATE_OF_BYTE,
     TRANSITIONS,
     NmtCommand,
     NmtCommandSent,
@@ -33,7 +34,6 @@ from canopen_proto.nmt import (
     NmtState,
     NmtStateChanged,
     Service,
-    state_from_byte,
     target_of,
 )
 
@@ -140,8 +140,8 @@ def test_services_by_state(state: NmtState, service: Service) -> None:
     assert slave_in(state).allows(service) == (state in SERVICE_TABLE[service])
 
 
-def test_state_from_byte_masks_the_toggle_bit_and_knows_four_states() -> None:
-    named = {byte: state_from_byte(byte) for byte in range(256) if state_from_byte(byte) is not None}
+def test_state_of_byte_masks_the_toggle_bit_and_knows_four_states() -> None:
+    named = {byte: state for byte, state in enumerate(STATE_OF_BYTE) if state is not None}
     assert named == {byte + toggle: state for state in NmtState for byte in [int(state)] for toggle in (0, 0x80)}
 
 
