@@ -26,21 +26,21 @@ from dataclasses import dataclass
 from typing import Final
 
 from canopen_proto.cia402.modes import describe_status
+from canopen_proto.cia402.objects import (
+    CONTROLWORD,
+    ERROR_CODE,
+    INTERPOLATION_SET_POINT,
+    MODES_OF_OPERATION,
+    MODES_OF_OPERATION_DISPLAY,
+    POSITION_ACTUAL_VALUE,
+    STATUSWORD,
+    TARGET_POSITION,
+    TORQUE_ACTUAL_VALUE,
+    VELOCITY_ACTUAL_VALUE,
+)
 from canopen_proto.cia402.states import State, StatusBit, state_of
-from canopen_proto.dictionary import mux
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time, event
 from canopen_proto.remote_node import RemoteNode
-
-ERROR_CODE: Final = mux(0x603F)
-CONTROLWORD: Final = mux(0x6040)
-STATUSWORD: Final = mux(0x6041)
-MODES_OF_OPERATION: Final = mux(0x6060)
-MODES_OF_OPERATION_DISPLAY: Final = mux(0x6061)
-POSITION_ACTUAL_VALUE: Final = mux(0x6064)
-VELOCITY_ACTUAL_VALUE: Final = mux(0x606C)
-TORQUE_ACTUAL_VALUE: Final = mux(0x6077)
-TARGET_POSITION: Final = mux(0x607A)
-INTERPOLATION_DATA_RECORD: Final = mux(0x60C1, 1)
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 
@@ -183,7 +183,7 @@ class Axis:
     @property
     def set_point(self) -> float:
         """The position that the next RPDO commands, in the user's unit."""
-        return self.from_counts(self._int(INTERPOLATION_DATA_RECORD))
+        return self.from_counts(self._int(INTERPOLATION_SET_POINT))
 
     def set_position(self, position: float) -> None:
         """Give the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
@@ -194,7 +194,7 @@ class Axis:
 
     def set_position_counts(self, counts: int) -> None:
         """As `set_position`, in counts."""
-        for key in (INTERPOLATION_DATA_RECORD, TARGET_POSITION):
+        for key in (INTERPOLATION_SET_POINT, TARGET_POSITION):
             variable = self.node.dictionary.get(key >> 8, key & 0xFF)
             if variable is not None:
                 variable.encode(counts)
