@@ -63,6 +63,7 @@ _DRIVERS: Final = {
     "iscan": "the driver of isCAN",
     "neousys": "the WDT_DIO library of Neousys",
 }
+_ROUTE_MULTICAST: Final = "sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)"
 _ARPHRD_CAN: Final = 280
 _FULL: Final = re.compile(r"\b(buffer|queue)\b.*\bfull\b", re.IGNORECASE)
 
@@ -113,7 +114,7 @@ def bring_up(locator: Locator) -> str:
 def cannot_open(locator: Locator, error: BaseException) -> TransportError:
     """Why a bus could not be opened, by the exception that python-can gave."""
     number = error_number(error)
-    seen = " ".join(str(error).split()) or type(error).__name__
+    seen = _text(error)
     code, cause, tries = CANNOT_OPEN, "", list(_further_steps(locator))
     device = locator.channel if locator.channel.startswith("/dev/") else ""
     if number in (errno.EACCES, errno.EPERM):
@@ -127,6 +128,9 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
     elif number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT) and locator.interface == "socketcan":
         seen = f"this {sys.platform} kernel has no SocketCAN"
         tries = ["sudo modprobe can_raw", "udp_multicast, or virtual: (no hardware needed)"]
+    elif locator.interface == "udp_multicast" and number is not None:
+        cause = "no network interface of this computer carries multicast"
+        tries = [_ROUTE_MULTICAST, "virtual: (one process)"]
     elif number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
         cause = "the adapter is not plugged in, its driver is not loaded, or it has another name"
     elif _driver_is_missing(error):
@@ -135,9 +139,6 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
     elif isinstance(error, LookupError | ValueError | TypeError):
         seen = f"{locator.interface} of python-can does not accept channel {locator.channel!r} with these options: {seen}"
         tries = [*_channel_steps(locator), f"https://python-can.readthedocs.io/ says what {locator.interface} takes"]
-    elif locator.interface == "udp_multicast":
-        cause = "no network interface carries multicast"
-        tries = ["sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)", "virtual: (one process)"]
     return TransportError(code, locator.text, f"cannot open {locator.text}", seen=seen, cause=cause, tries=tries)
 
 
@@ -193,13 +194,13 @@ def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
 def bus_lost(locator: Locator, doing: str, error: BaseException) -> TransportError:
     """The bus worked and has now failed."""
     number = error_number(error)
-    seen, cause = " ".join(str(error).split()), "the adapter was unplugged, or its driver failed"
+    seen, cause = _text(error), "the adapter was unplugged, or its driver failed"
     tries: tuple[str, ...] = ("plug it in again, then open the bus again",)
     if locator.interface == "socketcan" and number == errno.ENETDOWN:
         seen, cause = f"{locator.channel} is DOWN", "somebody set it down, or the adapter was unplugged"
         tries = (bring_up(locator),)
     elif locator.interface == "udp_multicast":
-        cause, tries = "the network went away, or no route leads to the group", ("sudo ip route add 224.0.0.0/4 dev lo",)
+        cause, tries = "the network went away, or no route leads to the group", (_ROUTE_MULTICAST,)
     return TransportError(BUS_LOST, locator.text, f"cannot {doing} on {locator.text}", seen=seen, cause=cause, tries=tries)
 
 
@@ -223,6 +224,13 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
         cause="; ".join(causes),
         tries=tries,
     )
+
+
+def _text(error: BaseException) -> str:
+    """One line that says what an exception says; with its cause, where python-can's own words leave that out."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    cause = " ".join(str(error.__cause__ or "").split())
+    return text if cause in text else f"{text}: {cause}"
 
 
 def _driver_is_missing(error: BaseException) -> bool:

@@ -115,7 +115,7 @@ def _options(text: str, query: str) -> Iterator[tuple[str, Option]]:
         if not (name and equals):
             raise _bad(text, f"the option {option!r} is not of the form NAME=VALUE", tries=("join several options by &",))
         if name in _REFUSED_OPTIONS and cast_from_string(value) not in (False, 0):
-            raise _bad(text, f"the option {option!r} is refused: {_REFUSED_OPTIONS[name]}")
+            raise _bad(text, f"the option {option!r} is refused: {_REFUSED_OPTIONS[name]}", tries=("leave it out",))
         yield name, cast_from_string(value)
 
 
@@ -156,5 +156,5 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return spelled[found[0]] if found else None
 
 
-def _bad(text: str, seen: str, tries: tuple[str, ...] = ()) -> TransportError:
+def _bad(text: str, seen: str, tries: tuple[str, ...]) -> TransportError:
     return TransportError(BAD_LOCATOR, text, f"the bus {text!r} makes no sense", seen=seen, tries=tries)

@@ -189,8 +189,9 @@ class PythonCanTransport(trio.abc.AsyncResource):
             self._refuse(str(reason))
             return None
         self._received += 1
-        # Kept in seconds as a float, a time stamp of today is good to some 0.2 us.
-        return frame, round(message.timestamp * 1e9) if message.timestamp else None
+        # python-can's time stamp is a float of seconds: today's is good to some 0.2 us. Not to lose more, whole seconds go apart.
+        seconds, fraction = divmod(message.timestamp, 1.0)
+        return frame, int(seconds) * 1_000_000_000 + round(fraction * 1e9) if message.timestamp else None
 
     def _refuse(self, reason: str) -> None:
         self.refused += 1
