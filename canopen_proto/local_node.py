@@ -30,12 +30,12 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Values
 from canopen_proto.group import Group
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
-from canopen_proto.machine import Event, Outbox, RequestId, Time, check_node_id, event
+from canopen_proto.machine import Outbox, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError, PdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.sdo.abort import AbortCode
-from canopen_proto.sdo.server import Pending, SdoServer
+from canopen_proto.sdo.server import PENDING, Pending, SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.sync import SyncReceived, SyncSent
 
@@ -47,15 +47,6 @@ EMCY_HEARTBEAT: Final = 0x8130
 COMMUNICATION_ERROR_BIT: Final = 0x10
 """Of the error register: communication error (overrun, error state). CiA 301 v4.2.0, 7.5.2.2."""
 ERROR_BEHAVIOUR: Final = 0x1029_01
-
-
-@event
-class ObjectWritten(Event):
-    """A client has written an object of this node by SDO; the value is stored and has taken effect."""
-
-    index: int
-    subindex: int
-    value: Value
 
 
 class Application(Protocol):
@@ -86,7 +77,19 @@ class Application(Protocol):
 class LocalNode(Group):
     """A device on the bus; see this module's text. It is mute until `boot`."""
 
-    __slots__ = ("_lost", "_short_pdos", "_store", "application", "communication", "nmt", "node_id", "pdos", "sdo", "values")
+    __slots__ = (
+        "_lost",
+        "_short_pdos",
+        "_store",
+        "application",
+        "communication",
+        "deferred",
+        "nmt",
+        "node_id",
+        "pdos",
+        "sdo",
+        "values",
+    )
 
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary) -> None:
         """node_id: 1..127; dictionary: what the device is. Its PDO and communication objects decide what runs."""
@@ -98,10 +101,12 @@ class LocalNode(Group):
         self._store = ValuesStore(self.values)
         self.sdo = SdoServer(self.inner, node_id, self)
         self.pdos = DevicePdos(self.inner, node_id, self.values)
+        self.deferred: set[int] = set()
+        """Indices that only the host can serve: ObjectAccessPending is reported, and it answers by `complete`."""
         self._lost: set[int] = set()
         self._short_pdos: set[int] = set()
-        for machine in (self.nmt, self.sdo):
-            self._members.attach(machine)
+        self._members.attach(self.nmt)
+        self._members.attach(self.sdo)
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
         for machine in self.pdos.machines:
             self._members.attach(machine)
@@ -161,7 +166,7 @@ class LocalNode(Group):
         """An error is gone. See EmcyProducer.clear."""
         self.communication.emcy.clear(code, now)
 
-    def complete(self, access_id: RequestId, result: bytes | AbortCode | None, now: Time) -> None:
+    def complete(self, access_id: int, result: bytes | AbortCode | None, now: Time) -> None:
         """The host's answer to ObjectAccessPending. See SdoServer.complete."""
         mark = len(self.inner.events)
         self.sdo.complete(access_id, result, now)
@@ -171,6 +176,9 @@ class LocalNode(Group):
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
         """An object's bytes, brought up to date, or why not."""
+        if index in self.deferred:
+            variable = self._store.readable(index, subindex)
+            return variable if isinstance(variable, AbortCode) else PENDING
         if index >= 0x2000:
             if self.application is not None:
                 self.application.refresh(now)
@@ -184,9 +192,17 @@ class LocalNode(Group):
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
         """Ask, store, obey; see this module's text."""
-        value = self._store.value_of(index, subindex, data)
+        variable = self._store.writable(index, subindex)
+        if isinstance(variable, AbortCode):
+            return variable
+        value = self._store.decode(variable, data)
         if isinstance(value, AbortCode):
             return value
+        refusal = self._store.check(variable, value)
+        if refusal is not None:
+            return refusal
+        if index in self.deferred:
+            return PENDING
         if 0x1400 <= index <= 0x1BFF:
             refusal = self.pdos.check_write(index, subindex, value)
         elif index < 0x2000:
@@ -204,7 +220,6 @@ class LocalNode(Group):
         elif self.application is not None:
             self.application.written(index, subindex, now)
         self.pdos.trigger(key, now)
-        self.inner.events.append(ObjectWritten(self.node_id, index, subindex, value))
         return None
 
     # ---- reactions ----
@@ -228,7 +243,10 @@ class LocalNode(Group):
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
         allows = self.nmt.allows
-        self.sdo.set_enabled(allows(Service.SDO), now)
+        if allows(Service.SDO):
+            self.sdo.enable()
+        else:
+            self.sdo.disable()
         self.communication.emcy.set_enabled(allows(Service.EMCY), now)
         self.communication.set_sync_enabled(allows(Service.SYNC), now)
         if self.application is not None:
