@@ -130,10 +130,10 @@ class Mapping:
     """The entries of one PDO, and how its bytes become values and values its bytes. Never changes after it was made.
 
     entries: all of them. components: those that carry a value, dummies left out; `unpack` and `pack` speak of these, in this
-    order. Raises MappingError for more than 64 bits.
+    order; muxes: theirs. Raises MappingError for more than 64 bits.
     """
 
-    __slots__ = ("_fields", "_layout", "muxes", "_positions", "bit_length", "byte_length", "components", "entries")
+    __slots__ = ("_fields", "_layout", "_positions", "bit_length", "byte_length", "components", "entries", "muxes")
 
     def __init__(self, entries: Iterable[MappedEntry] = ()) -> None:
         self.entries: tuple[MappedEntry, ...] = tuple(entries)

@@ -129,7 +129,7 @@ class DevicePdos:
             consumer.on_sync(counter, now)
 
     def trigger(self, mux: int, now: Time) -> None:
-        """The value at a mux changed: TPDOs that carry it are triggered. Raises as `PdoProducer.trigger` does."""
+        """The value at a mux changed: the TPDOs that carry it are triggered."""
         for producer in self._triggers.get(mux, ()):
             producer.trigger(now)
 

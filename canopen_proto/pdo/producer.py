@@ -49,7 +49,7 @@ class PdoPeriodsSkipped(Event):
 
 @event
 class PdoNotSent(Event):
-    """A PDO was due by SYNC or timer, and its store holds a value that its object cannot have. reason: which, for people."""
+    """A PDO was due, and its store holds a value that its object cannot have: our own application's fault. reason: for people."""
 
     number: int
     key: int
@@ -175,20 +175,21 @@ class PdoProducer(Machine):
     def trigger(self, now: Time) -> None:
         """Its event happened: an event-driven PDO goes now or when the inhibit time is over, a PDO of type 0 at the next SYNC.
 
-        Cyclic PDOs go anyway; to them it means nothing. Raises as `send` does.
+        Cyclic PDOs go anyway; to them it means nothing. `PdoNotSent` follows where the store holds what cannot be sent: often it
+        is a peer's write that triggers, and it must not be the one to suffer.
         """
         if not self.enabled or self.key is None:
             return
         if self.is_event_driven:
             if now >= self._inhibited_until:
-                self.send(now)
+                self._send_due(now)
             else:
                 self._arm(min(self._inhibited_until, self._event_due))
         elif self.transmission_type == 0:
             self._triggered = True
 
     def on_sync(self, counter: int | None, now: Time) -> None:
-        """A SYNC came, with this counter (None: without one). `PdoNotSent` where the store holds what cannot be sent."""
+        """A SYNC came, with this counter (None: without one). `PdoNotSent` as in `trigger`."""
         if not self.enabled or self.key is None or self.transmission_type > LAST_SYNCHRONOUS:
             return
         if self.transmission_type == 0:
@@ -206,7 +207,7 @@ class PdoProducer(Machine):
             self._send_due(now)
 
     def handle_timeout(self, now: Time) -> None:
-        """The inhibit time is over and a trigger waits, or the event time has passed. `PdoNotSent` as in `on_sync`."""
+        """The inhibit time is over and a trigger waits, or the event time has passed. `PdoNotSent` as in `trigger`."""
         if now < self.deadline:
             return
         due = self._event_due
@@ -224,7 +225,7 @@ class PdoProducer(Machine):
                 self.out.events.append(PdoPeriodsSkipped(self.node_id, self.number, self.key, skipped))
 
     def _send_due(self, now: Time) -> None:
-        """Send at a SYNC or a timer, where there is nobody to raise to: the fault becomes an event, and the turn has passed."""
+        """Send where there is nobody to raise to: the fault becomes an event, and the turn has passed."""
         assert self.key is not None
         try:
             self.send(now)
