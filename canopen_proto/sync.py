@@ -83,6 +83,15 @@ class SyncProducer(Machine):
         self.counter = 1
         self.period: Time = 0
 
+    def configure(self, key: int, counter_overflow: int) -> None:
+        """Take another COB-ID (0x1005) and counter overflow value (0x1019); LocalProtocolError for a reserved one.
+
+        It stops: a running counter can't change its range. CiA 301 v4.2.0, 7.5.2.22
+        """
+        self.counter_overflow = check_counter_overflow(counter_overflow)
+        self.key = key
+        self.stop()
+
     def start(self, period: Time, now: Time, counter_overflow: int | None = None) -> None:
         """Send SYNC now and then once per period (ns, 1 us or more); a producer that runs begins anew. The counter begins with 1.
 

@@ -87,6 +87,19 @@ def test_stop_and_start_begin_anew() -> None:
     assert (take(producer.out)[0], producer.deadline) == (["080#"], 1024 * MS)
 
 
+def test_configure_stops_the_producer() -> None:
+    producer = SyncProducer(Outbox())
+    producer.start(10 * MS, 0)
+    take(producer.out)
+    with pytest.raises(LocalProtocolError, match="overflow value 1 "):
+        producer.configure(0x90, 1)
+    assert (producer.key, producer.deadline) == (0x80, 10 * MS)
+    producer.configure(0x90, 4)
+    assert (producer.period, producer.deadline) == (0, NEVER)
+    producer.start(10 * MS, 50 * MS)
+    assert take(producer.out)[0] == ["090#01"]
+
+
 @pytest.mark.parametrize("reserved", [-1, 1, 241, 255, 256])
 def test_reserved_overflow_values_are_refused_and_change_nothing(reserved: int) -> None:
     with pytest.raises(LocalProtocolError, match=f"overflow value {reserved} "):

@@ -1,0 +1,166 @@
+"""SDO: an expedited round trip (request, answer, outcome), and 64 KiB in segments each way. Client and server are both counted.
+
+Nothing lies between the two: no bus, no thread. Ours is measured twice: as the two machines that it takes, frames handed over
+by a loop (`machines`), and as two whole Networks, each drained and asked for its deadline after every frame, as a driver
+would do (`Networks`). The peer is always two of its Networks, coupled by a function call (direct.py): its client and server
+send through one.
+
+Both servers serve an object dictionary with the same two objects, an UNSIGNED32 and a DOMAIN, check the access, and hold the
+value (ours as a Python value, encoded for each answer; the peer's as bytes). Both clients give bytes. Each outcome is looked
+at; ours has time-outs set at both ends, the peer a queue with a time-out at the client.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canopen import ObjectDictionary as TheirDictionary
+from canopen import RemoteNode as TheirNode
+from direct import coupled_networks, variable
+from measure import Case
+
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, ObjectDictionary, Values, Variable
+from canopen_proto.machine import MILLISECOND, Event, Outbox, Time
+from canopen_proto.network import Network
+from canopen_proto.sdo.client import SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.server import SdoServer
+from canopen_proto.sdo.store import ValuesStore
+
+NODE_ID = 12
+NUMBER, DOMAIN = 0x2000, 0x2001
+KIBIBYTES_64 = bytes(range(256)) * 256
+
+Exchange = Callable[[Time], list[Event]]
+Transfers = dict[str, Callable[[int], object]]
+"""By name: do it n times; the last value read, or (at the other end) written."""
+
+
+class Ours:
+    """Our client and server, and how frames go between them."""
+
+    def __init__(self, through_networks: bool) -> None:
+        dictionary = ObjectDictionary(
+            [
+                Object.of("number", [Variable(NUMBER, 0, "number", DataType.UNSIGNED32)]),
+                Object.of("domain", [Variable(DOMAIN, 0, "domain", DataType.DOMAIN)]),
+            ]
+        )
+        self.values = Values(dictionary, NODE_ID)
+        self.values[NUMBER << 8] = 0x12345678
+        self.values[DOMAIN << 8] = KIBIBYTES_64
+        self.now = 0
+        self.master, self.device = Network(), Network()
+        master_out, device_out = (self.master.out, self.device.out) if through_networks else (Outbox(), Outbox())
+        self.client = SdoClient(master_out, NODE_ID)
+        self.server = SdoServer(device_out, NODE_ID, ValuesStore(self.values))
+        self.exchange: Exchange = self._between_machines
+        if through_networks:
+            self.master.attach(self.client)
+            self.device.attach(self.server)
+            self.exchange = self._through_networks
+
+    def _between_machines(self, now: Time) -> list[Event]:
+        client, server = self.client, self.server
+        requests, responses = client.out.frames, server.out.frames
+        while requests:
+            for frame in requests:
+                server.receive(frame, now)
+            requests.clear()
+            for frame in responses:
+                client.receive(frame, now)
+            responses.clear()
+        server.out.events.clear()
+        events = client.out.events[:]
+        client.out.events.clear()
+        return events
+
+    def _through_networks(self, now: Time) -> list[Event]:
+        master, device = self.master, self.device
+        outcome: list[Event] = []
+        while True:
+            frames, events = master.drain(now)
+            outcome += events
+            master.next_deadline()
+            if not frames:
+                return outcome
+            for frame in frames:
+                device.receive(frame, now)
+            frames, _ = device.drain(now)
+            device.next_deadline()
+            for frame in frames:
+                master.receive(frame, now)
+
+    def transfers(self) -> Transfers:
+        """What can be done."""
+        return {
+            "expedited upload": lambda count: self._upload(NUMBER, count),
+            "expedited download": lambda count: self._download(NUMBER, bytes(4), count),
+            "upload of 64 KiB": lambda count: self._upload(DOMAIN, count),
+            "download of 64 KiB": lambda count: self._download(DOMAIN, KIBIBYTES_64[::-1], count),
+        }
+
+    def _upload(self, index: int, count: int) -> bytes:
+        data = b""
+        for _ in range(count):
+            self.now += MILLISECOND
+            self.client.upload(index, 0, self.now)
+            (outcome,) = self.exchange(self.now)
+            assert isinstance(outcome, SdoUploaded)
+            data = outcome.data
+        return data
+
+    def _download(self, index: int, data: bytes, count: int) -> bytes:
+        for _ in range(count):
+            self.now += MILLISECOND
+            self.client.download(index, 0, data, self.now)
+            (outcome,) = self.exchange(self.now)
+            assert isinstance(outcome, SdoDownloaded)
+        return self.values.raw(index, 0)
+
+
+def their_transfers() -> Transfers:
+    """The same with the peer."""
+    dictionary = TheirDictionary()
+    dictionary.add_object(variable("number", NUMBER, 0, int(DataType.UNSIGNED32)))
+    dictionary.add_object(variable("domain", DOMAIN, 0, int(DataType.DOMAIN)))
+    master, device = coupled_networks()
+    local = device.create_node(NODE_ID, dictionary)
+    local.set_data(NUMBER, 0, (0x12345678).to_bytes(4, "little"))
+    local.set_data(DOMAIN, 0, KIBIBYTES_64)
+    remote = TheirNode(NODE_ID, dictionary)
+    master[NODE_ID] = remote
+
+    def upload(index: int, count: int) -> bytes:
+        data = b""
+        for _ in range(count):
+            data = remote.sdo.upload(index, 0)
+        return data
+
+    def download(index: int, data: bytes, count: int) -> bytes:
+        for _ in range(count):
+            remote.sdo.download(index, 0, data)
+        return bytes(local.get_data(index, 0))
+
+    return {
+        "expedited upload": lambda count: upload(NUMBER, count),
+        "expedited download": lambda count: download(NUMBER, bytes(4), count),
+        "upload of 64 KiB": lambda count: upload(DOMAIN, count),
+        "download of 64 KiB": lambda count: download(DOMAIN, KIBIBYTES_64[::-1], count),
+    }
+
+
+def _case(title: str, ours: Callable[[int], object], theirs: Callable[[int], object]) -> Case:
+    def check() -> None:
+        assert ours(2) == theirs(2)
+
+    return Case(title, ours, theirs, check)
+
+
+def cases() -> list[Case]:
+    """Each transfer between machines and between Networks."""
+    return [
+        _case(f"SDO {name} ({kind})", transfer, theirs[name])
+        for kind, ours, theirs in (("machines", Ours(False), their_transfers()), ("Networks", Ours(True), their_transfers()))
+        for name, transfer in ours.transfers().items()
+    ]
