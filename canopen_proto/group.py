@@ -19,7 +19,7 @@ from heapq import heapify, heappop, heappush
 from typing import Any, Final, TypeAlias
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time
+from canopen_proto.machine import NEVER, Event, LocalProtocolError, Machine, Outbox, Time
 
 Reaction: TypeAlias = Callable[[Any, Time], None]
 
@@ -45,25 +45,32 @@ class Members:
     def attach(self, machine: Machine) -> None:
         """Route to the machine what it asks for, and hold its deadline. Its outbox must be ours; twice is once."""
         if machine.out is not self._out:
-            raise ValueError(f"{type(machine).__name__} was made with another Outbox than the group that it is attached to")
+            raise LocalProtocolError(f"{type(machine).__name__} was made with another Outbox than that of what it is attached to")
         if machine in self._keys:
             return
         self._keys[machine] = ()
         self._route(machine)
+        self._announce()
         machine._wake = NEVER
         machine._arm(machine.deadline)
 
     def detach(self, machine: Machine) -> None:
         """Forget the machine: no frame and no wake reaches it any more. Unknown machines are ignored."""
-        if self._keys.get(machine) is None:
+        if machine not in self._keys:
             return
         self._unroute(machine)
+        self._announce()
         del self._keys[machine]
         machine._wake = NEVER  # what the heap still holds of it no longer counts
         for pending in (self._out.armed, self._out.rerouted):
             if machine in pending:
                 pending.remove(machine)
         machine._in_armed = machine._in_rerouted = False
+
+    def _announce(self) -> None:
+        """The CAN-IDs of our members changed, and with them those of the group around them."""
+        if self._out.owner is not None:
+            self._out.owner._reroute()
 
     def _unroute(self, machine: Machine) -> None:
         for key in self._keys[machine]:
@@ -77,7 +84,9 @@ class Members:
         self._unroute(machine)
         self._keys[machine] = keys = tuple(dict.fromkeys(machine.can_ids()))
         for key in keys:
-            self.routes[key] = (*self.routes.get(key, ()), machine)
+            sharers = {*self.routes.get(key, ()), machine}
+            # Sorted by attachment, wherever a machine that changed its CAN-IDs comes from.
+            self.routes[key] = tuple(member for member in self._keys if member in sharers) if len(sharers) > 1 else (machine,)
 
     def refresh(self) -> None:
         """Take up what the members announced: changed CAN-IDs and nearer deadlines."""
@@ -142,16 +151,18 @@ class Group(Machine):
 
     def receive(self, frame: Frame, now: Time) -> None:
         inner = self.inner
+        if inner.rerouted:
+            self._members.refresh()
         inner.timestamp = self.out.timestamp
         mark = len(inner.events)
         for machine in self._members.routes.get(frame.key, ()):
             machine.receive(frame, now)
         self._settle(mark, now)
+        inner.timestamp = None
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
             return
-        self.inner.timestamp = None
         mark = len(self.inner.events)
         self._members.handle_timeout(now)
         self._settle(mark, now)
@@ -168,6 +179,4 @@ class Group(Machine):
             if reaction is not None:
                 reaction(events[mark], now)
             mark += 1
-        deadline = self._members.next_deadline()
-        if deadline != self.deadline:
-            self._arm(deadline)
+        self._arm(self._members.next_deadline())  # even if it is the old one: the wake for that may just have been used up

@@ -8,8 +8,8 @@ The driver loop, the only one there is:
     5. wait for a frame, a command, or `network.next_deadline()`
 
 `drain` also feeds the events to running procedures (`run`), whose next requests then leave in the same turn. A driver never
-empties the outbox itself. Who drives several networks with one Runner drains all of them after each mutation: a procedure may
-have mutated any.
+empties the outbox itself. Who drives several networks with one Runner drains all of them after each mutation, again and again
+until none has anything: a procedure that is fed in one may have mutated any.
 
 What one participant's own machines tell each other, since a bus does not hand our own frames back to us: a SYNC that we sent (or
 heard) releases the synchronous PDOs of every attached `RemoteNode`, and an NMT command that we sent changes what we expect of it.
@@ -98,13 +98,15 @@ class Network:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
         out = self.out
+        if out.rerouted:
+            self._members.refresh()
         out.timestamp = timestamp
         for machine in self._members.routes.get(frame.key, ()):
             machine.receive(frame, now)
         if len(out.events) > self._settled:
             self._settle(now)
-        if out.rerouted:
-            self._members.refresh()
+            self._shed()
+        out.timestamp = None
 
     def next_deadline(self) -> Time:
         """When to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) when nothing changed."""
@@ -114,10 +116,9 @@ class Network:
         """Wake every machine whose deadline has come. Early calls do nothing."""
         now = max(now, self._now)
         self._now = now
-        self.out.timestamp = None
         self._members.handle_timeout(now)
         self._settle(now)
-        self._members.refresh()
+        self._shed()
 
     def drain(self, now: Time) -> tuple[list[Frame], list[Event]]:
         """The frames to send and the events to deliver since the last drain, each in order."""
@@ -130,7 +131,6 @@ class Network:
             self.runner.observe(out.root, out.events[fed], now)
             fed += 1
             self._settle(now)
-        self._members.refresh()
         frames, events = out.frames[:], out.events[:]
         out.frames.clear()
         out.events.clear()
@@ -164,12 +164,12 @@ class Network:
             reaction = self._reactions.get(type(report))
             if reaction is not None:
                 reaction(report, now)
-        if len(events) > MAX_UNDRAINED_EVENTS:
-            self._shed()
 
     def _shed(self) -> None:
-        """Drop the oldest notifications, down to half of the bound, so that the cost of shedding is spread."""
+        """Drop the oldest notifications if there are too many, down to half of the bound, so that the cost is spread."""
         events = self.out.events
+        if len(events) <= MAX_UNDRAINED_EVENTS:
+            return
         excess = len(events) - MAX_UNDRAINED_EVENTS // 2
         kept: list[Event] = []
         for report in events:
