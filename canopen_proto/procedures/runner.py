@@ -1,12 +1,16 @@
 """`Runner`: runs procedures over one or more Networks.
 
-A running procedure is a task: a generator and the one step that it waits for. `all_of` makes child tasks. A task ends in one
-event, sent through the outbox of the Runner: ProcedureFinished, ProcedureFailed, ProcedureCancelled.
+A running procedure is a task: a generator and the one step that it waits for. `all_of` makes child tasks. A task that was started
+by `start` ends in one event, sent through the outbox of the Runner: ProcedureFinished, ProcedureFailed, ProcedureCancelled.
 
-Cancelling a task (`cancel`, or a sibling's failure under `all_of`): its children are cancelled first and wait for; then its step
+Cancelling a task (`cancel`, or a failure beside it under `all_of`): its children are cancelled first and waited for; or its step
 is taken back (a queued request is dropped, one under way is aborted on the wire); then `Cancelled` is thrown into the generator.
-Steps that it yields after that are urgent (before all queued requests of their node), and the whole clean-up of a task has
-CLEAN_UP_TIME. A second cancel does nothing.
+Steps that it yields after that, and those of the procedures that it runs then, are urgent (before all queued requests of their
+node), and the whole clean-up of a task has CLEAN_UP_TIME. A task that is cancelled by its own code or step gets Cancelled at the
+yield that it is at or comes to. A second cancel does nothing.
+
+When the time is over, a task is closed where it stands. One that still waited for its children to clean up gets Cancelled first:
+what it can do at once (a halt by PDO) still goes out.
 """
 
 from __future__ import annotations
@@ -56,8 +60,8 @@ class _State(enum.Enum):
 
 class _Task:
     __slots__ = (
-        "cancelled", "children", "clean_up_by", "error", "failure", "generator", "parent",
-        "request_id", "result", "state", "step", "token", "turn", "wake",
+        "active", "children", "clean_up_by", "clean_up_error", "error", "failure", "generator", "open_children", "parent",
+        "request_id", "result", "state", "step", "thrown", "token", "urgent", "wake",
     )  # fmt: skip
 
     def __init__(self, generator: Procedure[Any], request_id: RequestId, parent: _Task | None) -> None:
@@ -65,16 +69,24 @@ class _Task:
         self.request_id = request_id
         self.parent = parent
         self.state = _State.RUNNING
-        self.cancelled = False  # Cancelled was thrown into it
-        self.step: Step | None = None
+        self.active = False  # its code runs, or begins a step: whoever cancels it leaves the rest to _resume
+        self.thrown = False  # Cancelled was thrown into it
+        self.urgent: bool = parent is not None and parent.urgent  # it cleans up, or belongs to a clean-up
+        self.step: Step | None = None  # what it waits for
         self.token: tuple[object, RequestId] | None = None  # of a Request under way
         self.wake: Time = NEVER
         self.clean_up_by: Time = NEVER
-        self.children: list[_Task] = []
+        self.children: list[_Task] = []  # of the AllOf under way
+        self.open_children = 0
+        self.failure: Exception | None = None  # the first of its children's
+        self.clean_up_error: Exception | None = None  # the first that went wrong in the clean-up of cancelled children
         self.result: object = None
         self.error: Exception | None = None
-        self.failure: Exception | None = None  # the first of its children's
-        self.turn = 0  # counts its resumptions: a step may end or resume the task that takes it
+
+    @property
+    def must_throw(self) -> bool:
+        """It is cancelled, and does not know yet."""
+        return self.state is _State.CANCELLING and not self.thrown
 
 
 class Runner(Machine):
@@ -100,34 +112,31 @@ class Runner(Machine):
         return task.request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> None:
-        """Cancel a running procedure; an unknown or ended one, or one that is being cancelled, is left alone."""
+        """Cancel a procedure that was started; an unknown or ended one, or one that is being cancelled, is left alone."""
         task = self._tasks.get(request_id)
-        if task is not None:
+        if task is not None and task.parent is None:
             self._cancel(task, now)
             self._rearm()
 
     def observe(self, root: object, report: Event, now: Time) -> None:
         """Take an event of the network whose `out.root` is given: the outcome or the news that a task waits for."""
-        waiting = [task for task in self._tasks.values() if type(task.step) is Wait and task.step.match is not None]
+        # Who begins to wait because of this very event is not told of it.
+        waiting = [(task, task.step) for task in self._tasks.values() if type(task.step) is Wait and task.step.match is not None]
         if isinstance(report, Outcome):
             task = self._requests.pop((root, report.request_id), None)
             if task is not None:
                 task.token = None
                 self._resume(task, report, now)
-                self._rearm()
-        for task in waiting:
-            step = task.step
-            if type(step) is not Wait or step.match is None or (step.source is not None and step.source.out.root is not root):
-                continue
-            if step.match(report):
-                self._resume(task, report, now)
-                self._rearm()
+        for task, step in waiting:
+            if task.step is step and (step.source is None or step.source.out.root is root):
+                self._tell(task, step, report, now)
+        self._rearm()
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
             return
         for task in tuple(self._tasks.values()):
-            if task.state is not _State.DONE and task.clean_up_by <= now:
+            if task.clean_up_by <= now:
                 self._give_up(task, now)
             elif task.wake <= now:
                 self._resume(task, None, now)
@@ -137,8 +146,17 @@ class Runner(Machine):
         deadline = NEVER
         for task in self._tasks.values():
             deadline = min(deadline, task.wake, task.clean_up_by)
-        if deadline != self.deadline:
-            self._arm(deadline)
+        self._arm(deadline)
+
+    def _tell(self, task: _Task, step: Wait, report: Event, now: Time) -> None:
+        assert step.match is not None
+        error = None
+        try:
+            if not step.match(report):
+                return
+        except Exception as raised:  # noqa: BLE001 - a procedure's code too
+            error = raised
+        self._resume(task, report, now, error)
 
     def _add(self, procedure: Procedure[Any], parent: _Task | None) -> _Task:
         task = _Task(procedure, self.out.next_request_id(), parent)
@@ -147,25 +165,36 @@ class Runner(Machine):
 
     def _resume(self, task: _Task, value: object, now: Time, error: BaseException | None = None) -> None:
         """Go on with a task until it waits for something or ends."""
-        task.step = None
-        task.wake = NEVER
-        task.turn += 1
-        turn = task.turn
+        task.step, task.wake, task.active = None, NEVER, True
+        result: object = None
+        failure: Exception | None = None
         while True:
             try:
                 step = task.generator.send(value) if error is None else task.generator.throw(error)
             except StopIteration as stop:
-                return self._end(task, stop.value, None, now)
+                result = stop.value
+                break
             except Cancelled:
-                return self._end(task, None, None, now)
+                if task.state is _State.RUNNING:
+                    failure = ProcedureError("the procedure raised Cancelled, but nobody cancelled it")
+                break
             except Exception as raised:  # noqa: BLE001 - a procedure's code is our caller's: what it raises is its outcome
-                return self._end(task, None, raised, now)
-            try:
-                value, error = self._take(task, step, now), None
-            except Exception as refused:  # noqa: BLE001 - a refused step (LocalProtocolError) is the procedure's to handle
-                value, error = None, refused
-            if task.step is not None or task.turn != turn:
-                return None
+                failure = raised
+                break
+            if not task.must_throw:
+                try:
+                    value, error = self._take(task, step, now), None
+                except Exception as refused:  # noqa: BLE001 - a refused step (LocalProtocolError) is the procedure's to handle
+                    value, error = None, refused
+            if task.must_throw:  # it was cancelled by what it did itself
+                self._drop_step(task, now)
+                if not task.open_children:
+                    value, error = None, self._cancelled(task)
+            if task.step is not None or task.open_children:
+                task.active = False
+                return
+        # Not in the except clauses: what the parent raises in turn would bear our error as its context.
+        self._end(task, result, failure, now)
 
     def _take(self, task: _Task, step: Step, now: Time) -> object:
         """Begin a step. Sets task.step if it must be waited for, else returns its result."""
@@ -173,24 +202,30 @@ class Runner(Machine):
             case Act():
                 return step.function(now)
             case Request():
-                request_id = step.submit(now, task.cancelled)
-                task.token = (step.requester.out.root, request_id)
+                root = step.requester.out.root
+                task.token = (root, step.submit(now, task.urgent))
                 self._requests[task.token] = task
             case Wait():
                 task.wake = NEVER if step.timeout is None else now + step.timeout
             case AllOf():
-                task.failure = None
-                task.children = [self._add(procedure, task) for procedure in step.procedures]
-                for child in task.children:
-                    # A child that fails at once cancels its siblings, also those that have not begun.
-                    if child.state is _State.RUNNING:
-                        self._resume(child, None, now)
-                if all(child.state is _State.DONE for child in task.children):
-                    return self._results(task)
+                self._start_children(task, step, now)
+                if not task.open_children:
+                    results, failure = self._results(task)
+                    if failure is not None:
+                        raise failure
+                    return results
             case _:
                 raise TypeError(f"a procedure yielded {step!r}, which is not a step; did it say 'yield' for 'yield from'?")
         task.step = step
         return None
+
+    def _start_children(self, task: _Task, step: AllOf, now: Time) -> None:
+        task.failure = None
+        task.children = [self._add(procedure, task) for procedure in tuple(step.procedures)]
+        task.open_children = len(task.children)
+        for child in task.children:
+            if child.state is _State.RUNNING:  # a child that fails at once cancels its siblings, also those that have not begun
+                self._resume(child, None, now)
 
     def _cancel(self, task: _Task, now: Time) -> None:
         if task.state is not _State.RUNNING:
@@ -198,11 +233,15 @@ class Runner(Machine):
         task.state = _State.CANCELLING
         task.clean_up_by = now + CLEAN_UP_TIME
         self._drop_step(task, now)
-        open_children = [child for child in task.children if child.state is not _State.DONE]
-        for child in open_children:
-            self._cancel(child, now)
-        if all(child.state is _State.DONE for child in task.children):
-            self._throw_cancelled(task, now)
+        if task.open_children:
+            for child in task.children:
+                self._cancel(child, now)  # the last one that ends throws Cancelled into this one
+        elif not task.active:
+            self._resume(task, None, now, self._cancelled(task))
+
+    def _cancelled(self, task: _Task) -> Cancelled:
+        task.thrown = task.urgent = True
+        return Cancelled()
 
     def _drop_step(self, task: _Task, now: Time) -> None:
         """Take back what the task waits for. Children are not touched."""
@@ -212,28 +251,34 @@ class Runner(Machine):
             step.requester.cancel(task.token[1], now)
             task.token = None
 
-    def _throw_cancelled(self, task: _Task, now: Time) -> None:
-        task.cancelled = True
-        self._resume(task, None, now, Cancelled())
-
     def _give_up(self, task: _Task, now: Time) -> None:
-        """The clean-up took too long: end the generator where it stands."""
-        for child in task.children:
-            if child.state is not _State.DONE:
-                self._give_up(child, now)
-        if task.state is _State.DONE:  # ending the last child ended it too
+        """The clean-up took too long: end the generator where it stands, and all that it runs."""
+        if task.must_throw:
+            self._give_up_children(task, now)  # the last one throws Cancelled into this one
+        if task.state is _State.DONE:
             return
         self._drop_step(task, now)
+        task.active = True  # whatever its children's end would tell it
+        self._give_up_children(task, now)
         error: Exception = CleanUpTimeout(f"the clean-up did not end within {CLEAN_UP_TIME / 1e9:g} s and was given up")
         try:
             task.generator.close()
+        except Cancelled:
+            pass  # its answer to being closed; it has ended
         except Exception as raised:  # noqa: BLE001 - as in _resume; e.g. RuntimeError for a generator that yields in `finally`
             error = raised
         self._end(task, None, error, now)
 
+    def _give_up_children(self, task: _Task, now: Time) -> None:
+        for child in tuple(task.children):
+            if child.state is not _State.DONE:
+                self._give_up(child, now)
+
     def _end(self, task: _Task, result: object, error: Exception | None, now: Time) -> None:
         was_cancelled = task.state is _State.CANCELLING
-        task.state = _State.DONE
+        if was_cancelled:
+            error = error or task.clean_up_error
+        task.state, task.active = _State.DONE, False
         task.step, task.wake, task.clean_up_by = None, NEVER, NEVER
         task.result, task.error = result, error
         del self._tasks[task.request_id]
@@ -247,26 +292,27 @@ class Runner(Machine):
             self.out.events.append(ProcedureFinished(0, task.request_id, result))
 
     def _child_ended(self, parent: _Task, child: _Task, was_cancelled: bool, now: Time) -> None:
-        if child.error is not None and not was_cancelled:
-            parent.failure = parent.failure or child.error
-            for sibling in parent.children:
-                self._cancel(sibling, now)
-        if any(other.state is not _State.DONE for other in parent.children):
-            return
-        if parent.state is _State.CANCELLING:
-            if not parent.cancelled:
-                self._throw_cancelled(parent, now)
-        elif parent.step is not None:  # else it is still taking the AllOf step, and sees to it itself
-            try:
-                results = self._results(parent)
-            except Exception as failure:  # noqa: BLE001 - whatever the child's procedure raised
-                self._resume(parent, None, now, failure)
+        if child.error is not None:
+            if was_cancelled:
+                parent.clean_up_error = parent.clean_up_error or child.error
             else:
-                self._resume(parent, results, now)
+                parent.failure = parent.failure or child.error
+                for sibling in parent.children:
+                    self._cancel(sibling, now)
+        parent.open_children -= 1
+        if parent.open_children or parent.active:
+            return  # others are to end, or the parent's own _resume sees to the rest
+        if parent.must_throw:
+            self._resume(parent, None, now, self._cancelled(parent))
+            return
+        results, failure = self._results(parent)
+        self._resume(parent, results, now, failure)
 
-    def _results(self, parent: _Task) -> list[object]:
-        """The results of an AllOf whose children have all ended, or the first one's failure raised."""
+    def _results(self, parent: _Task) -> tuple[list[object], Exception | None]:
+        """What an AllOf gives whose children have all ended: their results, or the failure of the first that failed."""
         children, parent.children = parent.children, []
-        if parent.failure is not None:
-            raise parent.failure
-        return [child.result for child in children]
+        failure = parent.failure
+        if failure is not None and parent.clean_up_error is not None:
+            failure.add_note(f"besides, the clean-up of what ran beside it went wrong: {parent.clean_up_error}")
+            parent.clean_up_error = None
+        return [child.result for child in children], failure

@@ -21,8 +21,8 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.abort import text_of
-from canopen_proto.sdo.client import AbortOrigin, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.abort import AbortOrigin, text_of
+from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)
