@@ -21,7 +21,7 @@ from typing import Final, Protocol, TypeVar, runtime_checkable
 
 from canopen_proto.frame import Frame
 from canopen_proto.group import Members, Reaction
-from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time, event
+from canopen_proto.machine import NEVER, Event, Machine, Outbox, Outcome, RequestId, Time, event
 from canopen_proto.nmt import NmtCommand, NmtCommandSent
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
@@ -63,7 +63,7 @@ class Network:
         self.out = Outbox()
         self._members = Members(self.out)
         self._followers: dict[Machine, Follower] = {}
-        self._now: Time = 0
+        self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
         self._dropped = 0
         self._settled = 0
         self._reactions: dict[type[Event], Reaction] = {
