@@ -1,0 +1,53 @@
+"""`DriveNode`: a simulated drive on the bus, which is a `LocalNode` with a `Drive` as its application.
+
+What follows from what the drive reports: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, a fault reset takes it back,
+and a statusword that changes sends the event-driven TPDOs that carry it.
+"""
+
+from __future__ import annotations
+
+from canopen_proto.cia402.drive import Drive, DriveFault, DriveFaultCleared, StatuswordChanged
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.objects import STATUSWORD
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import Outbox, Time
+
+
+class DriveNode(LocalNode):
+    """A simulated CiA 402 drive. `drive` is what moves; it is powered on with `boot`."""
+
+    __slots__ = ("drive",)
+
+    def __init__(self, out: Outbox, node_id: int, settings: DriveSettings, dictionary: ObjectDictionary | None = None) -> None:
+        """settings: its shape and its mechanics. dictionary: by default that of its shape."""
+        super().__init__(out, node_id, drive_dictionary(settings.shape) if dictionary is None else dictionary)
+        self.drive = Drive(self.inner, node_id, self.values, settings)
+        self.application = self.drive
+        self._members.attach(self.drive)
+        self._reactions.update(
+            {
+                DriveFault: self._on_fault,
+                DriveFaultCleared: self._on_fault_cleared,
+                StatuswordChanged: self._on_statusword,
+            }
+        )
+
+    def boot(self, now: Time) -> None:
+        self.drive.reset(now)
+        super().boot(now)
+
+    def _on_fault(self, fault: DriveFault, now: Time) -> None:
+        self.raise_error(fault.error_code, fault.error_register, b"", now)
+
+    def _on_fault_cleared(self, cleared: DriveFaultCleared, now: Time) -> None:
+        self.clear_error(cleared.error_code, now)
+
+    def _on_statusword(self, change: StatuswordChanged, now: Time) -> None:
+        self.pdos.trigger(STATUSWORD, now)
+
+
+def powerball(out: Outbox, node_id: int) -> DriveNode:
+    """A joint of the Schunk Powerball arm, as the manual's library met it."""
+    return DriveNode(out, node_id, DriveSettings(shape=Shape.SCHUNK_POWERBALL))
