@@ -49,6 +49,7 @@ class RemoteNode(Group):
         "emcy",
         "heard_at",
         "heartbeat",
+        "last_sync",
         "nmt_state",
         "node_id",
         "rpdos",
@@ -72,6 +73,7 @@ class RemoteNode(Group):
         self.values = Values(dictionary, node_id)
         self.heard_at: dict[int, Time] = {}
         self.nmt_state: NmtState | None = None
+        self.last_sync: Time | None = None
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
         self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
         self.emcy = EmcyConsumer(self.inner, node_id)
@@ -209,6 +211,7 @@ class RemoteNode(Group):
     # ---- what the rest of the network does ----
 
     def on_sync(self, counter: int | None, now: Time) -> None:
+        self.last_sync = now
         for producer in self.rpdos.values():
             producer.on_sync(counter, now)
 

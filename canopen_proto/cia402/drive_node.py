@@ -1,7 +1,7 @@
 """`DriveNode`: a simulated drive on the bus, which is a `LocalNode` with a `Drive` as its application.
 
-What follows from what the drive reports: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, a fault reset takes it back,
-and a statusword that changes sends the event-driven TPDOs that carry it.
+What follows from what the drive reports: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, a fault reset takes it
+back, and a statusword that changes sends the event-driven TPDOs that carry it.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ REACTION_TIME: Final = 50 * MILLISECOND
 STANDSTILL_TIME: Final = 800 * MILLISECOND
 """How long a halt waits for the drive to report standstill; within CLEAN_UP_TIME."""
 
-SYNC_TIMEOUT: Final = 1 * SECOND
-"""How long a command that goes out by a synchronous RPDO waits for a SYNC."""
+SYNC_ALIVE: Final = 500 * MILLISECOND
+"""SYNC counts as running when one was sent or heard within this time; it is also what a command waits for the next one."""
 
 
 class DriveFault(ProcedureError):
@@ -121,17 +121,18 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     """Bring a controlword to the drive: by the live RPDO that carries it, else by SDO, confirmed.
 
     By a synchronous RPDO it waits for the SYNC that takes it along, so that two commands in a row are two PDOs and an edge is an
-    edge. Raises StepTimeout where no SYNC comes, SdoFailed.
+    edge. Where SYNC is not running such an RPDO would never leave, and SDO is used. Raises SdoFailed.
     """
     producer = axis.node.rpdo_of(0x6040)
-    if producer is None:
-        yield from write(axis.node, "0x6040", controlword)
+    if producer is not None and not producer.is_synchronous:
+        yield from act(lambda now: axis.set_controlword(controlword, now))
         return
-    yield from act(lambda now: axis.set_controlword(controlword, now))
-    if producer.is_synchronous:
-        sync = yield Wait(SYNC_TIMEOUT, axis.node, lambda report: isinstance(report, SyncSent | SyncReceived))
-        if sync is None:
-            raise StepTimeout(f"controlword 0x{controlword:04X} for {_name(axis)} waits for a SYNC: start SYNC first")
+    last_sync = axis.node.last_sync
+    if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
+        yield from act(lambda now: axis.set_controlword(controlword, now))
+        if (yield Wait(SYNC_ALIVE, axis.node, lambda report: isinstance(report, SyncSent | SyncReceived))) is not None:
+            return
+    yield from write(axis.node, "0x6040", controlword)
 
 
 def _leaves(state: State) -> Callable[[int], bool]:
