@@ -55,6 +55,7 @@ from canopen_proto.sdo.codec import (
     EXPEDITED_BIT,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
     LAST,
     LEAST_RESPONSE,
@@ -68,7 +69,7 @@ from canopen_proto.sdo.codec import (
     complete,
     segment,
 )
-from canopen_proto.sdo.request import Request
+from canopen_proto.sdo.request import Request, download_request, upload_request
 
 TIMEOUT: Final = 500 * MILLISECOND
 """How long a server may take for each response: devices that write flash on the way take 100 ms and more."""
@@ -119,14 +120,11 @@ class SdoAborted(Outcome):
         return text_of(self.abort_code)
 
 
-_NO_REQUEST: Final = Request(0, 0, bytes(8), b"", is_upload=True)
-
-
 class SdoClient(Machine):
     """The client of one SDO channel; see this module's text."""
 
     __slots__ = (
-        "_announced", "_buffer", "_command", "_ended", "_last", "_limit", "_multiplexer", "_offset", "_previous", "_queue",
+        "_announced", "_buffer", "_command", "_ended", "_last", "_limit", "_multiplexer", "_offset", "_queue",
         "_request", "_request_can_id", "_request_flags", "_response_key", "_segment_requests", "_state", "_unsettled", "_urgent",
         "copy_guard", "max_queue", "max_upload", "node_id", "timeout",
     )  # fmt: skip
@@ -164,7 +162,7 @@ class SdoClient(Machine):
         self._queue: deque[Request] = deque()
         # The transfer under way
         self._state = _IDLE
-        self._request = _NO_REQUEST
+        self._request = Request(0, 0, bytes(8))  # while idle: the one before
         self._multiplexer = b""  # bytes 1..3 of each frame that names its object
         self._command = 0  # the command byte of a plain segment response with the toggle that is due
         self._buffer = bytearray()  # uploaded so far
@@ -174,7 +172,6 @@ class SdoClient(Machine):
         # What is remembered of responses and of the transfer before
         self._last = b""  # the last accepted response; empty once its copy was seen
         self._unsettled = False  # the transfer before ended without its last response
-        self._previous = _NO_REQUEST
         self._ended: Time = 0
 
     # ---- commands ----
@@ -186,7 +183,7 @@ class SdoClient(Machine):
         after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not.
         Raises LocalProtocolError if the queue is full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.5.
         """
-        return self._submit(Request.upload(index, subindex), urgent, now)
+        return self._submit(upload_request(index, subindex), urgent, now)
 
     def download(self, index: int, subindex: int, data: bytes, now: Time, *, urgent: bool = False) -> RequestId:
         """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments.
@@ -195,7 +192,7 @@ class SdoClient(Machine):
         `timeout` after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that
         are not. Raises LocalProtocolError if the queue is full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.2.
         """
-        return self._submit(Request.download(index, subindex, data), urgent, now)
+        return self._submit(download_request(index, subindex, data), urgent, now)
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         """Give a request up: SdoAborted with origin CANCELLED follows at once. False if it is not open (any more).
@@ -262,13 +259,7 @@ class SdoClient(Machine):
                 return
         elif state == _DOWNLOAD_SEGMENT:
             if command & ~0x0F == self._command:
-                self._last = data
-                content = self._request.content
-                if self._offset < len(content):
-                    self._command = command = self._command ^ TOGGLE
-                    self._send_segment(content, command & TOGGLE, now)
-                else:
-                    self._end_download(now)
+                self._on_download_segment(data, now)
                 return
         elif data[1:4] == self._multiplexer:
             if state == _UPLOAD_INITIATED:
@@ -300,7 +291,9 @@ class SdoClient(Machine):
         self._unsettled = False
         if command & EXPEDITED_BIT:
             unused = command >> 2 & 3 if command & SIZE_BIT else 0
-            self._end_upload(data[4 : 8 - unused], now)
+            request = self._request
+            content = data[4 : 8 - unused]
+            self._end(SdoUploaded(self.node_id, request.request_id, request.index, request.subindex, content), now)
             return
         if command & SIZE_BIT:
             self._limit = self._announced = SIZE.unpack_from(data, 4)[0]
@@ -343,7 +336,8 @@ class SdoClient(Machine):
             self._abort(AbortCode.LENGTH_TOO_LOW, AbortOrigin.LOCAL, now)
         else:
             self._last = data
-            self._end_upload(bytes(buffer), now)
+            request = self._request
+            self._end(SdoUploaded(self.node_id, request.request_id, request.index, request.subindex, bytes(buffer)), now)
 
     def _on_download_initiated(self, data: bytes, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.3"""
@@ -353,9 +347,17 @@ class SdoClient(Machine):
             self._end_download(now)
             return
         self._state = _DOWNLOAD_SEGMENT
-        self._command = DOWNLOAD_SEGMENT_RESPONSE
+        self._command = DOWNLOAD_SEGMENT_RESPONSE | TOGGLE
         self._offset = 0
-        self._send_segment(self._request.content, 0, now)
+        self._send_segment(now)
+
+    def _on_download_segment(self, data: bytes, now: Time) -> None:
+        """A response with the right toggle; CiA 301 v4.2.0, 7.2.4.3.4"""
+        self._last = data
+        if self._offset < len(self._request.content):
+            self._send_segment(now)
+        else:
+            self._end_download(now)
 
     def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """Aborts, and whatever is not the response that is due."""
@@ -394,11 +396,14 @@ class SdoClient(Machine):
         queue = self._urgent if urgent else self._queue
         if len(queue) >= self.max_queue:
             raise LocalProtocolError(f"{request}, node {self.node_id}: {len(queue)} requests are waiting already")
-        request.request_id = self.out.next_request_id()
-        queue.append(request)
-        if self._state == _IDLE:
-            self._begin_next(now)
-        return request.request_id
+        request.request_id = request_id = self.out.next_request_id()
+        if self._state == _IDLE and not queue and not self.copy_guard:
+            self._begin(request, now)
+        else:
+            queue.append(request)
+            if self._state == _IDLE:
+                self._begin_next(now)
+        return request_id
 
     def _begin_next(self, now: Time) -> None:
         """Begin the transfer whose turn it is, if there is one."""
@@ -407,30 +412,30 @@ class SdoClient(Machine):
             self.deadline = NEVER
             return
         request = queue[0]
-        if self.copy_guard and now < self._ended + self.copy_guard and self._previous.is_like(request):
+        if self.copy_guard and now < self._ended + self.copy_guard and self._request.is_like(request):
             self._arm(self._ended + self.copy_guard)
             return
-        queue.popleft()
+        self._begin(queue.popleft(), now)
+
+    def _begin(self, request: Request, now: Time) -> None:
         self._request = request
         self._multiplexer = request.first[1:4]
-        self._state = _UPLOAD_INITIATED if request.is_upload else _DOWNLOAD_INITIATED
-        self.out.frames.append(Frame(self._request_can_id, request.first, self._request_flags))
+        self._state = _UPLOAD_INITIATED if request.first[0] == INITIATE_UPLOAD else _DOWNLOAD_INITIATED
+        self.out.frames.append(Frame(self._request_can_id, request.first, self._request_flags, 8))
         self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
 
-    def _send_segment(self, content: bytes, toggle: int, now: Time) -> None:
-        """CiA 301 v4.2.0, 7.2.4.3.4"""
-        payload = segment(DOWNLOAD_SEGMENT | toggle, content, self._offset)
-        self._offset += 7
-        self.out.frames.append(Frame(self._request_can_id, payload, self._request_flags))
+    def _send_segment(self, now: Time) -> None:
+        """The next one, with the other toggle than the last response; CiA 301 v4.2.0, 7.2.4.3.4"""
+        self._command = command = self._command ^ TOGGLE
+        offset = self._offset
+        self._offset = offset + 7
+        payload = segment(DOWNLOAD_SEGMENT | command & TOGGLE, self._request.content, offset)
+        self.out.frames.append(Frame(self._request_can_id, payload, self._request_flags, 8))
         self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
-
-    def _end_upload(self, data: bytes, now: Time) -> None:
-        request = self._request
-        self._end(SdoUploaded(self.node_id, request.request_id, request.index, request.subindex, data), now)
 
     def _end_download(self, now: Time) -> None:
         request = self._request
@@ -446,8 +451,7 @@ class SdoClient(Machine):
 
     def _end(self, outcome: Outcome, now: Time) -> None:
         self.out.events.append(outcome)
-        self._previous = self._request
-        self._request = _NO_REQUEST
+        self._request.content = b""
         self._ended = now
         self._state = _IDLE
         self.deadline = NEVER

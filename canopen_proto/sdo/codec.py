@@ -58,9 +58,9 @@ NO_MULTIPLEXER: Final = bytes(3)
 """What stands for the object in an abort of a server that is in no transfer."""
 
 
-def expedited_command(specifier: int, size: int) -> int:
-    """The command byte of an expedited transfer of 1..4 bytes, size indicated."""
-    return specifier | (4 - size) << 2 | EXPEDITED_BIT | SIZE_BIT
+MAX_EXPEDITED: Final = 4
+EXPEDITED_BITS: Final = tuple((MAX_EXPEDITED - size) << 2 | EXPEDITED_BIT | SIZE_BIT for size in range(MAX_EXPEDITED + 1))
+"""By size, 1..4 bytes: the bits n, e and s of an expedited transfer. (No bytes at all have no expedited form.)"""
 
 
 def segment(toggle: int, content: bytes, offset: int) -> bytes:

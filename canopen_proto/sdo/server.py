@@ -6,8 +6,8 @@ A server has one channel, a pair of COB-IDs, and at most one transfer under way 
 business of an `ObjectStore`, which is asked
 
 - at an initiate upload for the value: up to 4 bytes go expedited, more (and none at all) in segments out of that one copy;
-- at an initiate download whether the object may be written, with the size if it is announced, and again with the size that
-  really arrived; then to write. Nothing is written before all of it is there and fits.
+- at an initiate download in segments whether the object may be written, with the size if it is announced; and to write once
+  all of it is there (which is at once if it is expedited).
 
 The store may say `PENDING`: only the host can serve the object (it stores parameters, it computes a value). Then
 ObjectAccessPending goes out, the answer is held, and the host says `complete(access_id, ...)`. A host that stays silent for
@@ -50,18 +50,19 @@ from canopen_proto.sdo.codec import (
     DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED,
     EXPEDITED_BIT,
+    EXPEDITED_BITS,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD_RESPONSE,
     LAST,
     LEAST_REQUEST,
+    MAX_EXPEDITED,
     SIZE,
     SIZE_BIT,
     SPECIFIER,
     TOGGLE,
     UPLOAD_SEGMENT,
     complete,
-    expedited_command,
     segment,
 )
 
@@ -97,10 +98,10 @@ class ObjectStore(Protocol):
         """The bytes of an object, or why it cannot be read."""
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
-        """Why an object cannot be written with that many bytes (None: not known yet), or None if it can. Changes nothing."""
+        """Why an object cannot be written with so many bytes (None: not known yet), or None if it can. Changes nothing."""
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Write an object, for which `check_write` has just admitted that size; or say why its value is refused."""
+        """Write an object, or say why it cannot be written (`check_write` may not have been asked) or the value is refused."""
 
 
 @event
@@ -167,7 +168,7 @@ class SdoServer(Machine):
         self._response_can_id = response_key & 0x1FFFFFFF
         self._response_flags = response_key >> 29
         self._acknowledgements = {
-            toggle: bytes((DOWNLOAD_SEGMENT_RESPONSE | toggle,)).ljust(8, b"\x00") for toggle in (0, TOGGLE)
+            toggle: self._frame(bytes((DOWNLOAD_SEGMENT_RESPONSE | toggle,)).ljust(8, b"\x00")) for toggle in (0, TOGGLE)
         }
         # The transfer under way
         self._state = _IDLE
@@ -180,7 +181,7 @@ class SdoServer(Machine):
         self._announced = _UNKNOWN_SIZE
         self._limit = 0  # of _buffer
         self._access_id = 0
-        self._answer: bytes | None = None  # what confirms a pending download; None: an upload is pending
+        self._answer: Frame | None = None  # what confirms a pending download; None: an upload is pending
         self._last = b""  # the last accepted request; empty once its copy was seen
 
     # ---- commands ----
@@ -286,12 +287,14 @@ class SdoServer(Machine):
 
     def _respond_upload(self, content: bytes, now: Time) -> None:
         size = len(content)
-        if 0 < size <= 4:
-            command = expedited_command(INITIATE_UPLOAD_RESPONSE, size)
-            self._send(EXPEDITED.pack(command, self._index, self._subindex, content))
+        if 0 < size <= MAX_EXPEDITED:
+            command = INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size]
+            payload = EXPEDITED.pack(command, self._index, self._subindex, content)
+            self.out.frames.append(Frame(self._response_can_id, payload, self._response_flags, 8))
             self.deadline = NEVER
             return
-        self._send(INITIATE.pack(INITIATE_UPLOAD_RESPONSE | SIZE_BIT, self._index, self._subindex, size))
+        payload = INITIATE.pack(INITIATE_UPLOAD_RESPONSE | SIZE_BIT, self._index, self._subindex, size)
+        self.out.frames.append(self._frame(payload))
         self._state = _UPLOADING
         self._command = UPLOAD_SEGMENT
         self._content = content
@@ -303,7 +306,7 @@ class SdoServer(Machine):
         content = self._content
         offset = self._offset
         payload = segment(command & TOGGLE, content, offset)
-        self.out.frames.append(Frame(self._response_can_id, payload, self._response_flags))
+        self.out.frames.append(Frame(self._response_can_id, payload, self._response_flags, 8))
         self._offset = offset = offset + 7
         if offset >= len(content):
             self._become_idle()
@@ -324,17 +327,11 @@ class SdoServer(Machine):
         self._index = index
         self._subindex = subindex
         self._last = data
-        size: int | None
         if command & EXPEDITED_BIT:
-            if command & SIZE_BIT:
-                size = 4 - (command >> 2 & 3)
-                refusal = self._store.check_write(index, subindex, size)
-            else:
-                size, refusal = self._fitting_size(index, subindex)
-            if refusal is None:
-                self._write(data[4 : 4 + size], INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), now)
-            else:
-                self._abort(refusal)
+            unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
+            payload = INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
+            answer = Frame(self._response_can_id, payload, self._response_flags, 8)
+            self._write(data[4 : 8 - unused], answer, now)
             return
         size = announced if command & SIZE_BIT else None
         refusal = self._store.check_write(index, subindex, size)
@@ -343,20 +340,19 @@ class SdoServer(Machine):
         if refusal is not None:
             self._abort(refusal)
             return
-        self._send(INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0))
+        self.out.frames.append(self._frame(INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)))
         self._announced = _UNKNOWN_SIZE if size is None else size
         self._limit = self.max_download if size is None else size
         self._state = _DOWNLOADING
         self._command = DOWNLOAD_SEGMENT
         self._arm(now + self.timeout)
 
-    def _fitting_size(self, index: int, subindex: int) -> tuple[int, AbortCode | None]:
-        """How many of four bytes of unspecified size the object takes: the most that it admits."""
-        refusal = self._store.check_write(index, subindex, 4)
-        for size in (4, 3, 2, 1):
-            if self._store.check_write(index, subindex, size) is None:
-                return size, None
-        return 0, refusal
+    def _surplus(self, index: int, subindex: int) -> int:
+        """How many of four bytes of unspecified size are too many for the object."""
+        for unused in (0, 1, 2, 3):
+            if self._store.check_write(index, subindex, 4 - unused) is None:
+                return unused
+        return 0
 
     def _on_download_segment(self, command: int, data: bytes, now: Time) -> None:
         """A segment with the right toggle; CiA 301 v4.2.0, 7.2.4.3.4"""
@@ -376,7 +372,7 @@ class SdoServer(Machine):
                 return
             self._last = data
             self._command ^= TOGGLE
-            self.out.frames.append(Frame(self._response_can_id, acknowledgement, self._response_flags))
+            self.out.frames.append(acknowledgement)
             self.deadline = deadline = now + self.timeout
             if deadline < self._wake:
                 self._arm(deadline)
@@ -384,13 +380,9 @@ class SdoServer(Machine):
             self._abort(AbortCode.LENGTH_TOO_LOW)
         else:
             self._last = data
-            refusal = self._store.check_write(self._index, self._subindex, len(buffer))
-            if refusal is None:
-                self._write(bytes(buffer), acknowledgement, now)
-            else:
-                self._abort(refusal)
+            self._write(bytes(buffer), acknowledgement, now)
 
-    def _write(self, content: bytes, answer: bytes, now: Time) -> None:
+    def _write(self, content: bytes, answer: Frame, now: Time) -> None:
         result = self._store.write(self._index, self._subindex, content, now)
         if result is None:
             self._confirm(answer)
@@ -399,9 +391,9 @@ class SdoServer(Machine):
         else:
             self._abort(result)
 
-    def _confirm(self, answer: bytes) -> None:
+    def _confirm(self, answer: Frame) -> None:
         self.out.events.append(ObjectWritten(self.node_id, self._index, self._subindex))
-        self.out.frames.append(Frame(self._response_can_id, answer, self._response_flags))
+        self.out.frames.append(answer)
         if self._state != _IDLE:
             self._become_idle()
 
@@ -451,7 +443,7 @@ class SdoServer(Machine):
         self._become_idle()
         return True
 
-    def _await_host(self, content: bytes | None, answer: bytes | None, now: Time) -> None:
+    def _await_host(self, content: bytes | None, answer: Frame | None, now: Time) -> None:
         self._access_id = self.out.next_request_id()
         self._answer = answer
         self._state = _AWAITING_HOST
@@ -460,7 +452,7 @@ class SdoServer(Machine):
 
     def _abort(self, abort_code: AbortCode, origin: AbortOrigin = AbortOrigin.LOCAL) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.17"""
-        self._send(INITIATE.pack(ABORT, self._index, self._subindex, abort_code))
+        self.out.frames.append(self._frame(INITIATE.pack(ABORT, self._index, self._subindex, abort_code)))
         self._report(abort_code, origin)
         self._become_idle()
 
@@ -471,8 +463,8 @@ class SdoServer(Machine):
         if self._buffer:
             self._buffer = bytearray()
 
-    def _send(self, payload: bytes) -> None:
-        self.out.frames.append(Frame(self._response_can_id, payload, self._response_flags))
+    def _frame(self, payload: bytes) -> Frame:
+        return Frame(self._response_can_id, payload, self._response_flags)
 
     def _report(self, abort_code: int, origin: AbortOrigin) -> None:
         self.out.events.append(SdoServerAborted(self.node_id, self._index, self._subindex, abort_code, origin))

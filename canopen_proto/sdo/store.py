@@ -6,7 +6,8 @@ Theory of operation
 keeps what is written in `Values`, which PDOs share. Its abort codes are those of CiA 301 v4.2.0, 7.2.4.3.17, table 22.
 
 The steps of a write stand apart, so that a device can put its own between check and store (an object with an effect refuses, or
-acts): `writable`, `check_size`, `decode`, `check`, `store`. Each gives either what the next one needs or an abort code.
+acts): `writable` and `check_size`, `decode` (with `check` for the limits), then `values.store[variable.mux] = value`. Each gives
+either what the next one needs or an abort code.
 """
 
 from __future__ import annotations
@@ -21,19 +22,22 @@ from canopen_proto.sdo.abort import AbortCode
 class ValuesStore:
     """The objects of one device; see this module's text."""
 
-    __slots__ = ("dictionary", "values")
+    __slots__ = ("_readable", "_writable", "dictionary", "values")
 
     def __init__(self, values: Values) -> None:
         self.values = values
         self.dictionary: ObjectDictionary = values.dictionary
+        # By mux; a dictionary never changes. Who is in neither is looked at again, for the reason.
+        self._readable = {variable.mux: variable for variable in self.dictionary if variable.access.readable}
+        self._writable = {variable.mux: variable for variable in self.dictionary if variable.access.writable}
 
     # ---- the ObjectStore ----
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode:
         """The bytes of an object, or 0x06020000, 0x06090011, 0x06010001."""
-        variable = self.readable(index, subindex)
-        if isinstance(variable, AbortCode):
-            return variable
+        variable = self._readable.get(index << 8 | subindex)
+        if variable is None:
+            return self._missing(index, subindex, AbortCode.WRITE_ONLY)
         try:
             return variable.encode(self.values.store[variable.mux])
         except ValueRangeError:  # the device itself put something into its memory that does not fit the object
@@ -41,46 +45,36 @@ class ValuesStore:
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
         """None, or 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06070012, 0x06070013."""
-        variable = self.writable(index, subindex)
-        if isinstance(variable, AbortCode):
-            return variable
-        return None if size is None else self.check_size(variable, size)
+        variable = self._writable.get(index << 8 | subindex)
+        if variable is None:
+            return self._missing(index, subindex, AbortCode.READ_ONLY)
+        return None if size is None or size == variable.size else self.check_size(variable, size)
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
         """None, and it is stored; or what `check_write` says, 0x06090030, 0x06090031, 0x06090032, and nothing has changed."""
-        variable = self.writable(index, subindex)
-        if isinstance(variable, AbortCode):
-            return variable
+        variable = self._writable.get(index << 8 | subindex)
+        if variable is None:
+            return self._missing(index, subindex, AbortCode.READ_ONLY)
         value = self.decode(variable, data)
         if isinstance(value, AbortCode):
             return value
-        refusal = self.check(variable, value)
-        if refusal is None:
-            self.store(variable, value)
-        return refusal
+        self.values.store[variable.mux] = value
+        return None
 
     # ---- its steps ----
 
-    def find(self, index: int, subindex: int) -> Variable | AbortCode:
-        """The variable, or why there is none."""
-        variable = self.dictionary.get(index, subindex)
-        if variable is not None:
-            return variable
-        return AbortCode.NO_SUCH_SUBINDEX if self.dictionary.has_index(index) else AbortCode.NO_SUCH_OBJECT
-
     def readable(self, index: int, subindex: int) -> Variable | AbortCode:
-        """The variable, if it exists and may be read."""
-        variable = self.find(index, subindex)
-        if isinstance(variable, Variable) and not variable.access.readable:
-            return AbortCode.WRITE_ONLY
-        return variable
+        """The variable, if it exists and may be read; else why not."""
+        return self._readable.get(index << 8 | subindex) or self._missing(index, subindex, AbortCode.WRITE_ONLY)
 
     def writable(self, index: int, subindex: int) -> Variable | AbortCode:
-        """The variable, if it exists and may be written."""
-        variable = self.find(index, subindex)
-        if isinstance(variable, Variable) and not variable.access.writable:
-            return AbortCode.READ_ONLY
-        return variable
+        """The variable, if it exists and may be written; else why not."""
+        return self._writable.get(index << 8 | subindex) or self._missing(index, subindex, AbortCode.READ_ONLY)
+
+    def _missing(self, index: int, subindex: int, no_access: AbortCode) -> AbortCode:
+        if self.dictionary.get(index, subindex) is not None:
+            return no_access
+        return AbortCode.NO_SUCH_SUBINDEX if self.dictionary.has_index(index) else AbortCode.NO_SUCH_OBJECT
 
     @staticmethod
     def check_size(variable: Variable, size: int) -> AbortCode | None:
@@ -93,13 +87,15 @@ class ValuesStore:
             return AbortCode.LENGTH_TOO_HIGH
         return AbortCode.LENGTH_TOO_LOW if size < expected else None
 
-    @classmethod
-    def decode(cls, variable: Variable, data: bytes) -> Value | AbortCode:
-        """The value of the bytes that a client sent."""
+    def decode(self, variable: Variable, data: bytes) -> Value | AbortCode:
+        """The value of the bytes that a client sent, or why there is none within the object's type and limits."""
         try:
-            return variable.decode(data)
+            value = variable.decode(data)
         except ValueRangeError:
-            return cls.check_size(variable, len(data)) or AbortCode.INVALID_VALUE
+            return self.check_size(variable, len(data)) or AbortCode.INVALID_VALUE
+        if variable.low_limit is not None or variable.high_limit is not None:
+            return self.check(variable, value) or value
+        return value
 
     @staticmethod
     def check(variable: Variable, value: Value) -> AbortCode | None:
@@ -112,7 +108,3 @@ class ValuesStore:
         if high is not None and value > high:
             return AbortCode.VALUE_TOO_HIGH
         return AbortCode.VALUE_TOO_LOW if low is not None and value < low else None
-
-    def store(self, variable: Variable, value: Value) -> None:
-        """Keep the value."""
-        self.values.store[variable.mux] = value

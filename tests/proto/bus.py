@@ -224,3 +224,17 @@ class Bus:
 
 def _deadline_of(machine: Machine | Network) -> Time:
     return machine.next_deadline() if isinstance(machine, Network) else machine.deadline
+
+
+def take_frames(out: Outbox) -> list[str]:
+    """For a machine that stands alone: what it sent, in candump's notation; the outbox is emptied of it."""
+    frames = [str(frame) for frame in out.frames]
+    out.frames.clear()
+    return frames
+
+
+def take_events(out: Outbox) -> list[Event]:
+    """For a machine that stands alone: what it reported; the outbox is emptied of it."""
+    events = out.events[:]
+    out.events.clear()
+    return events
