@@ -1,0 +1,80 @@
+"""A desk to run procedures at: a network with a clerk who takes requests, an alarm for news, an SDO client, and a clock."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, Event, Outcome, Time
+from canopen_proto.network import Network
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import Procedure, Request
+from canopen_proto.sdo.client import SdoClient
+from tests.proto.machines import Alarm, Answered, Clerk
+
+
+class Desk:
+    """See the text of this module. sent: frames as text; outcomes: of procedures, by id."""
+
+    def __init__(self) -> None:
+        self.now: Time = 0
+        self.network = Network()
+        self.clerk = Clerk(self.network.out)
+        self.alarm = Alarm(self.network.out, "alarm", [1])
+        self.sdo = SdoClient(self.network.out, 12)
+        for machine in (self.clerk, self.alarm, self.sdo):
+            self.network.attach(machine)
+        self.sent: list[str] = []
+        self.outcomes: dict[int, Outcome] = {}
+
+    def run(self, procedure: Procedure[Any]) -> int:
+        request_id = self.network.run(procedure, self.now)
+        self.drain()
+        return request_id
+
+    def drain(self) -> list[Event]:
+        frames, events = self.network.drain(self.now)
+        self.sent += map(str, frames)
+        for report in events:
+            if isinstance(report, ProcedureFinished | ProcedureFailed | ProcedureCancelled):
+                assert report.request_id not in self.outcomes, "one outcome only"
+                self.outcomes[report.request_id] = report
+        return events
+
+    def answer(self, *names: str) -> None:
+        for name in names:
+            self.clerk.answer(name)
+            self.drain()
+
+    def receive(self, text: str) -> None:
+        self.network.receive(Frame.parse(text), self.now)
+        self.drain()
+
+    def wait(self, duration: Time) -> None:
+        self.now += duration
+        self.network.handle_timeout(self.now)
+        self.drain()
+
+    def ask(self, name: str) -> Procedure[Answered]:
+        return (yield Request(self.clerk, lambda now, urgent: self.clerk.ask(name, urgent)))
+
+    def result(self, request_id: int) -> object:
+        """What a procedure has returned, or the error that it has raised."""
+        outcome = self.outcomes[request_id]
+        assert not self.network.runner.busy
+        assert self.network.runner.deadline == NEVER
+        if isinstance(outcome, ProcedureFailed):
+            return outcome.error
+        assert isinstance(outcome, ProcedureFinished)
+        return outcome.result
+
+    def result_of(self, procedure: Procedure[Any]) -> object:
+        return self.result(self.run(procedure))
+
+
+def steps(*steps: Any) -> Procedure[Any]:
+    """A procedure of these steps; the result of the last one is its own."""
+    result = None
+    for step in steps:
+        result = yield step
+    return result
