@@ -1,0 +1,709 @@
+"""Procedures that are cancelled: at every step, twice, by themselves, with a clean-up that takes too long."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import pytest
+
+from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, RequestId, Time
+from canopen_proto.procedures.runner import CLEAN_UP_TIME, CleanUpTimeout, ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import (
+    Cancelled,
+    Procedure,
+    ProcedureError,
+    Request,
+    Wait,
+    act,
+    all_of,
+    current_time,
+    download,
+    sleep,
+    upload,
+    wait_for_event,
+)
+from tests.proto.desk import Desk, steps
+from tests.proto.machines import Heard
+
+
+@pytest.fixture
+def desk() -> Desk:
+    return Desk()
+
+
+def cancel(desk: Desk, request_id: RequestId) -> None:
+    desk.network.cancel(request_id, desk.now)
+    desk.drain()
+
+
+def cancelled(desk: Desk, request_id: RequestId) -> Exception | None:
+    """The clean-up error of a procedure that has ended as cancelled, and left nothing behind."""
+    outcome = desk.outcomes[request_id]
+    assert isinstance(outcome, ProcedureCancelled)
+    assert_idle(desk)
+    return outcome.clean_up_error
+
+
+def assert_idle(desk: Desk) -> None:
+    runner = desk.network.runner
+    assert not runner.busy
+    assert runner._requests == {}
+    assert runner.deadline == NEVER
+    assert desk.clerk.open == {}
+
+
+def careful(desk: Desk, name: str, *clean_up: str) -> Procedure[str]:
+    """Asks for `name`, and if it is cancelled for each of `clean_up`."""
+    try:
+        return (yield from desk.ask(name)).name
+    except Cancelled:
+        for each in clean_up:
+            yield from desk.ask(each)
+        raise
+
+
+# ---- what is under way is taken back ----
+
+
+def test_a_request_is_taken_back_before_the_clean_up_whose_requests_are_urgent(desk: Desk) -> None:
+    request_id = desk.run(careful(desk, "a", "halt", "brake"))
+    cancel(desk, request_id)
+    assert desk.clerk.log == ["a", "cancel a", "halt!"]
+    desk.answer("halt")
+    assert desk.outcomes == {}
+    desk.answer("brake")
+    assert desk.clerk.log[3:] == ["brake!"]
+    assert cancelled(desk, request_id) is None
+
+
+def test_a_transfer_under_way_is_aborted_on_the_wire_and_the_clean_up_goes_first(desk: Desk) -> None:
+    def moving() -> Procedure[None]:
+        try:
+            yield from upload(desk.sdo, 0x6041)
+        except Cancelled:
+            yield from download(desk.sdo, 0x6040, 0, b"\x0f\x01")
+            raise
+
+    others = [desk.run(upload(desk.sdo, 0x1000, subindex)) for subindex in range(2)]
+    request_id = desk.run(moving())
+    desk.receive("58C#4300100000000000")
+    desk.receive("58C#4300100100000000")
+    assert [desk.outcomes[other].request_id for other in others] == others
+    waiting = desk.run(upload(desk.sdo, 0x1001))
+    cancel(desk, request_id)
+    # Taking the running one back lets the next one in the queue go; the halt is next, before all that come later.
+    later = desk.run(upload(desk.sdo, 0x1002))
+    desk.receive("58C#4F01100000000000")
+    desk.receive("58C#6040600000000000")
+    desk.receive("58C#4302100000000000")
+    assert desk.sent[2:] == [
+        "60C#4041600000000000", "60C#8041600000000008", "60C#4001100000000000",
+        "60C#2B4060000F010000", "60C#4002100000000000",
+    ]  # fmt: skip
+    assert isinstance(desk.outcomes[waiting], ProcedureFinished)
+    assert isinstance(desk.outcomes[later], ProcedureFinished)
+    assert cancelled(desk, request_id) is None
+
+
+def test_an_answer_that_comes_after_the_cancel_is_nobodys(desk: Desk) -> None:
+    request_id = desk.run(careful(desk, "a", "halt"))
+    desk.clerk.answer("a")  # reported, but not yet fed
+    desk.network.cancel(request_id, 0)
+    assert desk.clerk.log == ["a", "halt!"]
+    desk.drain()
+    assert desk.outcomes == {}
+    desk.answer("halt")
+    assert cancelled(desk, request_id) is None
+
+
+def test_clean_up_may_swallow_the_cancel_and_is_cancelled_all_the_same(desk: Desk) -> None:
+    def stubborn() -> Procedure[int]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            yield from sleep(10)
+        return 5
+
+    request_id = desk.run(stubborn())
+    cancel(desk, request_id)
+    desk.wait(10)
+    assert cancelled(desk, request_id) is None
+
+
+def test_an_error_in_the_clean_up_is_told(desk: Desk) -> None:
+    def clumsy() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            raise ProcedureError("could not halt") from None
+
+    request_id = desk.run(clumsy())
+    cancel(desk, request_id)
+    assert str(cancelled(desk, request_id)) == "could not halt"
+
+
+def test_an_except_exception_does_not_swallow_the_cancel(desk: Desk) -> None:
+    def greedy() -> Procedure[None]:
+        while True:
+            try:
+                yield from sleep(10)
+            except Exception:  # noqa: BLE001
+                continue
+
+    request_id = desk.run(greedy())
+    cancel(desk, request_id)
+    assert cancelled(desk, request_id) is None
+
+
+def test_cancelling_twice_does_nothing_more(desk: Desk) -> None:
+    request_id = desk.run(careful(desk, "a", "halt"))
+    desk.wait(5)
+    cancel(desk, request_id)
+    desk.wait(CLEAN_UP_TIME - 1)
+    cancel(desk, request_id)
+    assert desk.clerk.log == ["a", "cancel a", "halt!"]
+    desk.wait(1)  # counted from the first cancel
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    cancel(desk, request_id)
+    assert_idle(desk)
+
+
+# ---- side by side ----
+
+
+def test_children_are_cancelled_and_have_cleaned_up_before_their_parent(desk: Desk) -> None:
+    def arm() -> Procedure[None]:
+        try:
+            yield from all_of(careful(desk, "a", "halt a"), careful(desk, "b"), careful(desk, "c", "halt c"))
+        except Cancelled:
+            yield from desk.ask("brake")
+            raise
+
+    request_id = desk.run(arm())
+    cancel(desk, request_id)
+    assert desk.clerk.log[3:] == ["cancel a", "halt a!", "cancel b", "cancel c", "halt c!"]
+    desk.answer("halt c", "halt a")
+    assert desk.clerk.log[8:] == ["brake!"]
+    assert desk.outcomes == {}
+    desk.answer("brake")
+    assert cancelled(desk, request_id) is None
+
+
+def test_children_that_end_at_once_let_the_parent_clean_up_once(desk: Desk) -> None:
+    times: list[str] = []
+
+    def parent() -> Procedure[None]:
+        try:
+            yield from all_of(sleep(SECOND), all_of(sleep(SECOND), sleep(SECOND)), desk.ask("a"))
+        except Cancelled:
+            times.append("cleaned up")
+            raise
+
+    request_id = desk.run(parent())
+    cancel(desk, request_id)
+    assert times == ["cleaned up"]
+    assert cancelled(desk, request_id) is None
+
+
+def test_clean_up_may_go_side_by_side_and_all_of_it_is_urgent(desk: Desk) -> None:
+    def arm() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            names = yield from all_of(careful(desk, "halt a"), careful(desk, "halt b"))
+            yield from desk.ask(" ".join(names))
+            raise
+
+    request_id = desk.run(arm())
+    cancel(desk, request_id)
+    assert desk.clerk.log == ["halt a!", "halt b!"]
+    desk.answer("halt b", "halt a")
+    assert desk.clerk.log[2:] == ["halt a halt b!"]
+    desk.answer("halt a halt b")
+    assert cancelled(desk, request_id) is None
+
+
+def test_a_failure_side_by_side_in_the_clean_up_is_the_clean_up_error(desk: Desk) -> None:
+    def broken() -> Procedure[None]:
+        yield from sleep(5)
+        raise ProcedureError("no halt")
+
+    def arm() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            yield from all_of(careful(desk, "halt a", "brake a"), broken())
+
+    request_id = desk.run(arm())
+    cancel(desk, request_id)
+    desk.wait(5)
+    desk.answer("brake a")
+    assert desk.clerk.log == ["halt a!", "cancel halt a", "brake a!"]
+    assert str(cancelled(desk, request_id)) == "no halt"
+
+
+def test_an_error_in_a_childs_clean_up_is_told_by_its_parent(desk: Desk) -> None:
+    def clumsy() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            raise ProcedureError("could not halt") from None
+
+    request_id = desk.run(all_of(sleep(SECOND), all_of(clumsy(), sleep(SECOND))))
+    cancel(desk, request_id)
+    assert str(cancelled(desk, request_id)) == "could not halt"
+
+
+def test_cancelled_while_a_failures_siblings_clean_up(desk: Desk) -> None:
+    def broken() -> Procedure[None]:
+        yield from sleep(5)
+        raise ProcedureError("broken")
+
+    def parent() -> Procedure[None]:
+        try:
+            yield from all_of(broken(), careful(desk, "a", "halt a"))
+        except Cancelled:
+            yield from desk.ask("brake")
+            raise
+
+    request_id = desk.run(parent())
+    desk.wait(5)
+    desk.wait(5)
+    cancel(desk, request_id)
+    assert desk.outcomes == {}
+    desk.answer("halt a")
+    desk.answer("brake")
+    assert cancelled(desk, request_id) is None
+    assert desk.clerk.log == ["a", "cancel a", "halt a!", "brake!"]
+
+
+def test_a_child_cannot_be_cancelled_from_outside(desk: Desk) -> None:
+    request_id = desk.run(all_of(sleep(5), sleep(10)))
+    for number in range(request_id + 1, request_id + 5):
+        desk.network.cancel(number, 0)
+    desk.wait(10)
+    assert isinstance(desk.outcomes[request_id], ProcedureFinished)
+
+
+# ---- by its own code ----
+
+
+def test_cancelled_by_its_own_step(desk: Desk) -> None:
+    ids: list[RequestId] = []
+
+    def suicidal() -> Procedure[None]:
+        yield from sleep(5)
+        try:
+            yield from act(lambda now: desk.network.cancel(ids[0], now))
+        except Cancelled:
+            yield from desk.ask("halt")
+            raise
+
+    ids.append(desk.run(suicidal()))
+    desk.wait(5)
+    desk.answer("halt")
+    assert cancelled(desk, ids[0]) is None
+    assert desk.clerk.log == ["halt!"]
+
+
+def test_cancelled_by_the_request_that_it_makes(desk: Desk) -> None:
+    ids: list[RequestId] = []
+
+    def submit(now: Time, urgent: bool) -> RequestId:
+        desk.network.cancel(ids[0], now)
+        return desk.clerk.ask("a", urgent)
+
+    def suicidal() -> Procedure[None]:
+        yield from sleep(5)
+        yield Request(desk.clerk, submit)
+
+    ids.append(desk.run(suicidal()))
+    desk.wait(5)
+    assert desk.clerk.log == ["a", "cancel a"]
+    assert cancelled(desk, ids[0]) is None
+
+
+def test_cancelled_by_a_step_that_is_refused_too(desk: Desk) -> None:
+    ids: list[RequestId] = []
+
+    def refuse(now: Time) -> None:
+        desk.network.cancel(ids[0], now)
+        raise LocalProtocolError("no")
+
+    def suicidal() -> Procedure[None]:
+        yield from sleep(5)
+        yield from act(refuse)
+
+    ids.append(desk.run(suicidal()))
+    desk.wait(5)
+    assert cancelled(desk, ids[0]) is None
+
+
+@pytest.mark.parametrize("last", [False, True], ids=["then a step", "then its end"])
+def test_cancelled_by_its_own_code_between_steps(desk: Desk, last: bool) -> None:
+    ids: list[RequestId] = []
+    seen: list[str] = []
+
+    def suicidal() -> Procedure[None]:
+        yield from sleep(5)
+        desk.network.cancel(ids[0], desk.now)
+        if not last:
+            try:
+                yield from desk.ask("never asked")
+            except Cancelled:
+                seen.append("cancelled at the next yield")
+                raise
+
+    ids.append(desk.run(suicidal()))
+    desk.wait(5)
+    assert cancelled(desk, ids[0]) is None
+    assert desk.clerk.log == []
+    assert seen == ([] if last else ["cancelled at the next yield"])
+
+
+@pytest.mark.parametrize("directly", [False, True], ids=["in a step", "in its code"])
+@pytest.mark.parametrize("delay", [0, 5])
+def test_a_child_that_cancels_the_whole(desk: Desk, directly: bool, delay: Time) -> None:
+    ids: list[RequestId] = []
+
+    def killer() -> Procedure[None]:
+        if delay:
+            yield from sleep(delay)
+        try:
+            if directly:
+                desk.network.cancel(ids[0], desk.now)
+                yield from desk.ask("never asked")
+            else:
+                yield from act(lambda now: desk.network.cancel(ids[0], now))
+        except Cancelled:
+            yield from desk.ask("halt k")
+            raise
+
+    def parent() -> Procedure[None]:
+        yield from sleep(1)
+        try:
+            yield from all_of(careful(desk, "a", "halt a"), killer(), careful(desk, "b", "halt b"))
+        except Cancelled:
+            yield from all_of(careful(desk, "brake 1"), careful(desk, "brake 2"))
+            raise
+
+    ids.append(desk.run(parent()))
+    desk.wait(1)
+    desk.wait(delay)
+    if delay == 0:  # b had not begun: it has nothing to clean up
+        assert "b" not in desk.clerk.log
+    else:
+        desk.answer("halt b")
+    desk.answer("halt k", "halt a")
+    assert desk.outcomes == {}
+    desk.answer("brake 2", "brake 1")
+    assert cancelled(desk, ids[0]) is None
+    assert desk.clerk.log[-2:] == ["brake 1!", "brake 2!"]
+
+
+# ---- CLEAN_UP_TIME ----
+
+
+def test_the_time_for_clean_up_is_shared_by_its_steps(desk: Desk) -> None:
+    def slow() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            for _ in range(100):
+                yield from sleep(CLEAN_UP_TIME // 10)
+
+    request_id = desk.run(slow())
+    cancel(desk, request_id)
+    for _ in range(9):
+        desk.wait(CLEAN_UP_TIME // 10)
+    assert desk.outcomes == {}
+    desk.wait(CLEAN_UP_TIME // 10)
+    error = cancelled(desk, request_id)
+    assert isinstance(error, CleanUpTimeout)
+    assert str(error) == "the clean-up did not end within 1 s and was given up"
+
+
+def test_a_dead_node_holds_nobody_up_and_the_halt_is_taken_back(desk: Desk) -> None:
+    request_id = desk.run(careful(desk, "a", "halt"))
+    cancel(desk, request_id)
+    assert desk.network.next_deadline() == CLEAN_UP_TIME
+    desk.wait(CLEAN_UP_TIME)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert desk.clerk.log == ["a", "cancel a", "halt!", "cancel halt"]
+
+
+def test_a_parent_whose_children_take_all_the_time_still_does_what_it_can_do_at_once(desk: Desk) -> None:
+    done: list[str] = []
+
+    def parent() -> Procedure[None]:
+        try:
+            yield from all_of(careful(desk, "a", "halt a"), all_of(careful(desk, "b", "halt b"), sleep(5)))
+        except Cancelled:
+            yield from act(lambda now: done.append("halt by PDO"))
+            yield from all_of(desk.ask("brake"), desk.ask("brake 2"))
+            done.append("never")
+
+    request_id = desk.run(parent())
+    cancel(desk, request_id)
+    desk.wait(CLEAN_UP_TIME)
+    assert done == ["halt by PDO"]
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert desk.clerk.log[-2:] == ["cancel brake", "cancel brake 2"]
+
+
+def test_a_parent_that_can_do_all_at_once_when_its_children_are_given_up(desk: Desk) -> None:
+    request_id = desk.run(all_of(all_of(careful(desk, "a", "halt a"))))
+    cancel(desk, request_id)
+    desk.wait(CLEAN_UP_TIME)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+
+
+def test_a_clean_up_side_by_side_is_given_up_with_all_that_it_runs(desk: Desk) -> None:
+    log: list[str] = []
+
+    def reluctant(name: str) -> Procedure[None]:
+        try:
+            yield from all_of(desk.ask(name), sleep(10 * SECOND))
+        except Cancelled:
+            log.append(name)
+            yield from all_of(desk.ask(f"{name} again"), sleep(10 * SECOND))
+
+    def parent() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            try:
+                yield from all_of(reluctant("x"), reluctant("y"), desk.ask("z"))
+            except ProcedureError:
+                log.append("the parent is closed and not resumed")
+
+    request_id = desk.run(parent())
+    cancel(desk, request_id)
+    desk.wait(CLEAN_UP_TIME)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert "the parent is closed and not resumed" not in log
+
+
+def test_a_generator_that_waits_in_finally_is_told_and_ended(desk: Desk) -> None:
+    def improper() -> Procedure[None]:
+        try:
+            yield from sleep(10 * SECOND)
+        finally:
+            yield from sleep(10 * SECOND)
+
+    request_id = desk.run(improper())
+    cancel(desk, request_id)  # Cancelled runs the `finally`, which waits: as bad as waiting in `except Cancelled`
+    desk.wait(CLEAN_UP_TIME)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+
+    def worse() -> Procedure[None]:
+        try:
+            try:
+                yield from sleep(10 * SECOND)
+            except Cancelled:
+                yield from sleep(10 * SECOND)
+        finally:
+            yield from sleep(10 * SECOND)
+
+    request_id = desk.run(worse())
+    cancel(desk, request_id)
+    desk.wait(CLEAN_UP_TIME)
+    assert str(cancelled(desk, request_id)) == "generator ignored GeneratorExit"
+
+
+def test_a_generator_that_answers_its_closing_with_an_error(desk: Desk) -> None:
+    def answering(answer: BaseException) -> Procedure[None]:
+        try:
+            try:
+                yield from sleep(10 * SECOND)
+            except Cancelled:
+                yield from sleep(10 * SECOND)
+        except GeneratorExit:
+            raise answer from None
+
+    for answer, told in [(ProcedureError("sorry"), "sorry"), (Cancelled(), "the clean-up did not end")]:
+        request_id = desk.run(answering(answer))
+        cancel(desk, request_id)
+        desk.wait(CLEAN_UP_TIME)
+        assert str(cancelled(desk, request_id)).startswith(told)
+
+
+# ---- at every step ----
+
+
+class Rig:
+    """A composite procedure at a desk, and what its clean-up must have done."""
+
+    def __init__(self) -> None:
+        self.desk = desk = Desk()
+        self.moving = 0
+        self.largest = 0
+        self.request_id = desk.run(self.whole())
+
+    def whole(self) -> Procedure[str]:
+        yield from self.desk.ask("identify")
+        yield from sleep(10)
+        for _ in range(2):
+            yield from all_of(self.axis("x", 1), self.axis("y", 2), self.pair())
+        yield from act(lambda now: None)
+        yield from wait_for_event(self.desk.alarm, Heard, SECOND, "the end")
+        return "done"
+
+    def pair(self) -> Procedure[None]:
+        yield from sleep(3)
+        yield from all_of(self.axis("v", 2), self.axis("w", 1))
+
+    def axis(self, name: str, rounds: int) -> Procedure[Time]:
+        yield from self.desk.ask(f"mode {name}")
+        try:
+            self.moving += 1
+            for _ in range(rounds):
+                yield from self.desk.ask(f"move {name}")
+                yield from sleep(7)
+            yield from self.desk.ask(f"halt {name}")
+            self.moving -= 1
+        except Cancelled:
+            yield from self.desk.ask(f"halt {name}")
+            yield from sleep(20)
+            self.moving -= 1
+            raise
+        return (yield from current_time())
+
+    def step(self, answering: bool = True) -> None:
+        """Let one thing happen."""
+        desk = self.desk
+        if desk.clerk.open and answering:
+            desk.answer(next(iter(desk.clerk.open.values())))
+        elif (time := desk.network.next_deadline()) < SECOND // 2:
+            desk.wait(max(0, time - desk.now))
+        else:
+            desk.receive("001#")
+
+    def end(self, answering: bool = True) -> None:
+        for _ in range(200):
+            if not self.desk.network.runner.busy:
+                break
+            if not answering:
+                self.desk.wait(self.desk.network.next_deadline() - self.desk.now)
+            else:
+                self.step()
+        assert_idle(self.desk)
+        assert list(self.desk.outcomes) == [self.request_id]
+
+
+def count_steps() -> int:
+    rig = Rig()
+    count = 0
+    while rig.desk.network.runner.busy:
+        rig.step()
+        count += 1
+    assert rig.desk.outcomes[rig.request_id] == ProcedureFinished(0, rig.request_id, "done")
+    assert rig.moving == 0
+    return count
+
+
+STEPS = count_steps()
+
+
+@pytest.mark.parametrize("at", range(STEPS))
+def test_cancelled_at_any_step_it_cleans_up_and_leaves_nothing(at: int) -> None:
+    rig = Rig()
+    for _ in range(at):
+        rig.step()
+    cancelled_at = rig.desk.now
+    cancel(rig.desk, rig.request_id)
+    log = len(rig.desk.clerk.log)
+    rig.end()
+    assert cancelled(rig.desk, rig.request_id) is None
+    assert rig.moving == 0
+    assert all(line.startswith("halt") and line.endswith("!") for line in rig.desk.clerk.log[log:])
+    assert rig.desk.now <= cancelled_at + CLEAN_UP_TIME
+
+
+@pytest.mark.parametrize("at", range(STEPS))
+def test_cancelled_at_any_step_with_a_node_that_is_silent_from_then_on(at: int) -> None:
+    rig = Rig()
+    for _ in range(at):
+        rig.step()
+    cancelled_at, moving = rig.desk.now, rig.moving
+    cancel(rig.desk, rig.request_id)
+    rig.end(answering=False)
+    assert isinstance(cancelled(rig.desk, rig.request_id), CleanUpTimeout) == (moving > 0)
+    assert rig.desk.now == cancelled_at + (CLEAN_UP_TIME if moving else 0)
+
+
+def test_cancelled_at_any_step_and_again_at_any_later_step() -> None:
+    for at in range(0, STEPS, 3):
+        for later in range(12):
+            rig = Rig()
+            for _ in range(at):
+                rig.step()
+            cancel(rig.desk, rig.request_id)
+            for _ in range(later):
+                if rig.desk.network.runner.busy:
+                    rig.step()
+            cancel(rig.desk, rig.request_id)
+            rig.end()
+            assert cancelled(rig.desk, rig.request_id) is None
+            assert rig.moving == 0
+
+
+class Hook(Generator[Any, Any, Any]):
+    """A procedure around another, that cancels itself in its n-th step, be it by an act or in its own code."""
+
+    def __init__(self, rig: Rig, inner: Procedure[Any], at: int, by_act: bool) -> None:
+        self.rig, self.inner, self.at, self.by_act = rig, inner, at, by_act
+
+    def send(self, value: Any) -> Any:
+        step = self.inner.send(value)
+        self.at -= 1
+        if self.at == 0:
+            if not self.by_act:
+                self.rig.desk.network.cancel(self.rig.request_id, self.rig.desk.now)
+            elif isinstance(step, Request):
+                submit = step.submit
+
+                def cancel_and_submit(now: Time, urgent: bool) -> RequestId:
+                    self.rig.desk.network.cancel(self.rig.request_id, now)
+                    return submit(now, urgent)
+
+                return Request(step.requester, cancel_and_submit)
+        return step
+
+    def throw(self, *error: Any) -> Any:
+        return self.inner.throw(*error)
+
+
+@pytest.mark.parametrize("by_act", [False, True])
+@pytest.mark.parametrize("who", range(6))
+def test_cancelled_by_itself_at_any_step_of_any_of_its_procedures(by_act: bool, who: int) -> None:
+    for at in range(1, 9):
+
+        class Hooked(Rig):
+            count = 0
+
+            def axis(self, name: str, rounds: int) -> Procedure[Time]:
+                Hooked.count += 1
+                inner = super().axis(name, rounds)
+                return Hook(self, inner, at, by_act) if Hooked.count - 1 == who else inner  # noqa: B023
+
+        rig = Hooked()
+        rig.end()
+        outcome = rig.desk.outcomes[rig.request_id]
+        assert isinstance(outcome, ProcedureCancelled | ProcedureFinished)
+        assert rig.moving == 0
+
+
+def test_two_procedures_are_independent(desk: Desk) -> None:
+    first, second = desk.run(careful(desk, "a", "halt a")), desk.run(careful(desk, "b"))
+    third = desk.run(steps(Wait(None)))
+    cancel(desk, first)
+    desk.answer("b")
+    assert isinstance(desk.outcomes[second], ProcedureFinished)
+    desk.answer("halt a")
+    assert isinstance(desk.outcomes[first], ProcedureCancelled)
+    assert third not in desk.outcomes
+    cancel(desk, third)
+    assert_idle(desk)
+    assert not any(isinstance(outcome, ProcedureFailed) for outcome in desk.outcomes.values())
