@@ -69,7 +69,7 @@ from canopen_proto.sdo.codec import (
     complete,
     segment,
 )
-from canopen_proto.sdo.request import Request, download_request, upload_request
+from canopen_proto.sdo.request import Buffer, Request, download_request, upload_request
 
 TIMEOUT: Final = 500 * MILLISECOND
 """How long a server may take for each response: devices that write flash on the way take 100 ms and more."""
@@ -185,7 +185,7 @@ class SdoClient(Machine):
         """
         return self._submit(upload_request(index, subindex), urgent, now)
 
-    def download(self, index: int, subindex: int, data: bytes, now: Time, *, urgent: bool = False) -> RequestId:
+    def download(self, index: int, subindex: int, data: Buffer, now: Time, *, urgent: bool = False) -> RequestId:
         """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments.
 
         Sends an initiate request, at once if no transfer is under way. SdoDownloaded or SdoAborted follows, at the latest

@@ -6,6 +6,7 @@ Source: CiA 301 v4.2.0, 7.2.4.3.3 and 7.2.4.3.6.
 from __future__ import annotations
 
 import struct
+from typing import TypeAlias
 
 from canopen_proto.machine import LocalProtocolError, RequestId
 from canopen_proto.sdo.codec import (
@@ -17,6 +18,8 @@ from canopen_proto.sdo.codec import (
     MAX_EXPEDITED,
     SIZE_BIT,
 )
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
 class Request:
@@ -47,7 +50,7 @@ def upload_request(index: int, subindex: int) -> Request:
         raise _impossible("upload", index, subindex) from None
 
 
-def download_request(index: int, subindex: int, content: bytes) -> Request:
+def download_request(index: int, subindex: int, content: Buffer) -> Request:
     """Expedited where it is 1 to 4 bytes; no bytes at all have no expedited form. Raises LocalProtocolError."""
     if not isinstance(content, bytes):
         if not isinstance(content, bytearray | memoryview):  # bytes(6) would be six zeros
