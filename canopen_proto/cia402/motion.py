@@ -152,3 +152,26 @@ def move(
 def _braking_distance(velocity: float, deceleration: float) -> float:
     """How far an axis gets, with its sign, while it brakes to rest."""
     return velocity * abs(velocity) / (2.0 * deceleration)
+
+
+def follow(profile: Profile, position: float, since: Time, now: Time, lag: float) -> float:
+    """Where an axis is at `now` that was at `position` at `since` and follows the profile with a first-order lag of `lag` s.
+
+    Exact for any two times (each piece has its closed form, y = u - lag u' + lag² u'' + c exp(-t / lag)), so that it does not
+    matter how often anybody looks. At constant speed it stays behind by speed * lag.
+    """
+    pieces = profile.pieces
+    time = max(0.0, (since - profile.start) * _SECONDS)
+    until = (now - profile.start) * _SECONDS
+    last = len(pieces) - 1
+    for number, (begin, start, velocity, acceleration) in enumerate(pieces):
+        end = until if number == last else min(until, pieces[number + 1][0])
+        if end <= time:
+            continue
+        settled = acceleration * lag * lag - velocity * lag + start  # u - lag u' + lag² u'' at the piece's beginning
+        drift = velocity - acceleration * lag
+        before, after = time - begin, end - begin
+        left = position - settled - (drift + 0.5 * acceleration * before) * before
+        position = settled + (drift + 0.5 * acceleration * after) * after + left * math.exp((time - end) / lag)
+        time = end
+    return position

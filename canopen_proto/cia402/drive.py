@@ -1,0 +1,496 @@
+"""`Drive`: a simulated CiA 402 drive, the device's side of the profile. It works on the `Values` of the node that hosts it.
+
+Theory of operation
+-------------------
+The drive is the application of a `LocalNode`. Objects reach it by `written`, after the node stored them (by SDO or PDO alike); it
+answers by writing its own objects into the same store: statusword, actual values, mode display. It calls nobody: what the node
+should turn into an EMCY comes as `DriveFault` and `DriveFaultCleared`.
+
+- The state machine is the table in `states.py`. A command acts when its controlword is written, not because it stands; edges
+  (fault reset, new set-point) are those against the word written before, so one PDO repeated for ever makes one edge.
+- Leaving Operation enabled goes by the option codes: 605Ah quick stop, 605Bh shutdown, 605Ch disable operation, 605Eh fault
+  reaction; while a ramp of 605Bh or 605Ch runs, the state stays Operation enabled, and the transition follows at its end.
+- What moves is closed form (`servo.py`), so time costs little: while something moves or is watched the drive wakes every STEP,
+  and at the end of a motion that something waits for; else never. `refresh(now)` brings the store up to date before a TPDO is
+  built or an SDO reads.
+- Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
+  3; this is how CiA 402 has it.)
+
+Left out: torque modes, csv, limit switches outside of homing, jerk.
+
+Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option codes.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_dictionary import ALLOWED_VALUES
+from canopen_proto.cia402.drive_modes import (
+    CyclicPosition,
+    InterpolatedPosition,
+    OperationMode,
+    ProfilePosition,
+    ProfileVelocity,
+    Velocity,
+)
+from canopen_proto.cia402.homing_run import Homing
+from canopen_proto.cia402.modes import Mode, ModeStatus, supported
+from canopen_proto.cia402.servo import UNLIMITED, DriveSettings, Servo, Shape
+from canopen_proto.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, StatusBit, command_of
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.values import Values
+from canopen_proto.error_codes import register_bits_of
+from canopen_proto.machine import MILLISECOND, NEVER, Event, Machine, Outbox, Time, event
+from canopen_proto.sdo.abort import AbortCode
+
+STEP: Final = 10 * MILLISECOND
+"""How often a drive looks at itself while it moves: following error, switches, target window. Positions do not depend on it."""
+
+FOLLOWING_ERROR: Final = 0x8611
+HEARTBEAT_ERROR: Final = 0x8130
+COMMUNICATION_ERROR: Final = 0x8100
+
+
+@event
+class DriveStateChanged(Event):
+    """The drive is in another state. transition: its number in the standard, 0 to 16."""
+
+    previous: State
+    state: State
+    transition: int
+
+
+@event
+class StatuswordChanged(Event):
+    """6041h now holds another value; the node sends the event-driven TPDOs that map it."""
+
+    statusword: int
+
+
+@event
+class DriveFault(Event):
+    """A fault is there that was not. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
+
+    error_code: int
+    error_register: int
+
+
+@event
+class DriveFaultCleared(Event):
+    """A fault that DriveFault told of was reset."""
+
+    error_code: int
+
+
+_STATE_BITS: Final[dict[State, int]] = {
+    State.UNKNOWN: 0x0000,
+    State.NOT_READY_TO_SWITCH_ON: 0x0000,
+    State.SWITCH_ON_DISABLED: StatusBit.REMOTE | 0x40,
+    State.READY_TO_SWITCH_ON: StatusBit.REMOTE | 0x21,
+    State.SWITCHED_ON: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x23,
+    State.OPERATION_ENABLED: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x27,
+    State.QUICK_STOP_ACTIVE: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x07,
+    State.FAULT_REACTION_ACTIVE: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x0F,
+    State.FAULT: StatusBit.REMOTE | 0x08,
+}
+"""State -> what the statusword shows of it; the voltage is on from Switched on."""
+
+_NO_STATES: Final = (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)
+_ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+_STAY_IN_QUICK_STOP: Final = range(5, 9)  # 605Ah: as 1 to 4, but quick stop stays active
+_SHOWS_FOLLOWING_ERROR: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
+_INT32: Final = 1 << 31
+
+
+class Drive(Machine):
+    """A simulated drive. Nothing happens before `reset`, which is its power-on.
+
+    values: of a dictionary such as `drive_dictionary` makes; objects that it lacks are as in servo.FALLBACKS. state, mode: what
+    statusword and 6061h show.
+    """
+
+    __slots__ = (
+        "_after_stop",
+        "_controlword",
+        "_deviates_since",
+        "_faults",
+        "_homing",
+        "_lasting_faults",
+        "_mode",
+        "_modes",
+        "_ready_at",
+        "_servo",
+        "mode",
+        "node_id",
+        "settings",
+        "state",
+        "values",
+    )
+
+    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings) -> None:
+        super().__init__(out)
+        self.node_id = node_id
+        self.values = values
+        self.settings = settings
+        self.state = State.UNKNOWN
+        self.mode: int = Mode.NO_MODE
+        self._servo = Servo(values.store, settings)
+        common = (self._servo, out, node_id)
+        self._homing = Homing(*common)
+        self._modes: dict[int, OperationMode] = {
+            Mode.NO_MODE: OperationMode(*common),
+            Mode.PROFILE_POSITION: ProfilePosition(*common),
+            Mode.VELOCITY: Velocity(*common),
+            Mode.PROFILE_VELOCITY: ProfileVelocity(*common),
+            Mode.HOMING: self._homing,
+            Mode.INTERPOLATED_POSITION: InterpolatedPosition(*common),
+            Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicPosition(*common),
+        }
+        self._mode = self._modes[Mode.NO_MODE]
+        self._controlword = 0
+        self._after_stop: Command | Occurrence | None = None  # what follows when the ramp under way has ended
+        self._ready_at: Time = NEVER
+        self._deviates_since: Time | None = None
+        self._faults: list[int] = []
+        self._lasting_faults: set[int] = set()
+
+    # ---- commands of the node that hosts it ----
+
+    def reset(self, now: Time) -> None:
+        """Power-on: transitions 0 and, after `settings.self_test`, 1. The node has put the values back before.
+
+        The axis stays where it is, but no longer knows where that is: position 0 is that of the track, and homing is to be done.
+        """
+        servo = self._servo
+        servo.advance(now)
+        servo.zero = 0.0
+        self._homing.is_referenced = False
+        self._mode.leave()
+        self._faults.clear()
+        self._controlword = 0
+        self._put(objects.CONTROLWORD, 0)
+        self._put(objects.ERROR_CODE, 0)
+        self.state = State.UNKNOWN
+        self._enter(TRANSITIONS[self.state, Occurrence.POWER_ON])
+        self._ready_at = servo.time + self.settings.self_test
+        self.mode = Mode.NO_MODE
+        self._mode = self._modes[Mode.NO_MODE]
+        self._select_mode()
+        self._look()
+        self._publish()
+        self._schedule()
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """Whether the drive takes that value now; asked after the checks of type and limits and before it is stored."""
+        key = index << 8 | subindex
+        if not isinstance(value, int):
+            return None
+        if key == objects.MODES_OF_OPERATION:
+            return None if self._has_mode(value) else AbortCode.INVALID_VALUE
+        if key in ALLOWED_VALUES and value not in ALLOWED_VALUES[key]:
+            return AbortCode.INVALID_VALUE
+        mode = self._mode
+        if key == objects.INTERPOLATION_SET_POINT and isinstance(mode, InterpolatedPosition) and mode.is_full:
+            return AbortCode.DEVICE_STATE
+        return None
+
+    def written(self, index: int, subindex: int, now: Time) -> None:
+        """An object has a new value (or the same again), by SDO or PDO: a command takes effect at once."""
+        key = index << 8 | subindex
+        if self.state in _NO_STATES:
+            return
+        if key == objects.CONTROLWORD:
+            word = self._servo.parameter(key)
+            command = command_of(word, self._controlword)
+            if word == self._controlword and (command is None or (self.state, command) not in TRANSITIONS):
+                return  # the same again, as each cycle brings it
+            self._advance(now)
+            self._control(word, command)
+        elif key == objects.MODES_OF_OPERATION:
+            self._advance(now)
+            self._select_mode()
+        elif key in self._mode.listens_to and self._acts:
+            self._advance(now)
+            self._mode.written(key)
+        else:
+            return
+        self._publish()
+        self._schedule()
+
+    def on_sync(self, now: Time) -> None:
+        """A SYNC arrived, and the synchronous RPDOs that came before it are stored and told by `written`."""
+        self._advance(now)
+        if self._acts:
+            self._mode.on_sync()
+        self._publish()
+        self._schedule(2 * STEP)  # the next SYNC will most likely be earlier, and looks itself
+
+    def refresh(self, now: Time) -> None:
+        """Bring statusword and actual values in the store up to `now`: before a TPDO is built, or an SDO reads."""
+        if now > self._servo.time and self.deadline != NEVER:
+            self._advance(now)
+            self._publish()
+            self._schedule()
+
+    def connection_lost(self, now: Time, error_code: int = HEARTBEAT_ERROR) -> None:
+        """The master fell silent: act by 6007h. error_code: of the fault, where it says fault."""
+        self._advance(now)
+        match self._servo.parameter(objects.ABORT_CONNECTION_OPTION_CODE):
+            case 1:
+                self._fault(error_code)
+            case 2:
+                self._execute(Command.DISABLE_VOLTAGE)
+            case 3:
+                self._execute(Command.QUICK_STOP)
+        self._publish()
+        self._schedule()
+
+    def nmt_stopped(self, now: Time) -> None:
+        """The node was put into NMT state Stopped: act by 6007h."""
+        self.connection_lost(now, COMMUNICATION_ERROR)
+
+    def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
+        """Something is wrong in the drive (what a test or demo wants to see): transition 13, DriveFault.
+
+        error_code: 1..0xFFFF, as in CiA 402. lasting: its cause stays, and no fault reset helps, until `end_fault`.
+        """
+        self._advance(now)
+        if lasting:
+            self._lasting_faults.add(error_code)
+        self._fault(error_code)
+        self._publish()
+        self._schedule()
+
+    def end_fault(self, error_code: int) -> None:
+        """The cause of a lasting fault is gone: a fault reset will clear it."""
+        self._lasting_faults.discard(error_code)
+
+    def block(self, blocked: bool, now: Time) -> None:
+        """Hold the axis mechanically, or let it go: a drive that wants to move gets a following error."""
+        self._advance(now)
+        self._servo.block(blocked)
+        self._publish()
+        self._schedule()
+
+    def handle_timeout(self, now: Time) -> None:
+        if now < self.deadline:
+            return
+        self._advance(now)
+        self._publish()
+        self._schedule()
+
+    # ---- the state machine ----
+
+    def _control(self, word: int, command: Command | None) -> None:
+        previous, self._controlword = self._controlword, word
+        if command is not None:
+            self._execute(command)
+        if self._acts:
+            self._mode.control(word, previous)
+
+    def _execute(self, command: Command) -> None:
+        """Walk the arcs of a command: one, or two for "switch on and enable operation"."""
+        if self._after_stop is not None and self.state is State.OPERATION_ENABLED:
+            if command is self._after_stop:
+                return  # it is being done
+            if command is Command.ENABLE_OPERATION:  # the master thought better of it: the axis stops, but the drive stays on
+                self._after_stop = None
+                self._mode.enter()
+                return
+        while (arc := TRANSITIONS.get((self.state, command))) is not None and self._permits(command):
+            if self.state is State.OPERATION_ENABLED and self._stops_first(command):
+                return
+            self._enter(arc)
+
+    def _permits(self, command: Command) -> bool:
+        """Conditions that the table of transitions leaves to the drive."""
+        if self.state is State.FAULT:
+            return not self._lasting_faults
+        if self.state is State.QUICK_STOP_ACTIVE and command is Command.ENABLE_OPERATION:
+            return self._servo.parameter(objects.QUICK_STOP_OPTION_CODE) in _STAY_IN_QUICK_STOP
+        return True
+
+    def _stops_first(self, command: Command) -> bool:
+        """Whether the axis goes down a ramp before that command's transition (605Bh, 605Ch); it has begun to."""
+        options = {
+            Command.SHUTDOWN: objects.SHUTDOWN_OPTION_CODE,
+            Command.DISABLE_OPERATION: objects.DISABLE_OPERATION_OPTION_CODE,
+        }
+        if command not in options or self._servo.parameter(options[command]) == 0 or not self._servo.is_moving:
+            return False
+        self._mode.leave()
+        self._servo.brake(self._servo.ramp(1))
+        self._after_stop = command
+        return True
+
+    def _occur(self, occurrence: Occurrence) -> None:
+        self._enter(TRANSITIONS[self.state, occurrence])
+
+    def _enter(self, arc: Arc) -> None:
+        """Go over an arc: the one place where the state changes."""
+        previous = self.state
+        self.state, transition = arc
+        self.out.events.append(DriveStateChanged(self.node_id, previous, self.state, transition))
+        servo = self._servo
+        if previous is State.OPERATION_ENABLED and self._after_stop is None:
+            self._mode.leave()  # unless it left before a ramp that has now ended
+        self._after_stop = None
+        match self.state:
+            case State.OPERATION_ENABLED:
+                servo.is_powered = True
+                self._deviates_since = None
+                self._mode.enter()
+            case State.QUICK_STOP_ACTIVE:
+                option = servo.parameter(objects.QUICK_STOP_OPTION_CODE)
+                stays = option in _STAY_IN_QUICK_STOP
+                self._stop_by(option - 4 if stays else option, None if stays else Occurrence.QUICK_STOP_FINISHED)
+            case State.FAULT_REACTION_ACTIVE:
+                option = servo.parameter(objects.FAULT_REACTION_OPTION_CODE) if previous in _ENERGISED else 0
+                self._stop_by(option, Occurrence.FAULT_REACTION_FINISHED)
+            case State.SWITCH_ON_DISABLED if previous is State.FAULT:
+                self._put(objects.ERROR_CODE, 0)
+                self.out.events.extend(DriveFaultCleared(self.node_id, code) for code in self._faults)
+                self._faults.clear()
+            case _:
+                servo.release()
+
+    def _stop_by(self, option: int, then: Occurrence | None) -> None:
+        """Stop by an option code (0: take the power off), and then go on."""
+        if option == 0:
+            self._servo.release()
+        else:
+            self._servo.brake(self._servo.ramp(option))
+        self._after_stop = then
+        self._end_stop()
+
+    def _end_stop(self) -> None:
+        """Where the axis has stopped and something was to follow: that."""
+        following = self._after_stop
+        if following is not None and self._servo.at_rest:
+            self._enter(TRANSITIONS[self.state, following])
+
+    def _fault(self, error_code: int) -> None:
+        if self.state is State.UNKNOWN or error_code in self._faults:
+            return
+        self._faults.append(error_code)
+        self._put(objects.ERROR_CODE, error_code)
+        self.out.events.append(DriveFault(self.node_id, error_code, int(register_bits_of(error_code))))
+        if (self.state, Occurrence.FAULT_DETECTED) in TRANSITIONS:
+            self._occur(Occurrence.FAULT_DETECTED)
+
+    # ---- modes ----
+
+    @property
+    def _acts(self) -> bool:
+        """Whether the mode has the axis: operation is enabled, and not about to end."""
+        return self.state is State.OPERATION_ENABLED and self._after_stop is None
+
+    def _has_mode(self, mode: int) -> bool:
+        """Whether a mode can be chosen: "no mode" always, the Schunk homes although its 6502h says nothing of it."""
+        if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
+            return True
+        return mode in self._modes and supported(self._servo.parameter(objects.SUPPORTED_DRIVE_MODES), mode)
+
+    def _select_mode(self) -> None:
+        """Take the mode of 6060h. One that it lacks (an RPDO can bring it) changes nothing: 6061h shows what is active."""
+        mode = self._servo.parameter(objects.MODES_OF_OPERATION)
+        if mode != self.mode and self._has_mode(mode):
+            if self._acts:
+                self._mode.leave()
+                self._servo.brake(self._servo.ramp(1))
+            self.mode = mode
+            self._mode = self._modes[mode]
+            if self._acts:
+                self._mode.enter()
+                self._mode.control(self._controlword, self._controlword)
+        self._put(objects.MODES_OF_OPERATION_DISPLAY, self.mode)
+
+    # ---- time and what the store shows ----
+
+    def _advance(self, now: Time) -> None:
+        self._servo.advance(now)
+        self._look()
+
+    def _look(self) -> None:
+        """See what time has brought."""
+        servo = self._servo
+        if self.state is State.NOT_READY_TO_SWITCH_ON and servo.time >= self._ready_at:
+            self._occur(Occurrence.SELF_TEST_PASSED)
+            for code in sorted(self._lasting_faults):
+                self._fault(code)
+        if self._after_stop is not None:
+            self._end_stop()
+        if self._acts:
+            self._mode.tick()
+        if self.state in _ENERGISED:
+            self._watch_following_error()
+
+    def _watch_following_error(self) -> None:
+        """A fault once the axis is further from its demand than 6065h for longer than 6066h."""
+        servo = self._servo
+        window = servo.parameter(objects.FOLLOWING_ERROR_WINDOW)
+        if abs(servo.following_error) <= window or window == UNLIMITED:
+            self._deviates_since = None
+            return
+        if self._deviates_since is None:
+            self._deviates_since = servo.time
+        if servo.time - self._deviates_since >= servo.parameter(objects.FOLLOWING_ERROR_TIME_OUT) * MILLISECOND:
+            self._fault(FOLLOWING_ERROR)
+
+    def _put(self, key: int, value: int) -> None:
+        self.values.store[key] = value
+
+    def _publish(self) -> None:
+        servo, store = self._servo, self.values.store
+        shown = store.get(objects.STATUSWORD)
+        statusword = self._statusword()
+        store[objects.STATUSWORD] = statusword
+        zero = servo.zero
+        store[objects.POSITION_DEMAND_VALUE] = _wrapped(servo.demand_position - zero)
+        store[objects.POSITION_ACTUAL_VALUE] = _wrapped(servo.position - zero)
+        store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
+        store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
+        store[objects.TORQUE_ACTUAL_VALUE] = servo.torque
+        store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
+        store[objects.DIGITAL_INPUTS] = self.settings.track.inputs_at(servo.position)
+        if statusword != shown:
+            self.out.events.append(StatuswordChanged(self.node_id, statusword))
+
+    def _statusword(self) -> int:
+        servo = self._servo
+        word = _STATE_BITS[self.state]
+        if self.state is State.OPERATION_ENABLED:
+            word |= self._mode.status
+            if self._deviates_since is not None and self.mode in _SHOWS_FOLLOWING_ERROR:
+                word |= ModeStatus.FOLLOWING_ERROR
+        elif self.state is State.QUICK_STOP_ACTIVE and servo.is_settled:
+            word |= StatusBit.TARGET_REACHED
+        if servo.internal_limit:
+            word |= StatusBit.INTERNAL_LIMIT
+        if self.settings.shape is Shape.SCHUNK_POWERBALL:
+            word |= servo.is_moving * StatusBit.MANUFACTURER_8 | self._homing.is_referenced * StatusBit.MANUFACTURER_15
+        return word
+
+    def _schedule(self, step: Time = STEP) -> None:
+        servo = self._servo
+        if self.state is State.NOT_READY_TO_SWITCH_ON:
+            self._arm(self._ready_at)
+        elif servo.is_settled and not (self._acts and self._mode.is_waiting):
+            self._arm(NEVER)
+        else:
+            wake = servo.time + step
+            if self._after_stop is not None or self._mode.awaits_end:
+                wake = min(wake, max(servo.demand.end, servo.time + 1))
+            self._arm(wake)
+
+
+def _wrapped(position: float) -> int:
+    """A position as INTEGER32; an axis that turns for ever starts again at the other end."""
+    return (round(position) + _INT32) % (2 * _INT32) - _INT32
+
+
+def _limited(value: float) -> int:
+    """A speed or distance as INTEGER32, as far as it can be shown."""
+    return round(max(-_INT32, min(_INT32 - 1, value)))

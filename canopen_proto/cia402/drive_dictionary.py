@@ -1,0 +1,195 @@
+"""The object dictionaries of the simulated drives: what a `LocalNode` needs to be one of them.
+
+Two shapes, see `servo.Shape`. Both have the communication objects of CiA 301 with four RPDOs and four TPDOs, whose COB-IDs follow
+the predefined connection set.
+
+             standard (CiA 402 default mapping where it has one)   Schunk Powerball (the manual's PDOs.csv)
+    RPDO1    6040                                                  6040, 6042, 60C1:01, type 1 (6042: the manual's 16-bit filler)
+    RPDO2    6040, 6060                                            off
+    RPDO3    6040, 607A                                            off
+    RPDO4    6040, 60C1:01, type 1                                 off
+    TPDO1    6041                                                  6041, 6077, 6064, type 1
+    TPDO2    6041, 6061                                            606B, 606C, off
+    TPDO3    6041, 6064                                            off
+    TPDO4    6064, 606C, type 1                                    off
+
+The defaults of speeds and ramps are those of servo.FALLBACKS: an arm's joint in millidegrees.
+
+Sources: CiA 301 v4.2.0, 7.5.2; CiA 402-4 (PDO mapping); the manual's files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.homing_run import METHODS
+from canopen_proto.cia402.servo import FALLBACKS, Shape
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import Access, Object, ObjectDictionary, mux
+from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
+
+_EVENT_DRIVEN: Final = 255
+_EACH_SYNC: Final = 1
+_MAPPED_OBJECTS: Final = 8  # entries of a mapping record: as many as there are bytes in a frame
+_CHANNEL: Final = 0x100  # from one PDO's CAN-IDs to the next one's
+_DEVICE_TYPE: Final = 0x0002_0192  # servo drive by CiA 402
+
+
+class _Pdo(NamedTuple):
+    """How a PDO is set up after power-on."""
+
+    entries: tuple[int, ...] = ()  # muxes
+    transmission_type: int = _EVENT_DRIVEN
+    is_valid: bool = True
+
+
+_OFF: Final = _Pdo(is_valid=False)
+
+_RPDOS: Final[dict[Shape, tuple[_Pdo, ...]]] = {
+    Shape.STANDARD: (
+        _Pdo((objects.CONTROLWORD,)),
+        _Pdo((objects.CONTROLWORD, objects.MODES_OF_OPERATION)),
+        _Pdo((objects.CONTROLWORD, objects.TARGET_POSITION)),
+        _Pdo((objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT), _EACH_SYNC),
+    ),
+    Shape.SCHUNK_POWERBALL: (
+        _Pdo((objects.CONTROLWORD, objects.VL_TARGET_VELOCITY, objects.INTERPOLATION_SET_POINT), _EACH_SYNC),
+        _OFF,
+        _OFF,
+        _OFF,
+    ),
+}
+_TPDOS: Final[dict[Shape, tuple[_Pdo, ...]]] = {
+    Shape.STANDARD: (
+        _Pdo((objects.STATUSWORD,)),
+        _Pdo((objects.STATUSWORD, objects.MODES_OF_OPERATION_DISPLAY)),
+        _Pdo((objects.STATUSWORD, objects.POSITION_ACTUAL_VALUE)),
+        _Pdo((objects.POSITION_ACTUAL_VALUE, objects.VELOCITY_ACTUAL_VALUE), _EACH_SYNC),
+    ),
+    Shape.SCHUNK_POWERBALL: (
+        _Pdo((objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE), _EACH_SYNC),
+        _Pdo((objects.VELOCITY_DEMAND_VALUE, objects.VELOCITY_ACTUAL_VALUE), is_valid=False),
+        _OFF,
+        _OFF,
+    ),
+}
+
+_COMMON: Final = (
+    0x603F, 0x6040, 0x6041, 0x6060, 0x6061, 0x6062, 0x6064, 0x6065, 0x6066, 0x6067, 0x6068, 0x606B, 0x606C, 0x6077, 0x607A,
+    0x607C, 0x607D, 0x6081, 0x6083, 0x6086, 0x60C0, 0x60C1, 0x60C2, 0x60C4, 0x60F4, 0x60FD, 0x6502,
+)  # fmt: skip
+_ONLY: Final = {
+    Shape.STANDARD: (
+        0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x607F, 0x6084, 0x6085, 0x6098, 0x6099, 0x609A, 0x60C5, 0x60C6, 0x60F2,
+        0x60FF,
+    ),
+    Shape.SCHUNK_POWERBALL: (0x6007, 0x6042, 0x6098, 0x60B2),
+}  # fmt: skip
+"""The CiA 402 objects of each shape. (The real Powerball has some more, which say nothing to a simulation.)"""
+
+_SUPPORTED_MODES: Final = {Shape.STANDARD: 0xE5, Shape.SCHUNK_POWERBALL: 0x43}  # pp pv hm ip csp; pp vl ip
+_BUFFER_SIZE: Final = {Shape.STANDARD: 16, Shape.SCHUNK_POWERBALL: 1}
+_NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBALL: "Simulated Schunk Powerball joint"}
+
+
+ALLOWED_VALUES: Final[dict[int, Collection[int]]] = {
+    objects.ABORT_CONNECTION_OPTION_CODE: range(4),
+    objects.QUICK_STOP_OPTION_CODE: range(9),
+    objects.SHUTDOWN_OPTION_CODE: range(2),
+    objects.DISABLE_OPERATION_OPTION_CODE: range(2),
+    objects.HALT_OPTION_CODE: range(1, 5),
+    objects.FAULT_REACTION_OPTION_CODE: range(5),
+    objects.MOTION_PROFILE_TYPE: (0,),
+    objects.HOMING_METHOD: (0, *METHODS),
+    objects.INTERPOLATION_SUB_MODE_SELECT: (0,),
+    objects.INTERPOLATION_TIME_UNITS: range(1, 256),
+    objects.INTERPOLATION_TIME_INDEX: range(-6, 1),
+    objects.BUFFER_ORGANISATION: range(2),
+    objects.BUFFER_CLEAR: range(2),
+    objects.POSITIONING_OPTION_CODE: range(3),
+}
+"""What may be written to objects of which the drive has not every value; else the write is refused with 06090030h."""
+
+
+def drive_dictionary(shape: Shape = Shape.STANDARD) -> ObjectDictionary:
+    """The dictionary of a simulated drive. It is the same for each node-ID: COB-IDs are added up in `Values`."""
+    return ObjectDictionary([*_communication(shape), *_profile(shape)], source=f"the simulated drive {shape.value!r}")
+
+
+def _communication(shape: Shape) -> list[Object]:
+    """What CiA 301 asks for, and what a master of these drives uses."""
+    single: dict[int, Value | None] = {
+        0x1000: _DEVICE_TYPE,
+        0x1001: None,
+        0x1005: None,
+        0x1006: None,
+        0x1008: _NAMES[shape],
+        0x1009: "simulation",
+        0x100A: "1",
+        0x1014: None,
+        0x1015: None,
+        0x1017: None,
+        0x1019: None,
+    }
+    described = [standard_object(index, value) for index, value in single.items()]
+    described += [
+        standard_object(0x1003, highest=8),
+        standard_object(0x1016, highest=4),
+        standard_object(0x1018, highest=4, defaults={1: 0, 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}),
+        standard_object(0x1200, highest=2),
+    ]
+    for number in range(4):
+        described += _pdo(0x1400 + number, RPDO1 + number * _CHANNEL, 0, _RPDOS[shape][number])
+        described += _pdo(0x1800 + number, TPDO1 + number * _CHANNEL, COB_ID_NO_RTR, _TPDOS[shape][number])
+    return described
+
+
+def _pdo(index: int, can_id: int, flags: int, pdo: _Pdo) -> list[Object]:
+    """Communication and mapping record of one PDO."""
+    cob_id = can_id | flags | (0 if pdo.is_valid else COB_ID_INVALID)
+    is_tpdo = index >= 0x1800
+    subindices = (1, 2, 3, 5, 6) if is_tpdo else (1, 2, 3, 5)
+    fields = [standard_variable(index, subindex) for subindex in subindices]
+    fields[0] = replace(fields[0], default=cob_id, adds_node_id=True)
+    fields[1] = replace(fields[1], default=pdo.transmission_type)
+    communication = standard_object(index, highest=2)
+    count = replace(communication.variables[0], default=subindices[-1])
+    entries: dict[int, Value] = {0: len(pdo.entries)}
+    for place, key in enumerate(pdo.entries, start=1):
+        entries[place] = key << 8 | _bit_length(key)
+    return [
+        Object.of(communication.name, [count, *fields], communication.object_type),
+        standard_object(index + 0x200, highest=_MAPPED_OBJECTS, defaults=entries),
+    ]
+
+
+def _bit_length(key: int) -> int:
+    variable = find_standard(key >> 8, key & 0xFF)
+    assert variable is not None
+    assert variable.bit_length is not None
+    return variable.bit_length
+
+
+def _profile(shape: Shape) -> list[Object]:
+    """The CiA 402 objects."""
+    defaults: dict[int, Value] = {
+        **FALLBACKS,
+        objects.SUPPORTED_DRIVE_MODES: _SUPPORTED_MODES[shape],
+        objects.MAXIMUM_BUFFER_SIZE: _BUFFER_SIZE[shape],
+    }
+    if shape is Shape.STANDARD:
+        defaults |= {objects.INTERPOLATION_TIME_UNITS: 10, objects.HOMING_METHOD: 35, objects.SHUTDOWN_OPTION_CODE: 1}
+    described: dict[int, Object] = {}
+    for index in (*_COMMON, *_ONLY[shape]):
+        highest = 1 if index == mux(0x60C1) >> 8 else None
+        described[index] = standard_object(
+            index, highest=highest, defaults={key & 0xFF: value for key, value in defaults.items() if key >> 8 == index}
+        )
+    if shape is Shape.SCHUNK_POWERBALL:  # it homes as it will: 6098h is there, but constant 0
+        constant = standard_variable(0x6098, access=Access.CONST, default=0, pdo_mappable=False)
+        described[0x6098] = Object.of("homing_method", [constant])
+    return list(described.values())

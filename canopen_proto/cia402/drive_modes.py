@@ -1,0 +1,382 @@
+"""What the simulated drive does in each mode of operation: profile position, interpolated position, csp, and the velocity modes.
+
+Theory of operation
+-------------------
+While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
+object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and says which mode bits
+the statusword bears. Homing has a file of its own.
+
+Profile position: a set-point is taken on the rising edge of bit 4 and acknowledged by bit 12 until bit 4 falls. With bit 5 it
+starts at once; without, it waits for the running one to end. One can wait; while one does, bit 12 stays and a further edge is
+not taken. Halt stops the axis and keeps the set-point, which goes on when halt is taken back.
+
+Interpolated position: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. The buffer is
+what 60C4h says: disabled (60C4h:06 = 0, the default) it keeps the latest set-point only; enabled it is a FIFO of 60C4h:01
+records, and a set-point too many is lost (a ring drives out the oldest) and reported. **Underrun**: a SYNC finds no set-point
+while the axis moves. The axis stops by the halt option code (605Dh), bit 12 falls, the warning bit rises, `SetPointUnderrun` is
+reported; bit 4 has to be given anew. An axis that stands has nothing to run out of: it just keeps standing. Without SYNC no
+set-point is due, and the axis stands at the last one.
+
+Left out: change on set-point (bit 9), end velocity (6082h), ip sub-modes other than linear (60C0h).
+
+Source: IEC 61800-7-201 (CiA 402-2): profile position, velocity, profile velocity, interpolated position, cyclic sync position.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, NamedTuple
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import ModeControl, ModeStatus
+from canopen_proto.cia402.servo import UNLIMITED, Servo
+from canopen_proto.cia402.states import ControlBit, StatusBit
+from canopen_proto.machine import MILLISECOND, Event, Outbox, Time, event
+
+
+@event
+class SetPointUnderrun(Event):
+    """A SYNC found no set-point while the axis moved. It stops by the halt option code, and interpolation is over."""
+
+
+@event
+class SetPointLost(Event):
+    """A set-point came while the buffer was full. set_point: the one that will not be driven."""
+
+    set_point: int
+
+
+class OperationMode:
+    """What all modes have; by itself it is "no mode", in which the axis stands. See this module's text."""
+
+    __slots__ = ("controlword", "node_id", "out", "servo")
+
+    listens_to: frozenset[int] = frozenset()
+    """The objects whose being written means something; all others are read when they are needed."""
+
+    def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
+        self.servo = servo
+        self.out = out
+        self.node_id = node_id
+        self.controlword = 0
+
+    def enter(self) -> None:
+        """The mode begins to act: operation was enabled, or the mode was chosen while it was. A word follows by `control`."""
+
+    def leave(self) -> None:
+        """It ends to act; what still moves is stopped by the drive."""
+
+    def control(self, controlword: int, previous: int) -> None:
+        """A controlword was given. Edges are those against `previous`."""
+        self.controlword = controlword
+
+    def written(self, key: int) -> None:
+        """One of the objects in `listens_to` was written."""
+
+    def on_sync(self) -> None:
+        """A SYNC arrived."""
+
+    def tick(self) -> None:
+        """The servo has advanced."""
+
+    @property
+    def status(self) -> int:
+        """The statusword's bits of this mode."""
+        return 0
+
+    @property
+    def is_waiting(self) -> bool:
+        """True while it needs ticks though nothing moves."""
+        return False
+
+    @property
+    def awaits_end(self) -> bool:
+        """True while something begins when the motion under way ends: a tick is wanted just then."""
+        return False
+
+    @property
+    def is_halted(self) -> bool:
+        return bool(self.controlword & ControlBit.HALT)
+
+    def _halt(self) -> None:
+        self.servo.brake(self.servo.ramp(self.servo.parameter(objects.HALT_OPTION_CODE)))
+
+    def _reached(self) -> int:
+        return StatusBit.TARGET_REACHED if self.servo.is_settled else 0
+
+
+class _SetPoint(NamedTuple):
+    """A set-point as it was when it was given."""
+
+    target: float  # on the track
+    velocity: float
+    acceleration: float
+    deceleration: float
+
+
+class ProfilePosition(OperationMode):
+    """Profile position mode (pp)."""
+
+    __slots__ = ("_acknowledged", "_goal", "_in_window_since", "_next", "_reached_target", "_running")
+
+    def enter(self) -> None:
+        self._running: _SetPoint | None = None
+        self._next: _SetPoint | None = None
+        self._goal = self.servo.demand_position
+        self._acknowledged = False
+        self._reached_target = True
+        self._in_window_since: Time | None = None
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        rising, falling = controlword & ~previous, previous & ~controlword
+        if rising & ModeControl.NEW_SET_POINT:
+            self._take(self._given(controlword), bool(controlword & ModeControl.CHANGE_SET_IMMEDIATELY))
+        self._ready_for_next()
+        if rising & ControlBit.HALT:
+            self._halt()
+        elif falling & ControlBit.HALT and self._running is not None:
+            self._start(self._running)
+
+    def _given(self, controlword: int) -> _SetPoint:
+        servo = self.servo
+        target = float(servo.parameter(objects.TARGET_POSITION))
+        if controlword & ModeControl.RELATIVE:
+            last = self._next or self._running
+            bases = (last.target if last else self._goal, servo.demand_position, servo.position, self._goal)
+            target += bases[servo.parameter(objects.POSITIONING_OPTION_CODE) & 3]
+        else:
+            target += servo.zero
+        rates = (objects.PROFILE_VELOCITY, objects.PROFILE_ACCELERATION, objects.PROFILE_DECELERATION)
+        return _SetPoint(target, *(servo.rate(key) for key in rates))
+
+    def _take(self, set_point: _SetPoint, immediately: bool) -> None:
+        if immediately or self._running is None:
+            self._next = None
+            self._start(set_point)
+        elif self._next is None:
+            self._next = set_point
+        else:
+            return  # no room: bit 12 has said so
+        self._acknowledged = True
+
+    def _start(self, set_point: _SetPoint) -> None:
+        self._running = set_point
+        self._reached_target = False
+        self._in_window_since = None
+        if not self.is_halted:
+            self._goal = self.servo.move_to(*set_point)
+
+    def _ready_for_next(self) -> None:
+        if self._next is None and not self.controlword & ModeControl.NEW_SET_POINT:
+            self._acknowledged = False
+
+    def tick(self) -> None:
+        servo = self.servo
+        if self.is_halted:
+            return
+        if self._running is not None and servo.at_rest:
+            self._running = None
+            if self._next is not None:
+                following, self._next = self._next, None
+                self._start(following)
+                self._ready_for_next()
+        self._watch_window()
+
+    def _watch_window(self) -> None:
+        """Target reached: the axis has been within 6067h of the target for 6068h."""
+        servo = self.servo
+        window = servo.parameter(objects.POSITION_WINDOW)
+        if window == UNLIMITED:
+            within = self._running is None
+        else:
+            within = self._running is None and abs(self._goal - servo.position) < window + 0.5  # positions are shown rounded
+        if not within:
+            self._in_window_since = None
+            self._reached_target = False
+            return
+        if self._in_window_since is None:
+            self._in_window_since = servo.time
+        if servo.time - self._in_window_since >= servo.parameter(objects.POSITION_WINDOW_TIME) * MILLISECOND:
+            self._reached_target = True
+
+    @property
+    def status(self) -> int:
+        reached = self.servo.is_settled if self.is_halted else self._reached_target
+        return reached * StatusBit.TARGET_REACHED | self._acknowledged * ModeStatus.SET_POINT_ACKNOWLEDGE
+
+    @property
+    def is_waiting(self) -> bool:
+        return not self._reached_target and not self.is_halted
+
+    @property
+    def awaits_end(self) -> bool:
+        return self._next is not None
+
+
+_INTERPOLATE: Final = ModeControl.ENABLE_INTERPOLATION
+
+
+class InterpolatedPosition(OperationMode):
+    """Interpolated position mode (ip)."""
+
+    __slots__ = ("_active", "_buffer", "_queues", "_warning")
+
+    listens_to = frozenset((objects.INTERPOLATION_SET_POINT, objects.BUFFER_CLEAR))
+
+    def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
+        super().__init__(servo, out, node_id)
+        self._buffer: deque[int] = deque()
+        self._queues = False
+        self._active = False
+        self._warning = False
+
+    def enter(self) -> None:
+        self._active = self._warning = False
+
+    def leave(self) -> None:
+        self._active = self._warning = False
+        self._buffer.clear()
+        self._show_size()
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        runs = controlword & _INTERPOLATE and not controlword & ControlBit.HALT
+        ran = previous & _INTERPOLATE and not previous & ControlBit.HALT
+        if runs and not ran:
+            self._active = True
+            self._warning = False
+        elif self._active and not runs:
+            self._active = False
+            self._halt()
+
+    @property
+    def is_full(self) -> bool:
+        """True if the FIFO takes no further set-point."""
+        return self._queues and len(self._buffer) >= self._size
+
+    @property
+    def _size(self) -> int:
+        return max(1, self.servo.parameter(objects.MAXIMUM_BUFFER_SIZE)) if self._queues else 1
+
+    def written(self, key: int) -> None:
+        if key == objects.INTERPOLATION_SET_POINT:
+            self._push(self.servo.parameter(key))
+        elif key == objects.BUFFER_CLEAR:
+            self._queues = bool(self.servo.parameter(key))
+            if not self._queues:
+                self._buffer.clear()
+        self._show_size()
+
+    def _push(self, set_point: int) -> None:
+        buffer = self._buffer
+        if len(buffer) >= self._size:
+            is_ring = self.servo.parameter(objects.BUFFER_ORGANISATION) == 1
+            lost = buffer.popleft() if is_ring or not self._queues else set_point
+            if self._queues:
+                self.out.events.append(SetPointLost(self.node_id, lost))
+                if not is_ring:
+                    return
+        buffer.append(set_point)
+
+    def _show_size(self) -> None:
+        self.servo.store[objects.ACTUAL_BUFFER_SIZE] = len(self._buffer)
+
+    def on_sync(self) -> None:
+        if not self._active:
+            return
+        servo = self.servo
+        if self._buffer:
+            servo.interpolate(self._buffer.popleft() + servo.zero)
+            self._show_size()
+        elif servo.moving_at:
+            self._active = False
+            self._warning = True
+            self._halt()
+            self.out.events.append(SetPointUnderrun(self.node_id))
+
+    @property
+    def status(self) -> int:
+        return self._active * ModeStatus.IP_MODE_ACTIVE | self._warning * StatusBit.WARNING | self._reached()
+
+
+class CyclicPosition(OperationMode):
+    """Cyclic synchronous position mode (csp): each SYNC takes 607Ah as it is then."""
+
+    __slots__ = ()
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        if controlword & ~previous & ControlBit.HALT:
+            self._halt()
+
+    def on_sync(self) -> None:
+        if not self.is_halted:
+            self.servo.interpolate(self.servo.parameter(objects.TARGET_POSITION) + self.servo.zero)
+
+    @property
+    def status(self) -> int:
+        return 0 if self.is_halted else ModeStatus.FOLLOWS_COMMAND
+
+
+class ProfileVelocity(OperationMode):
+    """Profile velocity mode (pv): 60FFh, with the ramps of 6083h and 6084h, as soon as it is written."""
+
+    __slots__ = ("_speed", "_target")
+
+    listens_to = frozenset((objects.TARGET_VELOCITY,))
+
+    def enter(self) -> None:
+        self._target = 0.0
+        self._speed = 0.0
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        if controlword & ~previous & ControlBit.HALT:
+            self._target = self._speed = 0.0
+            self._halt()
+        else:
+            self._follow()
+
+    def written(self, key: int) -> None:
+        self._follow()
+
+    def _commanded(self) -> float:
+        return float(self.servo.parameter(objects.TARGET_VELOCITY))
+
+    def _follow(self) -> None:
+        if self.is_halted:
+            return
+        target = self._commanded()
+        if target != self._target:
+            self._target = target
+            servo = self.servo
+            servo.internal_limit = False
+            rates = servo.rate(objects.PROFILE_ACCELERATION), servo.rate(objects.PROFILE_DECELERATION)
+            self._speed = servo.run(target, *rates)
+
+    def tick(self) -> None:
+        self.servo.internal_limit = self._target != 0.0 and self.servo.at_rest  # it stands at a software limit
+
+    @property
+    def status(self) -> int:
+        stands = not self.servo.is_moving
+        reached = abs(self.servo.demand_velocity - self._speed) < 1.0
+        return reached * StatusBit.TARGET_REACHED | stands * ModeStatus.SPEED_ZERO
+
+
+class Velocity(ProfileVelocity):
+    """Velocity mode (vl) of frequency converters: 6042h, while bits 4, 5 and 6 of the controlword let it through."""
+
+    __slots__ = ()
+
+    listens_to = frozenset((objects.VL_TARGET_VELOCITY,))
+    _THROUGH: Final = ModeControl.ENABLE_RAMP | ModeControl.UNLOCK_RAMP | ModeControl.REFERENCE_RAMP
+
+    def _commanded(self) -> float:
+        through = self.controlword & self._THROUGH == self._THROUGH
+        return float(self.servo.parameter(objects.VL_TARGET_VELOCITY)) if through else 0.0
+
+    @property
+    def status(self) -> int:
+        return 0

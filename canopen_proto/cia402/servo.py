@@ -1,0 +1,310 @@
+"""The mechanics of the simulated drive: a track with switches, and a servo that moves along it.
+
+Theory of operation
+-------------------
+A `Servo` has a demand (a `motion.Profile`) and an actual position that follows it with a first-order lag. Both are closed forms,
+so nothing is stepped: `advance(now)` goes from the last look to this one exactly, whatever lies between. A blocked axis stays
+where it is while its demand moves on, which is how a following error comes about.
+
+Positions inside are those of the track. The user's are `track position - zero`; homing sets `zero`. Rates and speeds come from
+the object dictionary at the moment of planning, in units, units/s and units/s² (one count is one user-defined unit). A dictionary
+that lacks an object gets the value in FALLBACKS; a speed or rate of 0 counts as 1, which is as good as standing and always ends.
+
+Left out: factor group (608Fh to 6096h), polarity (607Eh), limited torque. Limit switches matter for homing and 60FDh only.
+
+Source: IEC 61800-7-201 (CiA 402-2), position control function, homing mode.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+from canopen_proto.cia402 import motion, objects
+from canopen_proto.datatypes import Value
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+
+FALLBACKS: Final[dict[int, int]] = {
+    objects.QUICK_STOP_OPTION_CODE: 2,
+    objects.SHUTDOWN_OPTION_CODE: 0,
+    objects.DISABLE_OPERATION_OPTION_CODE: 1,
+    objects.HALT_OPTION_CODE: 1,
+    objects.FAULT_REACTION_OPTION_CODE: 2,
+    objects.FOLLOWING_ERROR_WINDOW: 10_000,
+    objects.FOLLOWING_ERROR_TIME_OUT: 100,
+    objects.POSITION_WINDOW: 10,
+    objects.POSITION_WINDOW_TIME: 0,
+    objects.MIN_SOFTWARE_POSITION_LIMIT: -(2**31),
+    objects.MAX_SOFTWARE_POSITION_LIMIT: 2**31 - 1,
+    objects.MAX_PROFILE_VELOCITY: 2**32 - 1,
+    objects.PROFILE_VELOCITY: 20_000,
+    objects.PROFILE_ACCELERATION: 100_000,
+    objects.PROFILE_DECELERATION: 100_000,
+    objects.QUICK_STOP_DECELERATION: 400_000,
+    objects.HOMING_SPEED_SEARCH_SWITCH: 20_000,
+    objects.HOMING_SPEED_SEARCH_ZERO: 10_000,
+    objects.HOMING_ACCELERATION: 100_000,
+    objects.INTERPOLATION_TIME_UNITS: 8,
+    objects.INTERPOLATION_TIME_INDEX: -3,
+    objects.MAXIMUM_BUFFER_SIZE: 1,
+    objects.MAX_ACCELERATION: 2**32 - 1,
+    objects.MAX_DECELERATION: 2**32 - 1,
+}
+"""What a drive does whose dictionary lacks the object (the Schunk shape has few of them), and the standard shape's defaults."""
+
+UNLIMITED: Final = 2**32 - 1
+"""6065h, 6067h: the window is switched off."""
+
+_AT_REST: Final = 0.01  # units between demand and actual position below which the axis counts as arrived
+_MIN_PERIOD: Final = 1e-6  # s; what an interpolation time of 0, which an RPDO can write, counts as
+_STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error: friction, for 6077h to show something
+_RATED_TORQUE: Final = 1000
+
+
+class Shape(Enum):
+    """Which drive is simulated."""
+
+    STANDARD = "standard"
+    """As CiA 402 has it: pp, pv, hm, ip, csp."""
+    SCHUNK_POWERBALL = "schunk"
+    """A Powerball joint as the manual knows it: 6502h = 43h (pp, vl, ip), homes by mode 6 all the same and without 6098h; bit 8
+    of the statusword says that it moves, bit 15 that it is referenced."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What the axis can run into and be homed by, in track positions.
+
+    A limit switch is active at and beyond its position, the home switch from home_switch[0] to home_switch[1] (either may be
+    infinite: a switch that stays active to the end of the track). Index pulses stand at index_offset + n * index_distance.
+    """
+
+    negative_limit: float = -180_000.0
+    positive_limit: float = 180_000.0
+    home_switch: tuple[float, float] = (-10_000.0, 10_000.0)
+    index_offset: float = 1_000.0
+    index_distance: float = 36_000.0
+
+    def inputs_at(self, position: float) -> int:
+        """The low bits of 60FDh there: negative limit switch, positive limit switch, home switch."""
+        low, high = self.home_switch
+        return (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """What a simulated drive is like beyond its dictionary.
+
+    position: where on the track it stands at power-on, and what it shows before it is homed. lag: time constant with which the
+    actual position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated one.
+    self_test: from power-on to Switch on disabled, ns. homing_method: how a Schunk Powerball homes, which has no say in 6098h.
+    """
+
+    shape: Shape = Shape.STANDARD
+    position: float = 3_000.0
+    track: Track = field(default_factory=Track)
+    lag: Time = 5 * MILLISECOND
+    load: int = 30
+    self_test: Time = 0
+    homing_method: int = 19
+
+
+class Servo:
+    """The moving part of a drive; see this module's text. All planning is from `time`, so `advance(now)` goes before it.
+
+    is_settled: demand and axis are at rest at the same place. internal_limit: the last demand was cut (statusword, bit 11).
+    """
+
+    __slots__ = (
+        "_lag",
+        "_step",
+        "demand",
+        "demand_position",
+        "demand_velocity",
+        "internal_limit",
+        "is_blocked",
+        "is_powered",
+        "is_settled",
+        "position",
+        "settings",
+        "store",
+        "time",
+        "velocity",
+        "zero",
+    )
+
+    def __init__(self, store: dict[int, Value], settings: DriveSettings) -> None:
+        self.store = store
+        self.settings = settings
+        self.time: Time = -NEVER  # before any time that a clock may show
+        self.zero = 0.0
+        self.position = self.demand_position = float(settings.position)
+        self.velocity = self.demand_velocity = 0.0
+        self.demand = motion.hold(self.time, self.position)
+        self.is_settled = True
+        self.is_blocked = False
+        self.is_powered = False
+        self.internal_limit = False
+        self._lag = settings.lag / SECOND
+        self._step: motion.Profile | None = None
+
+    # ---- the dictionary's numbers ----
+
+    def parameter(self, key: int) -> int:
+        """The object as it is now, or its fallback."""
+        value = self.store.get(key)
+        return value if isinstance(value, int) else FALLBACKS.get(key, 0)
+
+    def rate(self, key: int) -> float:
+        """A speed or an acceleration; at least 1."""
+        return float(max(1, self.parameter(key)))
+
+    def ramp(self, option: int) -> float:
+        """The deceleration that an option code asks for: 1 slow-down ramp, 2 quick stop ramp, 3 and 4 as hard as it can.
+
+        What is none of these brakes by the quick stop ramp: an RPDO can write any option.
+        """
+        if option == 1:
+            return self.rate(objects.PROFILE_DECELERATION)
+        return self.rate(objects.MAX_DECELERATION if option in (3, 4) else objects.QUICK_STOP_DECELERATION)
+
+    def limits(self) -> tuple[float, float]:
+        """The software position limits (607Dh) on the track; infinite where the lower is not below the upper one (off)."""
+        low = self.parameter(objects.MIN_SOFTWARE_POSITION_LIMIT)
+        high = self.parameter(objects.MAX_SOFTWARE_POSITION_LIMIT)
+        return (low + self.zero, high + self.zero) if low < high else (-math.inf, math.inf)
+
+    def interpolation_period(self) -> float:
+        """60C2h in seconds."""
+        index = max(-9, min(9, self.parameter(objects.INTERPOLATION_TIME_INDEX)))
+        return max(_MIN_PERIOD, self.parameter(objects.INTERPOLATION_TIME_UNITS) * 10.0**index)
+
+    # ---- time ----
+
+    def advance(self, now: Time) -> None:
+        """Move on to `now`. A time that runs back counts as the last one."""
+        since = self.time
+        if now <= since:
+            return
+        self.time = now
+        if self.is_settled:
+            return
+        demand = self.demand
+        self.demand_position, self.demand_velocity, _ = demand.at(now)
+        if self.is_blocked:
+            return
+        if self._lag:
+            self.position = motion.follow(demand, self.position, since, now, self._lag)
+            self.velocity = (self.demand_position - self.position) / self._lag
+        else:
+            self.position, self.velocity = self.demand_position, self.demand_velocity
+        if demand.at_rest(now) and abs(self.demand_position - self.position) < _AT_REST:
+            self.position, self.velocity = self.demand_position, 0.0
+            self.is_settled = True
+
+    @property
+    def at_rest(self) -> bool:
+        """True if the demand is: the last motion is commanded to its end."""
+        return self.demand.at_rest(self.time)
+
+    @property
+    def is_moving(self) -> bool:
+        """True while it moves or is about to, as far as one can see."""
+        return not self.at_rest or abs(self.velocity) >= 1.0
+
+    @property
+    def following_error(self) -> float:
+        return self.demand_position - self.position
+
+    @property
+    def torque(self) -> int:
+        """6077h, per mille of the rated torque."""
+        if not self.is_powered:
+            return 0
+        return round(max(-_RATED_TORQUE, min(_RATED_TORQUE, self.settings.load + _STIFFNESS * self.following_error)))
+
+    # ---- planning ----
+
+    def move_to(self, target: float, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
+        """Go to a track position and stop there. Returns where it will stop: a software limit may lie before the target."""
+        speed = min(velocity, self.rate(objects.MAX_PROFILE_VELOCITY))
+        if limited:
+            target = self._clip(target)
+        here, now_at = self.demand_position, self.moving_at
+        self._plan(motion.move(self.time, here, now_at, target, speed, *self._clip_rates(acceleration, deceleration)))
+        return target
+
+    def run(self, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
+        """Go on at a velocity for ever, or to the software limit in that direction. Returns the velocity as 607Fh limits it."""
+        fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
+        velocity = max(-fastest, min(fastest, velocity))
+        rates = self._clip_rates(acceleration, deceleration)
+        here, now_at = self.demand_position, self.moving_at
+        low, high = self.limits()
+        bound = max(high, here) if velocity > 0 else min(low, here)
+        if velocity and limited and math.isfinite(bound):
+            self._plan(motion.move(self.time, here, now_at, bound, abs(velocity), *rates))
+        else:
+            self._plan(motion.run(self.time, here, now_at, velocity, *rates))
+        return velocity
+
+    def interpolate(self, target: float) -> None:
+        """One step of ip or csp: be at `target` one interpolation period from now, in a straight line.
+
+        A step beyond the drive's speed or acceleration is approached by a profile instead, as fast as it may: internal limit.
+        """
+        target = self._clip(target)
+        period = self.interpolation_period()
+        here, now_at = self.demand_position, self.moving_at
+        velocity = (target - here) / period
+        fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
+        acceleration, deceleration = self.rate(objects.MAX_ACCELERATION), self.rate(objects.MAX_DECELERATION)
+        change = (acceleration if abs(velocity) > abs(now_at) else deceleration) * period
+        if abs(velocity) > fastest or abs(velocity - now_at) > change:
+            self.internal_limit = True
+            self._plan(motion.move(self.time, here, now_at, target, fastest, acceleration, deceleration))
+        else:
+            self._plan(motion.line(self.time, here, target, period))
+            self._step = self.demand
+
+    def brake(self, deceleration: float) -> None:
+        """Stop where that ramp ends."""
+        self._plan(motion.stop(self.time, self.demand_position, self.moving_at, deceleration))
+
+    def release(self) -> None:
+        """Take the power off: the brake holds the axis where it is, and the demand is there too."""
+        self.is_powered = False
+        self.internal_limit = False
+        self._plan(motion.hold(self.time, self.position))
+        self.demand_position, self.demand_velocity, self.velocity = self.position, 0.0, 0.0
+        self.is_settled = True
+
+    def block(self, blocked: bool) -> None:
+        """Hold the axis against its drive, or let it go."""
+        self.is_blocked = blocked
+        if blocked:
+            self.velocity = 0.0
+
+    @property
+    def moving_at(self) -> float:
+        """The demand's velocity. An interpolation step that has just ended still counts as under way: the next one joins it."""
+        step = self._step
+        if step is not None and step.end <= self.time < 2 * step.end - step.start:
+            return step.pieces[0][2]
+        return self.demand_velocity
+
+    def _plan(self, profile: motion.Profile) -> None:
+        self.demand = profile
+        self.demand_position, self.demand_velocity, _ = profile.at(self.time)
+        self.is_settled = False
+        self._step = None
+
+    def _clip(self, target: float) -> float:
+        low, high = self.limits()
+        self.internal_limit = not low <= target <= high
+        return max(low, min(high, target))
+
+    def _clip_rates(self, acceleration: float, deceleration: float) -> tuple[float, float]:
+        return min(acceleration, self.rate(objects.MAX_ACCELERATION)), min(deceleration, self.rate(objects.MAX_DECELERATION))

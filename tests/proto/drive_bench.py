@@ -1,0 +1,116 @@
+"""A simulated drive on a bench: written to as a node would, with time that runs as fast as one likes."""
+
+from __future__ import annotations
+
+from canopen_proto.cia402.drive import Drive, DriveStateChanged, StatuswordChanged
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.servo import DriveSettings
+from canopen_proto.cia402.states import State, state_of
+from canopen_proto.dictionary.model import ObjectDictionary, mux
+from canopen_proto.dictionary.values import Values
+from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
+
+NODE_ID = 12
+STATES = list(State)
+
+
+class Bench:
+    """One drive, powered on at `now` = 1 s. Objects by index (and subindex); times in ms."""
+
+    def __init__(self, settings: DriveSettings | None = None, dictionary: ObjectDictionary | None = None) -> None:
+        settings = settings or DriveSettings()
+        self.out = Outbox()
+        self.values = Values(dictionary or drive_dictionary(settings.shape), NODE_ID)
+        self.drive = Drive(self.out, NODE_ID, self.values, settings)
+        self.now: Time = SECOND
+        self.drive.reset(self.now)
+
+    def write(self, index: int, value: int, subindex: int = 0) -> None:
+        """As an SDO download: checked, stored, told. The drive must take it."""
+        assert self.drive.check_write(index, subindex, value) is None
+        self.put(index, value, subindex)
+
+    def put(self, index: int, value: int, subindex: int = 0) -> None:
+        """As an RPDO: stored and told, whatever it is."""
+        self.values.store[mux(index, subindex)] = value
+        self.drive.written(index, subindex, self.now)
+
+    def preset(self, index: int, value: int, subindex: int = 0) -> None:
+        """Stored only, before it matters."""
+        self.values.store[mux(index, subindex)] = value
+
+    def control(self, *words: int) -> State:
+        """Write control words one after the other; the state that the drive then shows."""
+        for word in words:
+            self.write(0x6040, word)
+        return self.state
+
+    def enable(self, mode: int) -> None:
+        """Into Operation enabled in a mode."""
+        self.write(0x6060, mode)
+        assert self.control(0x06, 0x07, 0x0F) is State.OPERATION_ENABLED
+        assert self.read(0x6061) == mode
+
+    def bring_to(self, state: State) -> None:
+        """By commands and faults into a state; into Fault reaction active and Quick stop active while the axis still brakes."""
+        words: dict[State, list[int]] = {
+            State.SWITCH_ON_DISABLED: [],
+            State.READY_TO_SWITCH_ON: [0x06],
+            State.SWITCHED_ON: [0x06, 0x07],
+            State.FAULT: [],
+        }
+        if state in words:
+            self.control(*words[state])
+        else:
+            self.preset(0x60FF, 20_000)
+            self.enable(3)
+            self.run(500)
+        if state is State.QUICK_STOP_ACTIVE:
+            self.control(0x02)
+        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self.drive.raise_fault(0x5000, self.now)
+        assert self.state is state
+
+    def run(self, milliseconds: float) -> None:
+        """Let time pass, waking the drive when it asks for it."""
+        until = self.now + round(milliseconds * MILLISECOND)
+        while self.drive.deadline <= until:
+            self.now = max(self.now, self.drive.deadline)
+            self.drive.handle_timeout(self.now)
+        self.now = until
+        self.drive.refresh(self.now)
+
+    def sync(self, period: float = 10) -> None:
+        """Let `period` pass, then a SYNC as a node handles it."""
+        self.run(period)
+        self.drive.on_sync(self.now)
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        value = self.values.store[mux(index, subindex)]
+        assert isinstance(value, int)
+        return value
+
+    @property
+    def state(self) -> State:
+        """As the statusword shows it, which must be the drive's own opinion."""
+        state = state_of(self.read(0x6041))
+        assert state is self.drive.state
+        return state
+
+    @property
+    def position(self) -> int:
+        return self.read(0x6064)
+
+    def has(self, *bits: int) -> bool:
+        """Whether the statusword has all these bits."""
+        return all(self.read(0x6041) >> bit & 1 for bit in bits)
+
+    def events(self, kind: type[Event] | None = None) -> list[Event]:
+        """What was reported since the last call, but for changes of the statusword; or only those of one kind."""
+        events = [each for each in self.out.events if not isinstance(each, StatuswordChanged)]
+        self.out.events.clear()
+        return events if kind is None else [each for each in events if isinstance(each, kind)]
+
+    def transitions(self) -> list[int]:
+        """The numbers of the transitions since the last look at the events."""
+        return [each.transition for each in self.events() if isinstance(each, DriveStateChanged)]

@@ -1,0 +1,508 @@
+"""The simulated drive's state machine: each state with each command, option codes, faults, lost connections, and any sequence."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from canopen_proto.cia402.drive import STEP, Drive, DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.servo import DriveSettings
+from canopen_proto.cia402.states import TRANSITIONS, Command, State, command_of, state_of
+from canopen_proto.dictionary.values import Values
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Outbox
+from canopen_proto.sdo.abort import AbortCode
+from tests.proto.drive_bench import NODE_ID, Bench
+
+REACHABLE = [state for state in State if state not in (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)]
+WORDS = [0x00, 0x01, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x86]
+
+
+def test_power_on_goes_through_transitions_0_and_1() -> None:
+    bench = Bench()
+    assert bench.events() == [
+        DriveStateChanged(NODE_ID, State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON, 0),
+        DriveStateChanged(NODE_ID, State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED, 1),
+    ]
+    assert bench.state is State.SWITCH_ON_DISABLED
+    assert bench.drive.deadline == NEVER
+
+
+def test_a_self_test_takes_its_time_and_hears_no_command() -> None:
+    bench = Bench(DriveSettings(self_test=200 * MILLISECOND))
+    assert bench.state is State.NOT_READY_TO_SWITCH_ON
+    bench.run(199)
+    bench.put(0x6040, 0x06)
+    assert bench.state is State.NOT_READY_TO_SWITCH_ON
+    bench.run(1)
+    assert bench.state is State.SWITCH_ON_DISABLED
+    assert bench.control(0x06) is State.READY_TO_SWITCH_ON
+
+
+def test_before_power_on_nothing_happens_and_nothing_raises() -> None:
+    drive = Drive(Outbox(), NODE_ID, Values(drive_dictionary(), NODE_ID), DriveSettings())
+    drive.written(0x6040, 0, 5)
+    drive.on_sync(6)
+    drive.connection_lost(7)
+    drive.raise_fault(0x5000, 8)
+    drive.block(True, 9)
+    drive.refresh(10)
+    drive.handle_timeout(11)
+    assert drive.state is State.UNKNOWN
+    assert not [each for each in drive.out.events if not isinstance(each, StatuswordChanged)]
+
+
+@pytest.mark.parametrize("state", REACHABLE)
+@pytest.mark.parametrize("word", WORDS)
+def test_each_state_with_each_command(state: State, word: int) -> None:
+    bench = Bench()
+    bench.preset(0x605A, 6)  # stay in Quick stop active, so that transition 16 is possible
+    bench.preset(0x605B, 0)
+    bench.preset(0x605C, 0)
+    bench.bring_to(state)
+    bench.events()
+    bench.control(word)
+    command = command_of(word, previous=0x0F)
+    expected, arcs = state, []
+    while command is not None and (arc := TRANSITIONS.get((expected, command))) is not None:
+        expected = arc[0]
+        arcs.append(arc[1])
+    assert bench.transitions() == arcs
+    assert bench.state is expected
+
+
+def test_switch_on_and_enable_in_one_word_is_two_transitions() -> None:
+    bench = Bench()
+    bench.control(0x06)
+    bench.events()
+    assert bench.control(0x0F) is State.OPERATION_ENABLED
+    assert bench.transitions() == [3, 4]
+
+
+def test_the_statusword_of_each_state() -> None:
+    words = {
+        State.SWITCH_ON_DISABLED: 0x0240,
+        State.READY_TO_SWITCH_ON: 0x0221,
+        State.SWITCHED_ON: 0x0233,
+        State.FAULT: 0x0208,
+    }
+    for state, word in words.items():
+        bench = Bench()
+        bench.bring_to(state)
+        assert bench.read(0x6041) == word
+
+
+def test_a_word_that_only_stands_commands_nothing() -> None:
+    bench = Bench()
+    bench.preset(0x605A, 2)
+    bench.bring_to(State.QUICK_STOP_ACTIVE)
+    bench.control(0x06)  # means nothing in Quick stop active, but it stands ...
+    bench.run(1000)
+    assert bench.state is State.SWITCH_ON_DISABLED  # ... and does not act when the state has changed,
+    assert bench.control(0x06) is State.READY_TO_SWITCH_ON  # but when it is written again
+
+
+# ---- faults ----
+
+
+def test_fault_and_reset_on_the_rising_edge_only() -> None:
+    bench = Bench()
+    bench.control(0x06, 0x07, 0x0F)
+    bench.events()
+    bench.drive.raise_fault(0x4310, bench.now)
+    assert bench.events() == [
+        DriveFault(NODE_ID, 0x4310, 0x09),  # generic and temperature
+        DriveStateChanged(NODE_ID, State.OPERATION_ENABLED, State.FAULT_REACTION_ACTIVE, 13),
+        DriveStateChanged(NODE_ID, State.FAULT_REACTION_ACTIVE, State.FAULT, 14),
+    ]
+    assert bench.read(0x603F) == 0x4310
+    assert bench.control(0x06, 0x07, 0x0F) is State.FAULT
+    assert bench.control(0x80) is State.SWITCH_ON_DISABLED
+    assert bench.events()[-1] == DriveFaultCleared(NODE_ID, 0x4310)
+    assert bench.read(0x603F) == 0
+    bench.drive.raise_fault(0x4310, bench.now)
+    assert bench.control(0x80) is State.FAULT  # the bit stood: no edge
+    assert bench.control(0x00, 0x80) is State.SWITCH_ON_DISABLED
+
+
+def test_a_fault_whose_cause_lasts_cannot_be_reset() -> None:
+    bench = Bench()
+    bench.drive.raise_fault(0x3210, bench.now, lasting=True)
+    assert bench.control(0x00, 0x80) is State.FAULT
+    bench.drive.reset(bench.now)
+    assert bench.state is State.FAULT  # power-on does not help either
+    bench.drive.end_fault(0x3210)
+    assert bench.control(0x00, 0x80) is State.SWITCH_ON_DISABLED
+
+
+def test_a_second_fault_is_told_and_the_same_again_is_not() -> None:
+    bench = Bench()
+    bench.drive.raise_fault(0x3210, bench.now)
+    bench.drive.raise_fault(0x4310, bench.now)
+    bench.drive.raise_fault(0x3210, bench.now)
+    assert [each.error_code for each in bench.events(DriveFault)] == [0x3210, 0x4310]
+    assert bench.read(0x603F) == 0x4310
+    bench.control(0x80)
+    assert [each.error_code for each in bench.events(DriveFaultCleared)] == [0x3210, 0x4310]
+
+
+@pytest.mark.parametrize(("option", "braking"), [(0, 0.0), (1, 200.0), (2, 50.0), (3, 0.1), (4, 0.1)])
+def test_fault_reaction_option_code(option: int, braking: float) -> None:
+    bench = Bench()
+    bench.preset(0x605E, option)
+    bench.preset(0x60C6, 1_000_000_000)
+    bench.bring_to(State.OPERATION_ENABLED)  # at 20000 units/s; 6084h = 100000, 6085h = 400000
+    bench.drive.raise_fault(0x5000, bench.now)
+    if braking:
+        assert bench.state is State.FAULT_REACTION_ACTIVE
+        bench.run(braking - 0.09)
+        assert bench.state is State.FAULT_REACTION_ACTIVE
+        bench.run(0.09)
+    assert bench.state is State.FAULT
+    assert bench.read(0x606C) == 0
+
+
+# ---- quick stop, shutdown, disable operation ----
+
+
+@pytest.mark.parametrize(
+    ("option", "braking", "stays"),
+    [
+        (0, 0.0, False),
+        (1, 200.0, False),
+        (2, 50.0, False),
+        (3, 0.1, False),
+        (4, 0.1, False),
+        (5, 200.0, True),
+        (6, 50.0, True),
+        (7, 0.1, True),
+        (8, 0.1, True),
+    ],
+)
+def test_quick_stop_option_code(option: int, braking: float, stays: bool) -> None:
+    bench = Bench()
+    bench.preset(0x605A, option)
+    bench.preset(0x60C6, 1_000_000_000)
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.events()
+    bench.control(0x02)
+    where = bench.position
+    if braking:
+        assert bench.state is State.QUICK_STOP_ACTIVE
+        assert not bench.has(5)
+        bench.run(braking - 0.09)
+        assert bench.state is State.QUICK_STOP_ACTIVE
+        bench.run(0.09)
+    if stays:
+        bench.run(500)
+        assert bench.state is State.QUICK_STOP_ACTIVE
+        assert bench.has(10)  # it stands
+        assert bench.control(0x0F) is State.OPERATION_ENABLED
+        assert bench.transitions() == [11, 16]
+    else:
+        assert bench.state is State.SWITCH_ON_DISABLED
+        assert bench.transitions() == [11, 12]
+    assert bench.position - where <= 20_000 * braking / 1000 / 2 + 101  # half the time at full speed, and the lag
+
+
+def test_transition_16_is_refused_where_the_drive_will_not_stay() -> None:
+    bench = Bench()
+    bench.preset(0x605A, 1)
+    bench.bring_to(State.QUICK_STOP_ACTIVE)
+    assert bench.control(0x0F) is State.QUICK_STOP_ACTIVE
+    bench.run(1000)
+    assert bench.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize(
+    ("index", "word", "state", "number"),
+    [(0x605B, 0x06, State.READY_TO_SWITCH_ON, 8), (0x605C, 0x07, State.SWITCHED_ON, 5)],
+)
+def test_shutdown_and_disable_operation_option_codes(index: int, word: int, state: State, number: int) -> None:
+    bench = Bench()
+    bench.preset(index, 0)
+    bench.bring_to(State.OPERATION_ENABLED)
+    assert bench.control(word) is state
+    assert bench.read(0x606C) == 0
+
+    bench = Bench()
+    bench.preset(index, 1)
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.events()
+    assert bench.control(word) is State.OPERATION_ENABLED  # it goes down the ramp first
+    bench.run(100)
+    assert bench.control(word) is State.OPERATION_ENABLED  # as each PDO says again
+    bench.run(99)
+    assert bench.state is State.OPERATION_ENABLED
+    bench.run(1)
+    assert bench.state is state
+    assert bench.transitions() == [number]
+
+
+def test_a_shutdown_that_is_taken_back_leaves_the_drive_enabled_and_standing() -> None:
+    bench = Bench()
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.control(0x06)
+    bench.run(50)
+    assert bench.control(0x0F) is State.OPERATION_ENABLED
+    bench.preset(0x60FF, 0)
+    bench.put(0x60FF, 0)
+    bench.run(500)
+    assert bench.state is State.OPERATION_ENABLED
+    assert bench.read(0x606C) == 0
+
+
+def test_other_commands_overtake_a_shutdown_ramp() -> None:
+    bench = Bench()
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.control(0x06)
+    assert bench.control(0x07) is State.OPERATION_ENABLED
+    bench.run(500)
+    assert bench.state is State.SWITCHED_ON  # the later one counts
+
+    bench = Bench()
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.control(0x06)
+    assert bench.control(0x02) is State.QUICK_STOP_ACTIVE
+
+    bench = Bench()
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.control(0x06)
+    assert bench.control(0x00) is State.SWITCH_ON_DISABLED
+
+
+# ---- connection lost ----
+
+
+@pytest.mark.parametrize(
+    ("option", "from_enabled", "from_switched_on"),
+    [
+        (0, [], []),
+        (1, [13, 14], [13, 14]),
+        (2, [9], [10]),
+        (3, [11, 12], [10]),
+    ],
+)
+def test_abort_connection_option_code(option: int, from_enabled: list[int], from_switched_on: list[int]) -> None:
+    for words, expected in (([0x06, 0x07, 0x0F], from_enabled), ([0x06, 0x07], from_switched_on)):
+        bench = Bench()
+        bench.write(0x6007, option)
+        bench.control(*words)
+        bench.events()
+        bench.drive.connection_lost(bench.now)
+        assert bench.transitions() == expected
+        bench.drive.connection_lost(bench.now)  # NMT stop, and the heartbeat is lost too: once is enough
+        bench.drive.nmt_stopped(bench.now)
+        bench.run(100)
+        assert [each for each in bench.transitions() if each != 9] == []
+
+
+def test_a_lost_connection_as_a_fault_has_its_own_error_code() -> None:
+    bench = Bench()
+    bench.write(0x6007, 1)
+    bench.drive.connection_lost(bench.now)
+    assert bench.events(DriveFault) == [DriveFault(NODE_ID, 0x8130, 0x11)]
+    bench = Bench()
+    bench.write(0x6007, 1)
+    bench.drive.nmt_stopped(bench.now)
+    assert bench.events(DriveFault) == [DriveFault(NODE_ID, 0x8100, 0x11)]
+
+
+# ---- what may be written ----
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "value", "verdict"),
+    [
+        (0x6060, 0, 1, None),
+        (0x6060, 0, 0, None),
+        (0x6060, 0, 2, AbortCode.INVALID_VALUE),  # vl: not in 6502h
+        (0x6060, 0, 4, AbortCode.INVALID_VALUE),
+        (0x6060, 0, -1, AbortCode.INVALID_VALUE),
+        (0x6098, 0, 33, None),
+        (0x6098, 0, 1, AbortCode.INVALID_VALUE),
+        (0x605A, 0, 8, None),
+        (0x605A, 0, 9, AbortCode.INVALID_VALUE),
+        (0x605D, 0, 0, AbortCode.INVALID_VALUE),
+        (0x6086, 0, 3, AbortCode.INVALID_VALUE),
+        (0x60C2, 1, 0, AbortCode.INVALID_VALUE),
+        (0x60C2, 2, -4, None),
+        (0x60C2, 2, 1, AbortCode.INVALID_VALUE),
+        (0x607A, 0, -(2**31), None),
+        (0x1008, 0, "text", None),  # not the drive's business
+    ],
+)
+def test_values_that_the_drive_lacks_are_refused(index: int, subindex: int, value: int | str, verdict: AbortCode | None) -> None:
+    assert Bench().drive.check_write(index, subindex, value) == verdict
+
+
+def test_a_mode_that_a_pdo_brings_and_the_drive_lacks_changes_nothing() -> None:
+    bench = Bench()
+    bench.enable(1)
+    bench.put(0x6060, 4)
+    assert bench.read(0x6061) == 1
+    bench.put(0x6060, -7)
+    assert bench.read(0x6061) == 1
+
+
+def test_changing_the_mode_of_a_moving_axis_stops_it() -> None:
+    bench = Bench()
+    bench.bring_to(State.OPERATION_ENABLED)
+    bench.write(0x6060, 0)
+    assert bench.read(0x6061) == 0
+    bench.run(400)
+    assert bench.state is State.OPERATION_ENABLED
+    assert bench.read(0x606C) == 0
+    assert bench.drive.deadline == NEVER
+
+
+# ---- time ----
+
+
+def test_early_wakes_do_nothing_and_a_clock_that_runs_back_is_no_matter() -> None:
+    bench = Bench()
+    bench.bring_to(State.OPERATION_ENABLED)
+    shown = dict(bench.values.store)
+    bench.drive.handle_timeout(bench.drive.deadline - 1)
+    bench.drive.refresh(bench.now - SECOND)
+    bench.drive.on_sync(bench.now - SECOND)
+    assert bench.values.store == shown
+
+
+def test_an_enabled_axis_that_stands_needs_no_wakes_and_a_moving_one_few() -> None:
+    bench = Bench()
+    bench.enable(1)
+    bench.run(100)
+    assert bench.drive.deadline == NEVER
+    bench.put(0x607A, 10_000)
+    bench.control(0x1F)
+    assert bench.now < bench.drive.deadline <= bench.now + STEP
+    bench.run(2000)
+    assert bench.drive.deadline == NEVER
+
+
+def test_a_very_late_wake_is_still_right() -> None:
+    bench = Bench()
+    bench.enable(1)
+    bench.put(0x607A, 10_000)
+    bench.control(0x1F)
+    bench.now += 3600 * SECOND
+    bench.drive.handle_timeout(bench.now)
+    assert bench.position == 10_000
+    assert bench.has(10, 12)
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Any control words, faults, lost connections and pauses: the drive never leaves the table, nor raises."""
+
+    @initialize(
+        stop=st.integers(-1, 9),
+        shutdown=st.integers(0, 1),
+        disable=st.integers(0, 1),
+        fault=st.integers(0, 4),
+        lost=st.integers(0, 3),
+    )
+    def power_on(self, stop: int, shutdown: int, disable: int, fault: int, lost: int) -> None:
+        self.bench = Bench()
+        for index, value in ((0x605A, stop), (0x605B, shutdown), (0x605C, disable), (0x605E, fault), (0x6007, lost)):
+            self.bench.preset(index, value)
+        self.bench.events()
+        self.word = 0
+
+    def check(self, first: tuple[int, ...] | None = None) -> None:
+        """What was reported is a walk through the table that ends where the drive is; `first` limits its first transition."""
+        steps = [each for each in self.bench.events() if isinstance(each, DriveStateChanged)]
+        for step in steps:
+            arcs = {arc for (state, _), arc in TRANSITIONS.items() if state is step.previous}
+            assert (step.state, step.transition) in arcs
+        for before, after in itertools.pairwise(steps):
+            assert before.state is after.previous
+        if steps:
+            assert steps[-1].state is self.bench.state
+        if first is not None and steps:
+            assert steps[0].transition in first
+
+    @rule(word=st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x1F, 0x10F, 0x80, 0x8F]) | st.integers(0, 0xFFFF))
+    def command(self, word: int) -> None:
+        before = self.bench.state
+        command = command_of(word, self.word)
+        self.bench.put(0x6040, word)
+        self.word = word
+        arc = TRANSITIONS.get((before, command)) if command is not None else None
+        self.check(first=(arc[1],) if arc else ())
+        ramped = command in (Command.SHUTDOWN, Command.DISABLE_OPERATION, Command.ENABLE_OPERATION)
+        if arc and not ramped:
+            assert self.bench.state is not before or before is State.QUICK_STOP_ACTIVE
+
+    @rule(mode=st.sampled_from([0, 1, 3, 6, 7, 8, 2, -1]))
+    def choose_mode(self, mode: int) -> None:
+        self.bench.put(0x6060, mode)
+        self.check(first=())
+
+    @rule(set_point=st.integers(-(2**31), 2**31 - 1))
+    def give_set_point(self, set_point: int) -> None:
+        for index, subindex in ((0x607A, 0), (0x60C1, 1), (0x60FF, 0)):
+            self.bench.put(index, set_point, subindex)
+        self.check(first=())
+
+    @rule(code=st.sampled_from([0x2310, 0x4310, 0x8611]))
+    def fault(self, code: int) -> None:
+        self.bench.drive.raise_fault(code, self.bench.now)
+        self.check(first=(13,))
+        assert self.bench.state in (State.FAULT_REACTION_ACTIVE, State.FAULT)
+
+    @rule()
+    def lose_the_master(self) -> None:
+        self.bench.drive.connection_lost(self.bench.now)
+        self.check(first=(7, 9, 10, 11, 12, 13))
+
+    @rule(blocked=st.booleans())
+    def block(self, blocked: bool) -> None:
+        self.bench.drive.block(blocked, self.bench.now)
+
+    @rule(milliseconds=st.sampled_from([0.5, 3, 10, 200, 5000]))
+    def wait(self, milliseconds: float) -> None:
+        before = self.bench.state
+        self.bench.run(milliseconds)
+        self.check(first=(5, 8, 12, 13, 14))
+        assert self.bench.state is not State.FAULT_REACTION_ACTIVE or before is not State.SWITCH_ON_DISABLED
+
+    @rule()
+    def sync(self) -> None:
+        self.bench.sync()
+        self.check(first=(5, 8, 12, 13, 14))
+
+    @precondition(lambda self: self.bench.state is State.FAULT)
+    @rule()
+    def reset_fault(self) -> None:
+        self.bench.put(0x6040, 0x00)
+        self.bench.put(0x6040, 0x80)
+        self.word = 0x80
+        assert self.bench.state is State.SWITCH_ON_DISABLED
+        self.check(first=(15,))
+
+    @rule()
+    def power_cycle(self) -> None:
+        self.bench.drive.reset(self.bench.now)
+        self.word = 0
+        assert self.bench.state is State.SWITCH_ON_DISABLED
+        self.check(first=(0,))
+
+    @invariant()
+    def no_power_no_motion(self) -> None:
+        if hasattr(self, "bench"):
+            if self.bench.state in (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.FAULT):
+                assert self.bench.read(0x606B) == 0
+                assert self.bench.read(0x606C) == 0
+            assert (self.bench.read(0x603F) != 0) == (self.bench.state in (State.FAULT, State.FAULT_REACTION_ACTIVE))
+            assert state_of(self.bench.read(0x6041)) is self.bench.drive.state
+            for variable in self.bench.values.dictionary:
+                variable.encode(self.bench.values.store[variable.mux])  # each value fits its type: a TPDO can be built
+
+
+TestAnyOrder = AnyOrder.TestCase
+TestAnyOrder.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
