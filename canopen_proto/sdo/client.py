@@ -14,15 +14,16 @@ announced size against what arrives, and `max_upload`. A fault ends the transfer
 What is not of this transfer is ignored and reported (FrameIgnored) where that is safe:
 - an initiate response or abort for another object: late, of a transfer that we gave up (an abort for 0x0000:00 counts while
   segments go, because a server that lost its transfer cannot name the object);
-- the second copy of the last response, which CAN itself can make: once. Its toggle tells it from the next one;
+- the second copy of the last response, which CAN itself can make. Its toggle tells it from the next one;
 - anything unexpected before the first response, if the transfer before ended without its last response.
 Everything else unexpected is an abort with 0x05040001 or 0x05030000.
 
 What SDO cannot tell apart: a second copy (or a late one, after a timeout or `cancel`) of an answer, and the answer to the *next*
-request, where both transfer the same object in the same direction. `copy_guard` closes that gap by time: such a request waits
-until that long after the end of the one before. It is 0 by default, for buses that make no copies; about a millisecond will do on
-a real one. Under copies that come later still, or out of order, every transfer still ends, but its bytes may be wrong: a
-segmented transfer has a one-bit sequence number and no checksum. Block transfer has one.
+request, where both transfer the same object in the same direction. `copy_guard` closes that gap by time: such a request, and any
+request after a transfer that was given up, waits until that long after the end of the one before. It is 0 by default, for buses
+that make no copies; about a millisecond will do on a real one. Under copies that come later still, or out of order, every
+transfer still ends, but its bytes may be wrong: a segmented transfer has a one-bit sequence number and no checksum. Block
+transfer has one.
 
 Left out: block transfer (files of its own), and network indication. Retries are the caller's: SDO knows no repetition, and a
 repeated download may be executed twice.
@@ -172,7 +173,7 @@ class SdoClient(Machine):
         # What is remembered of responses and of the transfer before
         self._last = b""  # the last accepted response; empty once its copy was seen
         self._unsettled = False  # the transfer before ended without its last response
-        self._ended: Time = 0
+        self._ended: Time = -NEVER
 
     # ---- commands ----
 
@@ -375,7 +376,10 @@ class SdoClient(Machine):
                 self._ignore(frame, "abort of another object's transfer")
         elif specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE) and data[1:4] != self._multiplexer:
             self._ignore(frame, "response about another object")
-        elif self._is_copy(specifier, data):
+        elif specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE) and data[:4] == self._last[:4]:
+            # Up to three: request and answer may both be copied, and the value may have changed between the two answers
+            self._ignore(frame, "second copy of the last response")
+        elif data == self._last:
             self._last = b""  # once
             self._ignore(frame, "second copy of the last response")
         elif self._unsettled:
@@ -384,11 +388,6 @@ class SdoClient(Machine):
             self._abort(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.LOCAL, now)
         else:
             self._abort(AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL, now)
-
-    def _is_copy(self, specifier: int, data: bytes) -> bool:
-        if specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE):
-            return data[:4] == self._last[:4]  # the request was copied: the value may have changed between its two answers
-        return data == self._last
 
     # ---- inside ----
 
@@ -412,7 +411,7 @@ class SdoClient(Machine):
             self.deadline = NEVER
             return
         request = queue[0]
-        if self.copy_guard and now < self._ended + self.copy_guard and self._request.is_like(request):
+        if now < self._ended + self.copy_guard and (self._unsettled or self._request.is_like(request)):
             self._arm(self._ended + self.copy_guard)
             return
         self._begin(queue.popleft(), now)
