@@ -78,7 +78,7 @@ class _Task:
         self.clean_up_by: Time = NEVER
         self.children: list[_Task] = []  # of the AllOf under way
         self.open_children = 0
-        self.failure: Exception | None = None  # the first of its children's
+        self.failure: Exception | None = None  # of the child that failed, if one did
         self.clean_up_error: Exception | None = None  # the first that went wrong in the clean-up of cancelled children
         self.result: object = None
         self.error: Exception | None = None
@@ -296,7 +296,7 @@ class Runner(Machine):
             if was_cancelled:
                 parent.clean_up_error = parent.clean_up_error or child.error
             else:
-                parent.failure = parent.failure or child.error
+                parent.failure = child.error  # the only one: whoever fails from now on was cancelled
                 for sibling in parent.children:
                     self._cancel(sibling, now)
         parent.open_children -= 1

@@ -281,9 +281,57 @@ def test_cancelled_while_a_failures_siblings_clean_up(desk: Desk) -> None:
 def test_a_child_cannot_be_cancelled_from_outside(desk: Desk) -> None:
     request_id = desk.run(all_of(sleep(5), sleep(10)))
     for number in range(request_id + 1, request_id + 5):
-        desk.network.cancel(number, 0)
-    desk.wait(10)
+        cancel(desk, number)
+    desk.wait(9)
+    assert desk.outcomes == {}
+    desk.wait(1)
     assert isinstance(desk.outcomes[request_id], ProcedureFinished)
+
+
+def test_news_that_cancels_is_no_news_to_the_clean_up(desk: Desk) -> None:
+    def failing() -> Procedure[None]:
+        yield from wait_for_event(desk.alarm, Heard, SECOND, "a frame")
+        raise ProcedureError("heard")
+
+    def waiting() -> Procedure[None]:
+        try:
+            yield from wait_for_event(desk.alarm, Heard, SECOND, "a frame")
+        except Cancelled:
+            yield from wait_for_event(desk.alarm, Heard, SECOND, "another frame")
+            raise
+
+    request_id = desk.run(all_of(failing(), waiting()))
+    desk.receive("001#")
+    assert desk.outcomes == {}
+    desk.receive("001#")
+    assert isinstance(desk.outcomes[request_id], ProcedureFailed)
+    assert_idle(desk)
+
+
+def test_a_clean_up_error_that_a_failure_bore_is_not_told_twice(desk: Desk) -> None:
+    def failing() -> Procedure[None]:
+        yield from sleep(5)
+        raise ProcedureError("broken")
+
+    def clumsy() -> Procedure[None]:
+        try:
+            yield from sleep(SECOND)
+        except Cancelled:
+            raise ProcedureError("could not halt") from None
+
+    def parent() -> Procedure[None]:
+        try:
+            yield from all_of(failing(), clumsy())
+        except ProcedureError:
+            yield from all_of(sleep(1), sleep(2))  # and what failed before is over
+            yield from sleep(SECOND)
+
+    request_id = desk.run(parent())
+    for _ in range(3):
+        desk.wait(5)
+    assert desk.outcomes == {}
+    cancel(desk, request_id)
+    assert cancelled(desk, request_id) is None
 
 
 # ---- by its own code ----
