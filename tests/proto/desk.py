@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import NEVER, Event, Outcome, Time
+from canopen_proto.machine import NEVER, Event, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, Request
@@ -78,3 +78,26 @@ def steps(*steps: Any) -> Procedure[Any]:
     for step in steps:
         result = yield step
     return result
+
+
+def cancel(desk: Desk, request_id: RequestId) -> None:
+    """Cancel a procedure now."""
+    desk.network.cancel(request_id, desk.now)
+    desk.drain()
+
+
+def cancelled(desk: Desk, request_id: RequestId) -> Exception | None:
+    """The clean-up error of a procedure that has ended as cancelled, and left nothing behind."""
+    outcome = desk.outcomes[request_id]
+    assert isinstance(outcome, ProcedureCancelled)
+    assert_idle(desk)
+    return outcome.clean_up_error
+
+
+def assert_idle(desk: Desk) -> None:
+    """No procedure runs, and none has left anything behind."""
+    runner = desk.network.runner
+    assert not runner.busy
+    assert runner._requests == {}
+    assert runner.deadline == NEVER
+    assert desk.clerk.open == {}
