@@ -8,7 +8,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, Event, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, Request
+from canopen_proto.procedures.steps import Cancelled, Procedure, Request
 from canopen_proto.sdo.client import SdoClient
 from tests.proto.machines import Alarm, Answered, Clerk
 
@@ -101,3 +101,13 @@ def assert_idle(desk: Desk) -> None:
     assert runner._requests == {}
     assert runner.deadline == NEVER
     assert desk.clerk.open == {}
+
+
+def careful(desk: Desk, name: str, *clean_up: str) -> Procedure[str]:
+    """Asks for `name`, and if it is cancelled for each of `clean_up`."""
+    try:
+        return (yield from desk.ask(name)).name
+    except Cancelled:
+        for each in clean_up:
+            yield from desk.ask(each)
+        raise

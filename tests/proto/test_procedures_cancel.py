@@ -1,4 +1,4 @@
-"""Procedures that are cancelled: at every step, twice, by themselves, with a clean-up that takes too long."""
+"""Procedures that are cancelled: what is taken back, who cleans up when, and cancelling by their own code."""
 
 from __future__ import annotations
 
@@ -19,23 +19,13 @@ from canopen_proto.procedures.steps import (
     upload,
     wait_for_event,
 )
-from tests.proto.desk import Desk, assert_idle, cancel, cancelled, steps
+from tests.proto.desk import Desk, assert_idle, cancel, cancelled, careful, steps
 from tests.proto.machines import Heard
 
 
 @pytest.fixture
 def desk() -> Desk:
     return Desk()
-
-
-def careful(desk: Desk, name: str, *clean_up: str) -> Procedure[str]:
-    """Asks for `name`, and if it is cancelled for each of `clean_up`."""
-    try:
-        return (yield from desk.ask(name)).name
-    except Cancelled:
-        for each in clean_up:
-            yield from desk.ask(each)
-        raise
 
 
 # ---- what is under way is taken back ----
@@ -423,133 +413,6 @@ def test_a_child_that_cancels_the_whole(desk: Desk, directly: bool, delay: Time)
     desk.answer("brake 2", "brake 1")
     assert cancelled(desk, ids[0]) is None
     assert desk.clerk.log[-2:] == ["brake 1!", "brake 2!"]
-
-
-# ---- CLEAN_UP_TIME ----
-
-
-def test_the_time_for_clean_up_is_shared_by_its_steps(desk: Desk) -> None:
-    def slow() -> Procedure[None]:
-        try:
-            yield from sleep(SECOND)
-        except Cancelled:
-            for _ in range(100):
-                yield from sleep(CLEAN_UP_TIME // 10)
-
-    request_id = desk.run(slow())
-    cancel(desk, request_id)
-    for _ in range(9):
-        desk.wait(CLEAN_UP_TIME // 10)
-    assert desk.outcomes == {}
-    desk.wait(CLEAN_UP_TIME // 10)
-    error = cancelled(desk, request_id)
-    assert isinstance(error, CleanUpTimeout)
-    assert str(error) == "the clean-up did not end within 1 s and was given up"
-
-
-def test_a_dead_node_holds_nobody_up_and_the_halt_is_taken_back(desk: Desk) -> None:
-    request_id = desk.run(careful(desk, "a", "halt"))
-    cancel(desk, request_id)
-    assert desk.network.next_deadline() == CLEAN_UP_TIME
-    desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
-    assert desk.clerk.log == ["a", "cancel a", "halt!", "cancel halt"]
-
-
-def test_a_parent_whose_children_take_all_the_time_still_does_what_it_can_do_at_once(desk: Desk) -> None:
-    done: list[str] = []
-
-    def parent() -> Procedure[None]:
-        try:
-            yield from all_of(careful(desk, "a", "halt a"), all_of(careful(desk, "b", "halt b"), sleep(5)))
-        except Cancelled:
-            yield from act(lambda now: done.append("halt by PDO"))
-            yield from all_of(desk.ask("brake"), desk.ask("brake 2"))
-            done.append("never")
-
-    request_id = desk.run(parent())
-    cancel(desk, request_id)
-    desk.wait(CLEAN_UP_TIME)
-    assert done == ["halt by PDO"]
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
-    assert desk.clerk.log[-2:] == ["cancel brake", "cancel brake 2"]
-
-
-def test_a_parent_that_can_do_all_at_once_when_its_children_are_given_up(desk: Desk) -> None:
-    request_id = desk.run(all_of(all_of(careful(desk, "a", "halt a"))))
-    cancel(desk, request_id)
-    desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
-
-
-def test_a_clean_up_side_by_side_is_given_up_with_all_that_it_runs(desk: Desk) -> None:
-    log: list[str] = []
-
-    def reluctant(name: str) -> Procedure[None]:
-        try:
-            yield from all_of(desk.ask(name), sleep(10 * SECOND))
-        except Cancelled:
-            log.append(name)
-            yield from all_of(desk.ask(f"{name} again"), sleep(10 * SECOND))
-
-    def parent() -> Procedure[None]:
-        try:
-            yield from sleep(SECOND)
-        except Cancelled:
-            try:
-                yield from all_of(reluctant("x"), reluctant("y"), desk.ask("z"))
-            except ProcedureError:
-                log.append("the parent is closed and not resumed")
-
-    request_id = desk.run(parent())
-    cancel(desk, request_id)
-    desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
-    assert "the parent is closed and not resumed" not in log
-
-
-def test_a_generator_that_waits_in_finally_is_told_and_ended(desk: Desk) -> None:
-    def improper() -> Procedure[None]:
-        try:
-            yield from sleep(10 * SECOND)
-        finally:
-            yield from sleep(10 * SECOND)
-
-    request_id = desk.run(improper())
-    cancel(desk, request_id)  # Cancelled runs the `finally`, which waits: as bad as waiting in `except Cancelled`
-    desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
-
-    def worse() -> Procedure[None]:
-        try:
-            try:
-                yield from sleep(10 * SECOND)
-            except Cancelled:
-                yield from sleep(10 * SECOND)
-        finally:
-            yield from sleep(10 * SECOND)
-
-    request_id = desk.run(worse())
-    cancel(desk, request_id)
-    desk.wait(CLEAN_UP_TIME)
-    assert str(cancelled(desk, request_id)) == "generator ignored GeneratorExit"
-
-
-def test_a_generator_that_answers_its_closing_with_an_error(desk: Desk) -> None:
-    def answering(answer: BaseException) -> Procedure[None]:
-        try:
-            try:
-                yield from sleep(10 * SECOND)
-            except Cancelled:
-                yield from sleep(10 * SECOND)
-        except GeneratorExit:
-            raise answer from None
-
-    for answer, told in [(ProcedureError("sorry"), "sorry"), (Cancelled(), "the clean-up did not end")]:
-        request_id = desk.run(answering(answer))
-        cancel(desk, request_id)
-        desk.wait(CLEAN_UP_TIME)
-        assert str(cancelled(desk, request_id)).startswith(told)
 
 
 def test_two_procedures_are_independent(desk: Desk) -> None:

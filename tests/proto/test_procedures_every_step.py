@@ -1,4 +1,4 @@
-"""A composite procedure that is cancelled at every step: from outside, twice, with a silent node, and by each of its own parts."""
+"""A composite procedure that is cancelled at every step: from outside, twice, with a silent node, by each of its own parts."""
 
 from __future__ import annotations
 
