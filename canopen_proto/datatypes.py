@@ -225,7 +225,7 @@ class _Real(_Codec):
         if not isinstance(value, float | int):
             raise self.wrong_kind(value, name, "a number")
         try:
-            return self.layout.pack(value)
+            return self.layout.pack(float(value))
         except OverflowError:
             raise ValueRangeError(f"{name}: {_show(value)} is too large for {self.data_type.name}") from None
 

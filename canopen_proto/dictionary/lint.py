@@ -85,7 +85,7 @@ def _against_the_standard(row: IndexRow, where: str) -> Iterator[Finding]:
         yield row.cells[4].warning("read-only", message)
     if row.length != standard.size:
         length = "of any length" if standard.size is None else f"{standard.size} bytes long"
-        yield row.cells[3].warning("length-differs", f"{where} is {standard.name}, which the standard says is {length}")
+        yield row.cells[3].warning("length-differs", f"{where} is {standard.name}, which to the standard is {length}")
 
 
 def _of_constants(rows: Sequence[ConstantRow], objects: Mapping[str, IndexRow]) -> Iterator[Finding]:

@@ -136,8 +136,8 @@ def init(target: str | Path | None = None, *, force: bool = False) -> list[Copie
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return [_copy(name, folder / name, force) for name in (*DICTIONARY_FILES, *CHAIN_FILES)]
-    except OSError as error:
-        raise DataError(f"cannot write to {error.filename or folder}: {error.strerror}", "name another folder") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
+        raise DataError(f"cannot copy the data files to {folder}: {error}", "name another folder") from None
 
 
 def _copy(name: str, path: Path, force: bool) -> Copied:
