@@ -6,6 +6,7 @@ import pytest
 
 from canopen_proto.frame import EXTENDED, KEY_EXTENDED, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError, Outbox, Time
+from canopen_proto.network import Network
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import TIMEOUT, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from tests.proto.bus import take_events, take_frames
@@ -342,3 +343,26 @@ def test_a_request_that_the_guard_holds_goes_at_its_deadline_or_is_cancelled() -
     assert bench.client.deadline == NEVER
     bench.client.upload(0x6041, 0, bench.now)
     assert bench.frames() == ["60C#4041600000000000"]
+
+
+def test_a_timeout_that_was_made_shorter_meanwhile_wakes_the_driver_in_time() -> None:
+    """In a network: it must never wake later than the client's deadline."""
+    network = Network()
+    client = SdoClient(network.out, 12)
+    network.attach(client)
+
+    def hear(response: str, now: Time) -> None:
+        client.timeout //= 2
+        network.receive(Frame(0x58C, bytes.fromhex(response)), now)
+        assert network.next_deadline() == client.deadline == now + client.timeout
+
+    client.upload(0x2000, 0, 0)
+    client.download(0x2000, 0, bytes(10), 0)
+    assert network.next_deadline() == TIMEOUT
+    hear("41 00 20 00 08 00 00 00", 1)
+    hear("00 00 00 00 00 00 00 00", 2)
+    hear("1D 00 00 00 00 00 00 00", 3)
+    hear("60 00 20 00 00 00 00 00", 4)
+    hear("20 00 00 00 00 00 00 00", 5)
+    network.handle_timeout(client.deadline)
+    assert not client.busy

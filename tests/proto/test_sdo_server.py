@@ -11,6 +11,7 @@ from canopen_proto.dictionary.model import Access, Object, ObjectDictionary, Var
 from canopen_proto.dictionary.values import Values
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, FrameIgnored, LocalProtocolError, Outbox, Time
+from canopen_proto.network import Network
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import (
     ACCESS_TIMEOUT,
@@ -498,3 +499,15 @@ def test_no_bytes_make_it_raise(steps: list[bytes | int]) -> None:
         assert (bench.server.deadline == NEVER) == (not bench.server.busy)
     assert all(len(frame.data) == 8 and frame.can_id == 0x58C for frame in bench.out.frames)
     assert len(bench.out.frames) <= len(steps)
+
+
+def test_a_timeout_that_was_made_shorter_meanwhile_wakes_the_driver_in_time() -> None:
+    """In a network: it must never wake later than the server's deadline."""
+    network = Network()
+    server = SdoServer(network.out, 12, HostStore(Values(DICTIONARY, 12)))
+    network.attach(server)
+    for now, request in enumerate(["40 08 10 00", "60", "70", "60", "21 00 20 03 0A 00 00 00", "00 30 31 32 33 34 35 36"]):
+        server.timeout //= 2
+        network.receive(Frame(0x60C, bytes.fromhex(request)), now)
+        assert not server.busy or network.next_deadline() == server.deadline == now + server.timeout
+    assert server.busy
