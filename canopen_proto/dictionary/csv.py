@@ -25,7 +25,7 @@ from itertools import groupby
 from typing import Final, TypeVar
 
 from canopen_proto.datatypes import DataType, integer_type
-from canopen_proto.dictionary.findings import DictionaryError, Finding, Severity
+from canopen_proto.dictionary.findings import MAX_SHOWN, DictionaryError, Finding, Severity
 from canopen_proto.dictionary.lint import lint
 from canopen_proto.dictionary.model import Constant, Filler, Object, ObjectDictionary, PdoDescription, Variable, did_you_mean
 from canopen_proto.dictionary.rows import (
@@ -121,7 +121,7 @@ class _Names:
     def find(self, cell: Cell, findings: list[Finding]) -> Variable | Filler | None:
         found = self.entries.get(cell.text)
         if found is None and cell.text not in self.excused:
-            near = did_you_mean(cell.text, self.entries)
+            near = did_you_mean(cell.text, self.entries) if len(findings) < MAX_SHOWN else ""
             findings.append(cell.error("unknown-alias", f"there is no object {cell.shown} in {self.source}{near}"))
         return found
 

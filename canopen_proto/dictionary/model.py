@@ -245,6 +245,8 @@ PSEUDO_INDEX: Final = 0x0000
 """Index of pseudo objects; CiA 301 v4.2.0, table 41, keeps it unused. They are found by name only: no device has them."""
 
 _NUMBER: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1,2}))?")
+MAX_NAME_COMPARED: Final = 100
+"""Characters of a name for which near ones are sought: comparing takes time by the square of the length."""
 _SEPARATORS: Final = re.compile(r"[\s_-]+")
 
 
@@ -476,6 +478,8 @@ def _fold(name: str) -> str:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """ "; did you mean ...?" where something is near, else what there is where that is little, else nothing."""
+    if len(name) > MAX_NAME_COMPARED:
+        return ""
     names = list(dict.fromkeys(known))
     whole = {each.casefold(): each for each in reversed(names)}
     fields = {each.casefold().rpartition(":")[2]: each for each in reversed(names)}

@@ -249,6 +249,7 @@ def test_a_long_list_of_errors_is_cut() -> None:
     assert len(lines) == MAX_SHOWN + 1
     assert lines[-1] == f"... and {1000 - MAX_SHOWN} more"
     assert len(errors_of("x" * 5000)[0]) < 250
+    assert len(errors_of(INDICES, "controlwordx a 1 1\n" * 5000)) == MAX_SHOWN + 1  # in no time
 
 
 def test_nothing_at_all_is_a_dictionary_with_a_warning() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import (
@@ -106,6 +108,15 @@ def test_a_key_that_is_not_there(dictionary: ObjectDictionary, key: Key, text: s
     assert key not in dictionary
     assert isinstance(caught.value, LocalProtocolError)
     assert isinstance(caught.value, KeyError)
+
+
+@given(st.one_of(st.text(), st.integers(), st.tuples(st.integers(), st.integers()), st.just("statusword" * 10**5)))
+def test_any_key_gives_a_variable_or_object_not_found(key: Key) -> None:
+    dictionary = ObjectDictionary([Object.of("statusword", [STATUSWORD])])
+    try:
+        assert dictionary.variable(key) is STATUSWORD
+    except ObjectNotFound:
+        assert key not in dictionary
 
 
 def test_look_up_by_number(dictionary: ObjectDictionary) -> None:
