@@ -192,7 +192,7 @@ class Homing(OperationMode):
 
     @property
     def status(self) -> int:
-        if self._status is HomingStatus.INTERRUPTED and self._servo.is_moving:
+        if self._status is HomingStatus.INTERRUPTED and self.servo.is_moving:
             return HOMING_BITS[HomingStatus.IN_PROGRESS]  # it decelerates; bit 10 would say that it stands
         return HOMING_BITS[self._status]
 

@@ -48,6 +48,9 @@ POLL_INTERVAL: Final = 10 * MILLISECOND
 REACTION_TIME: Final = 50 * MILLISECOND
 """What a drive may take until its statusword answers a command: an older "homing complete" must not end the next homing."""
 
+START_TIME: Final = 1 * SECOND
+"""How long a homing may take to begin to move."""
+
 STANDSTILL_TIME: Final = 800 * MILLISECOND
 """How long a halt waits for the drive to report standstill; within CLEAN_UP_TIME."""
 
@@ -315,14 +318,20 @@ def _standard_homing(axis: Axis, started: Time) -> Procedure[None]:
 
 
 def _schunk_homing(axis: Axis, started: Time) -> Procedure[None]:
+    moving, referenced = StatusBit.MANUFACTURER_8, StatusBit.MANUFACTURER_15
+    try:
+        yield from wait_for_statusword(
+            axis, lambda word: bool(word & moving), START_TIME, "the start of homing (bit 8)", not_before=started
+        )
+    except StepTimeout:
+        # A joint that stands at its reference already need not move; or the movement was over between two reads.
+        if not axis.statusword & referenced:
+            raise
     timeout = axis.settings.homing_timeout
-    moving = StatusBit.MANUFACTURER_8
-    yield from wait_for_statusword(
-        axis, lambda word: bool(word & moving), axis.settings.state_timeout, "the start of homing (bit 8)", not_before=started
+    statusword = yield from wait_for_statusword(
+        axis, lambda word: not word & moving, timeout, "the end of homing (bit 8)", not_before=started
     )
-    yield from wait_for_statusword(axis, lambda word: not word & moving, timeout, "the end of homing (bit 8)", not_before=started)
-    statusword = yield from read_statusword(axis, started)
-    if not statusword & StatusBit.MANUFACTURER_15:
+    if not statusword & referenced:
         raise HomingFailed(f"{_name(axis)} stopped, but is not referenced (bit 15): {axis.describe()}")
 
 

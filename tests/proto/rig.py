@@ -1,0 +1,78 @@
+"""A master and one simulated drive on a bus in virtual time, and a way to run procedures there."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.dictionary import Direction
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtMaster
+from canopen_proto.procedures.configure_pdo import use_device_pdo
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sync import SyncProducer
+from tests.proto.bus import Bus
+
+T = TypeVar("T")
+
+CYCLE = 10 * MILLISECOND
+Ended = ProcedureFinished | ProcedureFailed | ProcedureCancelled
+
+SETTINGS = {Shape.STANDARD: AxisSettings(homing_method=35), Shape.SCHUNK_POWERBALL: SCHUNK_POWERBALL}
+STREAMED = {Shape.STANDARD: ((4,), (3,)), Shape.SCHUNK_POWERBALL: ((1,), (1,))}
+"""Shape -> RPDOs, TPDOs of its defaults that carry the set-point and the statusword by SYNC."""
+
+
+class Rig:
+    """One drive as node 5, powered on and Operational; an axis over it; PDOs exchanged as the drive has them by default."""
+
+    def __init__(self, shape: Shape, *, pdos: bool = True, drive: DriveSettings | None = None) -> None:
+        self.bus = Bus(delay=(100 * MICROSECOND, 100 * MICROSECOND))
+        self.device = self.bus.attach(Network())
+        self.node = DriveNode(self.device.out, 5, drive or DriveSettings(shape=shape))
+        self.device.attach(self.node)
+        self.drive = self.node.drive
+        self.master = self.bus.attach(Network())
+        self.remote = RemoteNode(self.master.out, 5, self.node.dictionary)
+        self.nmt, self.sync = NmtMaster(self.master.out), SyncProducer(self.master.out)
+        for machine in (self.remote, self.nmt, self.sync):
+            self.master.attach(machine)
+        self.axis = Axis(self.remote, SETTINGS[shape])
+        self.node.boot(self.bus.now)
+        self.bus.run(MILLISECOND)
+        self.nmt.start(0, self.bus.now)
+        self.bus.run(MILLISECOND)
+        if pdos:
+            rpdos, tpdos = STREAMED[shape]
+            for number in rpdos:
+                self.run(use_device_pdo(self.remote, Direction.RPDO, number))
+            for number in tpdos:
+                self.run(use_device_pdo(self.remote, Direction.TPDO, number))
+
+    def start_sync(self) -> None:
+        self.sync.start(CYCLE, self.bus.now)
+
+    def outcome(self, request_id: RequestId, limit: Time = 120 * SECOND) -> Ended:
+        """Run the bus until a procedure has ended."""
+        found: list[Ended] = []
+
+        def ended() -> bool:
+            found.extend(event for event in self.bus.events if isinstance(event, Ended) and event.request_id == request_id)
+            return bool(found)
+
+        self.bus.run_until(ended, limit)
+        return found[0]
+
+    def run(self, procedure: Procedure[T]) -> T:
+        """Run a procedure to its end: its result, or what it raised."""
+        ended = self.outcome(self.master.run(procedure, self.bus.now))
+        if isinstance(ended, ProcedureFailed):
+            raise ended.error
+        assert isinstance(ended, ProcedureFinished)
+        result: T = ended.result
+        return result
