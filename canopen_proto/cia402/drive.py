@@ -480,10 +480,9 @@ class Drive(Machine):
         elif servo.is_settled and not (self._acts and self._mode.is_waiting):
             self._arm(NEVER)
         else:
-            wake = servo.time + step
-            if self._after_stop is not None or self._mode.awaits_end:
-                wake = min(wake, max(servo.demand.end, servo.time + 1))
-            self._arm(wake)
+            wake, end = servo.time + step, servo.demand.end
+            awaits_end = self._after_stop is not None or self._mode.awaits_end
+            self._arm(end if awaits_end and servo.time < end < wake else wake)
 
 
 def _wrapped(position: float) -> int:

@@ -211,7 +211,7 @@ class ProfilePosition(OperationMode):
 
     @property
     def awaits_end(self) -> bool:
-        return self._next is not None
+        return self._next is not None and not self.is_halted
 
 
 _INTERPOLATE: Final = ModeControl.ENABLE_INTERPOLATION

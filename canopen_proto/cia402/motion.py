@@ -131,7 +131,7 @@ def move(
     """To `target` and rest there, from `position` at `velocity`. The limits are magnitudes above 0; see the module's text."""
     plan = _Plan(position, velocity)
     ahead = target - position - _braking_distance(velocity, deceleration)
-    if velocity * ahead < 0.0:  # it moves away, or cannot stop in time: brake, then come back
+    if velocity and ahead and (velocity > 0.0) is not (ahead > 0.0):  # it moves away, or cannot stop in time: brake, come back
         plan.ramp(0.0, deceleration)
     direction = math.copysign(1.0, ahead or velocity)
     distance = (target - plan.position) * direction

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 from canopen_proto.cia402.drive import Drive, DriveStateChanged, StatuswordChanged
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.servo import DriveSettings
+from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.dictionary.model import ObjectDictionary, mux
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 
+E = TypeVar("E", bound=Event)
+
 NODE_ID = 12
-STATES = list(State)
+DICTIONARIES = {shape: drive_dictionary(shape) for shape in Shape}
 
 
 class Bench:
@@ -20,7 +24,7 @@ class Bench:
     def __init__(self, settings: DriveSettings | None = None, dictionary: ObjectDictionary | None = None) -> None:
         settings = settings or DriveSettings()
         self.out = Outbox()
-        self.values = Values(dictionary or drive_dictionary(settings.shape), NODE_ID)
+        self.values = Values(dictionary or DICTIONARIES[settings.shape], NODE_ID)
         self.drive = Drive(self.out, NODE_ID, self.values, settings)
         self.now: Time = SECOND
         self.drive.reset(self.now)
@@ -105,12 +109,16 @@ class Bench:
         """Whether the statusword has all these bits."""
         return all(self.read(0x6041) >> bit & 1 for bit in bits)
 
-    def events(self, kind: type[Event] | None = None) -> list[Event]:
-        """What was reported since the last call, but for changes of the statusword; or only those of one kind."""
+    def events(self) -> list[Event]:
+        """What was reported since the last call, but for changes of the statusword."""
         events = [each for each in self.out.events if not isinstance(each, StatuswordChanged)]
         self.out.events.clear()
-        return events if kind is None else [each for each in events if isinstance(each, kind)]
+        return events
+
+    def reported(self, kind: type[E]) -> list[E]:
+        """Those of one kind; the others are forgotten."""
+        return [each for each in self.events() if isinstance(each, kind)]
 
     def transitions(self) -> list[int]:
         """The numbers of the transitions since the last look at the events."""
-        return [each.transition for each in self.events() if isinstance(each, DriveStateChanged)]
+        return [each.transition for each in self.reported(DriveStateChanged)]

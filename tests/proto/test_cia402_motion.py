@@ -4,10 +4,10 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canopen_proto.cia402.motion import Profile, hold, line, move, run, stop
+from canopen_proto.cia402.motion import Profile, follow, hold, line, move, run, stop
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND
 
 positions = st.floats(-1e7, 1e7)
@@ -109,6 +109,7 @@ def test_a_motion_that_outlives_the_clock_never_ends() -> None:
     assert move(0, -(2.0**31), 0.0, 2.0**31, 0.5, 1.0, 1.0).end == NEVER
 
 
+@settings(deadline=None)
 @given(positions, velocities, positions, limits, limits, limits)
 def test_a_move_ends_at_its_target_within_its_limits(
     position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float
@@ -128,6 +129,7 @@ def test_a_move_ends_at_its_target_within_its_limits(
     assert_continuous(profile)
 
 
+@settings(deadline=None)
 @given(positions, positions, limits, limits, limits)
 def test_a_move_from_rest_never_turns_back(
     position: float, target: float, max_velocity: float, acceleration: float, deceleration: float
@@ -139,6 +141,7 @@ def test_a_move_from_rest_never_turns_back(
         assert (after - before) * math.copysign(1.0, target - position) >= -slack
 
 
+@settings(deadline=None)
 @given(positions, velocities, positions, st.floats(10.0, 1e5), st.floats(10.0, 1e6), st.floats(10.0, 1e6), st.floats(0.0, 1.0))
 def test_planning_anew_on_the_way_changes_nothing(
     position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float, share: float
@@ -153,6 +156,7 @@ def test_planning_anew_on_the_way_changes_nothing(
     assert (second.end - first.end) * 1e-9 == pytest.approx(0.0, abs=slack)
 
 
+@settings(deadline=None)
 @given(positions, velocities, velocities, limits, limits)
 def test_run_reaches_its_speed_and_keeps_it(
     position: float, velocity: float, to_velocity: float, acceleration: float, deceleration: float
@@ -162,9 +166,32 @@ def test_run_reaches_its_speed_and_keeps_it(
     assert_continuous(profile)
 
 
+@settings(deadline=None)
 @given(positions, velocities, limits)
 def test_stop_brakes_over_the_shortest_distance(position: float, velocity: float, deceleration: float) -> None:
     profile = stop(0, position, velocity, deceleration)
     assert profile.final_velocity == 0.0
     assert abs(profile.final_position - position) == pytest.approx(velocity**2 / (2 * deceleration), rel=1e-9, abs=1e-6)
     assert_continuous(profile)
+
+
+@settings(deadline=None)
+@given(positions, velocities, positions, st.floats(10.0, 1e5), st.floats(10.0, 1e6), st.floats(1e-4, 0.1), st.floats(0.0, 1.0))
+def test_following_does_not_depend_on_when_one_looks(
+    position: float, velocity: float, target: float, max_velocity: float, rate: float, lag: float, share: float
+) -> None:
+    profile = move(0, position, velocity, target, max_velocity, rate, rate)
+    until = min(profile.end, 100 * SECOND)
+    between = round(until * share)
+    once = follow(profile, position, 0, until, lag)
+    twice = follow(profile, follow(profile, position, 0, between, lag), between, until, lag)
+    assert once == pytest.approx(twice, abs=1e-6 * max(1.0, abs(position), abs(target)))
+
+
+def test_following_lags_behind_by_speed_times_lag_and_arrives() -> None:
+    profile = move(0, 0.0, 0.0, 10_000.0, 1_000.0, 1_000.0, 1_000.0)
+    now = 5 * SECOND
+    assert profile.at(now)[0] - follow(profile, 0.0, 0, now, 0.01) == pytest.approx(10.0)
+    assert follow(profile, 0.0, 0, profile.end + SECOND, 0.01) == pytest.approx(10_000.0)
+    assert follow(hold(0, 1.0), 0.0, 0, 10 * MILLISECOND, 0.01) == pytest.approx(1 - 1 / math.e)
+    assert follow(hold(0, 1.0), 0.5, 7, 7, 0.01) == 0.5

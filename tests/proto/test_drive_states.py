@@ -144,10 +144,10 @@ def test_a_second_fault_is_told_and_the_same_again_is_not() -> None:
     bench.drive.raise_fault(0x3210, bench.now)
     bench.drive.raise_fault(0x4310, bench.now)
     bench.drive.raise_fault(0x3210, bench.now)
-    assert [each.error_code for each in bench.events(DriveFault)] == [0x3210, 0x4310]
+    assert [each.error_code for each in bench.reported(DriveFault)] == [0x3210, 0x4310]
     assert bench.read(0x603F) == 0x4310
     bench.control(0x80)
-    assert [each.error_code for each in bench.events(DriveFaultCleared)] == [0x3210, 0x4310]
+    assert [each.error_code for each in bench.reported(DriveFaultCleared)] == [0x3210, 0x4310]
 
 
 @pytest.mark.parametrize(("option", "braking"), [(0, 0.0), (1, 200.0), (2, 50.0), (3, 0.1), (4, 0.1)])
@@ -305,11 +305,11 @@ def test_a_lost_connection_as_a_fault_has_its_own_error_code() -> None:
     bench = Bench()
     bench.write(0x6007, 1)
     bench.drive.connection_lost(bench.now)
-    assert bench.events(DriveFault) == [DriveFault(NODE_ID, 0x8130, 0x11)]
+    assert bench.reported(DriveFault) == [DriveFault(NODE_ID, 0x8130, 0x11)]
     bench = Bench()
     bench.write(0x6007, 1)
     bench.drive.nmt_stopped(bench.now)
-    assert bench.events(DriveFault) == [DriveFault(NODE_ID, 0x8100, 0x11)]
+    assert bench.reported(DriveFault) == [DriveFault(NODE_ID, 0x8100, 0x11)]
 
 
 # ---- what may be written ----
@@ -415,7 +415,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     def check(self, first: tuple[int, ...] | None = None) -> None:
         """What was reported is a walk through the table that ends where the drive is; `first` limits its first transition."""
-        steps = [each for each in self.bench.events() if isinstance(each, DriveStateChanged)]
+        steps = self.bench.reported(DriveStateChanged)
         for step in steps:
             arcs = {arc for (state, _), arc in TRANSITIONS.items() if state is step.previous}
             assert (step.state, step.transition) in arcs

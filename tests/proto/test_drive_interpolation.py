@@ -1,0 +1,251 @@
+"""The simulated drive in interpolated position mode: one set-point per SYNC, buffer, underrun, halt, and the manual's frames."""
+
+from __future__ import annotations
+
+import pytest
+
+from canopen_proto.cia402.drive_modes import SetPointLost, SetPointUnderrun
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.cia402.states import State
+from canopen_proto.machine import MILLISECOND, NEVER
+from canopen_proto.sdo.abort import AbortCode
+from tests.proto.drive_bench import NODE_ID, Bench
+
+ACTIVE, WARNING, REACHED, LIMIT = 12, 7, 10, 11
+
+
+def interpolating(lag: int = 0, start: int = 1_000, shape: Shape = Shape.STANDARD) -> Bench:
+    """A drive that stands at `start` in active interpolation."""
+    bench = Bench(DriveSettings(position=start, lag=lag, shape=shape))
+    bench.preset(0x60C2, 10, 1)
+    bench.enable(7)
+    bench.write(0x60C1, start, 1)
+    bench.control(0x1F)
+    assert bench.has(ACTIVE)
+    return bench
+
+
+def test_one_set_point_per_sync_is_reached_one_period_later() -> None:
+    bench = interpolating()
+    bench.sync()
+    for step in range(1, 100):
+        bench.put(0x60C1, 1_000 + 50 * step, 1)
+        bench.sync()
+        assert bench.position == 1_000 + 50 * (step - 1)
+    bench.run(2)
+    assert bench.position == 1_000 + 50 * 98 + 10
+    assert bench.read(0x606B) == 5_000
+    assert bench.reported(SetPointUnderrun) == []
+
+
+def test_it_needs_the_edge_of_bit_4_in_operation_enabled() -> None:
+    bench = Bench(DriveSettings(position=0, lag=0))
+    bench.enable(7)
+    for target in range(0, 500, 100):
+        bench.put(0x60C1, target, 1)
+        bench.sync()
+    assert not bench.has(ACTIVE)
+    assert bench.position == 0
+
+    bench = Bench(DriveSettings(position=0, lag=0))
+    bench.write(0x6060, 7)
+    bench.control(0x06, 0x17)  # the bit stands before operation is enabled
+    assert bench.control(0x1F) is State.OPERATION_ENABLED
+    assert not bench.has(ACTIVE)
+    bench.control(0x0F, 0x1F)
+    assert bench.has(ACTIVE)
+
+
+def test_the_manuals_frame_enables_operation_and_starts_in_one_word() -> None:
+    """RPDO1 of the manual: controlword 0x1F, 16 bits of nothing, position; here from Switched on, as its sequence has it."""
+    bench = Bench(DriveSettings(position=0, lag=0, shape=Shape.SCHUNK_POWERBALL))
+    bench.preset(0x60C2, 10, 1)
+    bench.write(0x6060, 7)
+    bench.control(0x06, 0x07)
+    for position in range(0, 1_000, 100):
+        bench.put(0x6040, 0x1F)
+        bench.put(0x6042, 0)
+        bench.put(0x60C1, position, 1)
+        bench.sync()
+        assert bench.state is State.OPERATION_ENABLED
+        assert bench.has(ACTIVE)
+    assert bench.position == 800
+    assert bench.has(8)  # Schunk: it moves
+    bench.put(0x60C1, 900, 1)
+    bench.sync()
+    bench.run(50)
+    assert not bench.has(8)
+
+
+def test_the_period_is_60c2() -> None:
+    bench = interpolating()
+    bench.preset(0x60C2, 200, 1)
+    bench.preset(0x60C2, -4, 2)  # 20 ms
+    bench.put(0x60C1, 2_000, 1)
+    bench.sync()
+    bench.run(10)
+    assert bench.position == 1_500
+    bench.preset(0x60C2, 0, 1)  # an RPDO could write it: no division by zero
+    bench.put(0x60C1, 3_000, 1)
+    bench.sync()
+    bench.run(10)
+    assert bench.position == 3_000
+
+
+def test_an_axis_that_stands_has_nothing_to_run_out_of() -> None:
+    bench = interpolating()
+    for _ in range(10):
+        bench.sync()
+    assert bench.has(ACTIVE)
+    assert bench.reported(SetPointUnderrun) == []
+    assert bench.position == 1_000
+
+
+@pytest.mark.parametrize(("option", "deceleration"), [(1, 100_000), (2, 400_000)])
+def test_underrun_stops_by_the_halt_option_code_and_is_reported(option: int, deceleration: int) -> None:
+    bench = interpolating()
+    bench.preset(0x605D, option)
+    for step in range(1, 20):
+        bench.put(0x60C1, 1_000 + 100 * step, 1)
+        bench.sync()
+    bench.events()
+    bench.sync()  # no set-point
+    assert bench.events() == [SetPointUnderrun(NODE_ID)]
+    assert not bench.has(ACTIVE)
+    assert bench.has(WARNING)
+    for step in range(20, 40):  # too late: they are not followed
+        bench.put(0x60C1, 1_000 + 100 * step, 1)
+        bench.sync()
+    assert bench.position == pytest.approx(2_900 + 10_000**2 / (2 * deceleration), abs=1)
+    assert bench.state is State.OPERATION_ENABLED
+    bench.control(0x0F)
+    bench.put(0x60C1, bench.position, 1)
+    bench.control(0x1F)
+    assert bench.has(ACTIVE)
+    assert not bench.has(WARNING)
+
+
+def test_without_sync_nothing_is_due() -> None:
+    bench = interpolating()
+    bench.sync()
+    bench.put(0x60C1, 1_100, 1)
+    bench.sync()
+    bench.run(5_000)
+    assert bench.position == 1_100
+    assert bench.has(ACTIVE, REACHED)
+    assert bench.reported(SetPointUnderrun) == []
+    assert bench.drive.deadline == NEVER
+
+
+def test_a_late_sync_joins_at_the_speed_it_had() -> None:
+    bench = interpolating()
+    bench.preset(0x60C5, 200_000)  # 2000 units/s more in a period, no more
+    bench.preset(0x60C6, 200_000)
+    position = 1_000
+    for step in range(30):
+        position += min(step * 10, 100)
+        bench.put(0x60C1, position, 1)
+        bench.sync(10 if step % 3 else 11)
+    assert not bench.has(LIMIT)  # from rest the last step would have been too much
+
+
+def test_halt_and_falling_bit_4_end_it_and_a_new_edge_begins_it() -> None:
+    for word in (0x11F, 0x0F):
+        bench = interpolating()
+        for step in range(1, 10):
+            bench.put(0x60C1, 1_000 + 100 * step, 1)
+            bench.sync()
+        bench.control(word)
+        assert not bench.has(ACTIVE)
+        bench.run(300)
+        assert bench.position == pytest.approx(1_800 + 500, abs=1)  # the step to 1900 has just begun
+        assert bench.has(REACHED)
+        bench.put(0x60C1, bench.position, 1)
+        bench.control(0x1F)
+        assert bench.has(ACTIVE)
+
+
+def test_leaving_operation_enabled_ends_it() -> None:
+    bench = interpolating()
+    bench.control(0x07)
+    bench.control(0x1F)
+    assert bench.has(ACTIVE)  # bit 4 was 0 in between
+    bench.drive.raise_fault(0x5000, bench.now)
+    assert not bench.has(ACTIVE)
+    bench.put(0x6040, 0x9F)
+    bench.put(0x6040, 0x1F)
+    assert bench.state is State.SWITCH_ON_DISABLED
+
+
+def test_disabled_the_buffer_keeps_the_latest_set_point() -> None:
+    bench = interpolating()
+    for target in (1_100, 1_200, 1_300):
+        bench.write(0x60C1, target, 1)
+    assert bench.read(0x60C4, 2) == 1
+    bench.sync()
+    assert bench.read(0x60C4, 2) == 0
+    bench.run(10)
+    assert bench.position == 1_300
+    assert bench.reported(SetPointLost) == []
+
+
+def test_enabled_the_buffer_is_a_fifo() -> None:
+    bench = interpolating()
+    bench.sync()
+    bench.write(0x60C4, 1, 6)
+    for number in range(1, 17):
+        bench.write(0x60C1, 1_000 + 10 * number, 1)
+    assert bench.read(0x60C4, 2) == 16
+    assert bench.drive.check_write(0x60C1, 1, 5) == AbortCode.DEVICE_STATE
+    bench.put(0x60C1, 5, 1)  # a PDO cannot be refused
+    assert bench.reported(SetPointLost) == [SetPointLost(NODE_ID, 5)]
+    for number in range(16):
+        bench.sync()
+        assert bench.position == 1_000 + 10 * number
+    bench.write(0x60C1, 9_999, 1)
+    bench.write(0x60C4, 0, 6)
+    assert bench.read(0x60C4, 2) == 0
+
+
+def test_a_ring_drives_out_the_oldest() -> None:
+    bench = interpolating()
+    bench.sync()
+    bench.write(0x60C4, 1, 3)
+    bench.write(0x60C4, 1, 6)
+    for number in range(1, 18):
+        bench.put(0x60C1, 1_000 + 10 * number, 1)
+    assert bench.reported(SetPointLost) == [SetPointLost(NODE_ID, 1_010)]
+    bench.sync()
+    bench.run(10)
+    assert bench.position == 1_020
+
+
+def test_software_limits_and_speed_limits_hold_in_interpolation() -> None:
+    bench = interpolating()
+    bench.preset(0x607D, 2_000, 2)
+    for step in range(1, 30):
+        bench.put(0x60C1, 1_000 + 100 * step, 1)
+        bench.sync()
+        assert bench.position <= 2_000
+    assert bench.position == 2_000
+    assert bench.has(LIMIT)
+
+    bench = interpolating()
+    bench.preset(0x607F, 20_000)
+    bench.put(0x60C1, 0, 1)  # the manual starts from 0 wherever the axis is
+    bench.sync()
+    assert bench.has(LIMIT)
+    bench.run(25)
+    assert bench.position == pytest.approx(500, abs=1)
+    bench.run(500)
+    assert bench.position == 0
+
+
+def test_the_axis_follows_its_demand_with_a_lag() -> None:
+    bench = interpolating(lag=5 * MILLISECOND)
+    for step in range(1, 100):
+        bench.put(0x60C1, 1_000 + 100 * step, 1)
+        bench.sync()
+    assert bench.read(0x6062) - bench.position == pytest.approx(50, abs=1)  # 10000 units/s * 5 ms
+    assert bench.read(0x60F4) == pytest.approx(50, abs=1)
+    assert bench.read(0x6077) == pytest.approx(80, abs=1)  # load and friction
