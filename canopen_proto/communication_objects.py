@@ -6,7 +6,8 @@ Each index with an effect is a row: what may be written there (`check`), and wha
 dictionary without an index simply never comes to that row. Two objects are shown rather than held: 0x1001 and 0x1003 are the EMCY
 producer's own, and are copied into the values when they are read (`refresh`).
 
-    0x1003   error history: writing 0 to subindex 0 clears it, nothing else may be written            7.5.2.4
+    0x1003   error history: writing 0 to subindex 0 clears it, nothing else may be written; an entry
+             beyond the number of errors has no data to read (0x08000024)                             7.5.2.4
     0x1005   COB-ID SYNC: bit 30 makes us the producer; the CAN-ID may not change while it is set     7.5.2.5
     0x1006   communication cycle period in us, 0 stops the producer                                   7.5.2.6
     0x1014   COB-ID EMCY: the CAN-ID may not change while it is valid                                 7.5.2.17
@@ -14,6 +15,8 @@ producer's own, and are copied into the values when they are read (`refresh`).
     0x1016   heartbeat consumers: node-ID << 16 | ms, one entry for each node at most                 7.5.2.19
     0x1017   producer heartbeat time in ms                                                            7.5.2.20
     0x1019   SYNC counter overflow: 0 or 2 to 240, only while 0x1006 is 0                             7.5.2.22
+
+A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40).
 
 Left out: 0x1007 (window) and 0x1012 (TIME) have no effect yet; 0x100C and 0x100D (guarding) are not served.
 
@@ -31,11 +34,12 @@ from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID, ke
 from canopen_proto.group import Members
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
+from canopen_proto.pdo.parameters import RESTRICTED_CAN_IDS
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 
 SYNC_PRODUCER_BIT: Final = 1 << 30
-_CAN_ID_BITS: Final = 0x3FFF_FFFF
+_CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF  # bits 0..29
 
 ERROR_REGISTER: Final = mux(0x1001)
 ERROR_HISTORY: Final = mux(0x1003)
@@ -89,7 +93,10 @@ class CommunicationObjects:
         return value if isinstance(value, int) else default
 
     def reload(self, now: Time) -> None:
-        """Set all machines by the values: at the start, and when a reset has put the defaults back."""
+        """Set all machines by the values: at the start, and when a reset has put the defaults back. Monitoring begins anew."""
+        for monitor in self.monitors.values():
+            self._members.detach(monitor)
+        self.monitors.clear()
         self.emcy.set_cob_id(self._int(COB_ID_EMCY, 0x80 + self.node_id), now)
         self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
         self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
@@ -101,36 +108,40 @@ class CommunicationObjects:
         self._sync_lives = enabled
         self._set_sync(now)
 
-    def refresh(self, index: int) -> None:
-        """Bring 0x1001 or 0x1003 into the values, before they are read."""
+    def refresh(self, index: int, subindex: int) -> AbortCode | None:
+        """Bring 0x1001 or 0x1003 into the values, before they are read; or why there is nothing to read."""
         store = self.values.store
         if index == 0x1001 and ERROR_REGISTER in store:
             store[ERROR_REGISTER] = self.emcy.error_register
-        elif index == 0x1003:
-            history = tuple(self.emcy.history)
+        elif index == 0x1003 and ERROR_HISTORY in store:
+            history = self.emcy.history
             store[ERROR_HISTORY] = len(history)
-            for subindex, entry in enumerate(history, start=1):
-                store[ERROR_HISTORY + subindex] = entry
+            for number, entry in enumerate(history, start=1):
+                store[ERROR_HISTORY + number] = entry
+            if subindex > len(history) and ERROR_HISTORY + subindex in store:
+                return AbortCode.NO_DATA
+        return None
 
     # ---- the two doors of a write ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """What forbids writing this value there, or None; value is right in type and limits already."""
-        if not isinstance(value, int):
+        if index == 0x1003:
+            return None if value == 0 and subindex == 0 else AbortCode.INVALID_VALUE
+        standing = self.values.store.get(mux(index, subindex))
+        if not isinstance(value, int) or not isinstance(standing, int) or value == standing:
             return None
         match index:
-            case 0x1003:
-                return None if value == 0 else AbortCode.INVALID_VALUE
             case 0x1005:
-                return self._check_cob_id(value, COB_ID_SYNC, bool(self._int(COB_ID_SYNC) & value & SYNC_PRODUCER_BIT))
-            case 0x1014:
-                return self._check_cob_id(value, COB_ID_EMCY, not (self._int(COB_ID_EMCY) | value) & COB_ID_INVALID)
+                return _check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
+            case 0x1014 if not value & COB_ID_INVALID:
+                return _check_cob_id(value, standing, in_use=not standing & COB_ID_INVALID)
             case 0x1016:
                 return self._check_monitor(subindex, value)
             case 0x1019:
-                if self._int(CYCLE_PERIOD) and value != self._int(SYNC_OVERFLOW):
+                if self._int(CYCLE_PERIOD):
                     return AbortCode.DEVICE_STATE
-                return None if value == 0 or 2 <= value <= MAX_COUNTER else AbortCode.INVALID_VALUE
+                return None if _is_overflow(value) else AbortCode.INVALID_VALUE
         return None
 
     def apply(self, index: int, subindex: int, now: Time) -> None:
@@ -153,13 +164,6 @@ class CommunicationObjects:
                 self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
 
     # ---- rules ----
-
-    def _check_cob_id(self, value: int, key: int, in_use: bool) -> AbortCode | None:
-        if not value & COB_ID_EXTENDED and value & 0x1FFF_F800:
-            return AbortCode.INVALID_VALUE  # more than 11 bits without the frame bit
-        if in_use and (value ^ self._int(key)) & _CAN_ID_BITS & ~SYNC_PRODUCER_BIT:
-            return AbortCode.DEVICE_STATE
-        return None
 
     def _check_monitor(self, subindex: int, value: int) -> AbortCode | None:
         node_id, period = value >> 16 & 0xFF, value & 0xFFFF
@@ -196,6 +200,8 @@ class CommunicationObjects:
 
     def _set_sync(self, now: Time) -> None:
         cob_id, overflow = self._int(COB_ID_SYNC, 0x80), self._int(SYNC_OVERFLOW)
+        if not _is_overflow(overflow):
+            overflow = 0  # a device's description may hold what no client could write
         produces = self._sync_lives and bool(cob_id & SYNC_PRODUCER_BIT)
         period = self._int(CYCLE_PERIOD) * MICROSECOND if produces else 0
         key, producer = key_of_cob_id(cob_id), self.sync_producer
@@ -206,3 +212,18 @@ class CommunicationObjects:
         producer.key, producer.counter_overflow = key, overflow
         if period:
             producer.start(period, now)
+
+
+def _check_cob_id(value: int, standing: int, *, in_use: bool) -> AbortCode | None:
+    """Whether a COB-ID may take the place of the standing one. in_use: its CAN-ID may not change."""
+    if not value & COB_ID_EXTENDED:
+        can_id = value & 0x1FFF_FFFF
+        if can_id > 0x7FF or any(can_id in each for each in RESTRICTED_CAN_IDS):
+            return AbortCode.INVALID_VALUE
+    if in_use and (value ^ standing) & _CAN_ID_AND_FRAME:
+        return AbortCode.DEVICE_STATE
+    return None
+
+
+def _is_overflow(value: int) -> bool:
+    return value == 0 or 2 <= value <= MAX_COUNTER

@@ -11,11 +11,11 @@ is stored, and its owner told, before the client gets its answer.
 What follows from what:
 
     NMT state changes          services live or don't (`nmt.SERVICES`); the heartbeat bears the new state; the application hears
-    NMT reset                  values back to power-on (all, or 0x1000 to 0x1FFF), then boot-up
+    NMT reset                  values (all, or 0x1000 to 0x1FFF) as at power-on, errors (all, or those below) gone; boot-up
     SYNC heard or sent         TPDOs are sampled, RPDOs held for it take effect, the application makes its step: in this order
     PDO received               the application is told of each value
-    heartbeat of 0x1016 lost   EMCY 0x8130, and the application (0x6007); bus errors lead to 0x1029's behaviour, pre-operational
-    PDO too short              EMCY 0x8210, until one of the right length comes
+    heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); 0x1029's behaviour, by default pre-operational
+    PDO too short, or overdue  EMCY 0x8210, 0x8250, until one of the right length comes (a PDO that is too long is used: no EMCY)
     drive fault                EMCY, 0x1001 and 0x1003
 
 Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
@@ -27,20 +27,21 @@ from typing import Final, Protocol
 
 from canopen_proto.communication_objects import CommunicationObjects
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import ObjectDictionary, Values
+from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.group import Group
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
-from canopen_proto.machine import Outbox, Time, check_node_id
+from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
-from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError, PdoReceived
+from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError, PdoOverdue, PdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
-from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.pdo.settings import place_of
+from canopen_proto.sdo.abort import AbortCode, text_of
 from canopen_proto.sdo.server import PENDING, Pending, SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.sync import SyncReceived, SyncSent
 
-COMMUNICATION_PROFILE: Final = (0x1000, 0x1FFF)
-"""What a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
+COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
+"""The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
 
 EMCY_HEARTBEAT: Final = 0x8130
 """Life guard error or heartbeat error. CiA 301 v4.2.0, 7.2.7.1, table 26."""
@@ -79,7 +80,7 @@ class LocalNode(Group):
 
     __slots__ = (
         "_lost",
-        "_short_pdos",
+        "_pdo_errors",
         "_store",
         "application",
         "communication",
@@ -104,10 +105,12 @@ class LocalNode(Group):
         self.deferred: set[int] = set()
         """Indices that only the host can serve: ObjectAccessPending is reported, and it answers by `complete`."""
         self._lost: set[int] = set()
-        self._short_pdos: set[int] = set()
+        self._pdo_errors: dict[int, set[int]] = {}  # EMCY codes by the RPDO's number
         self._members.attach(self.nmt)
         self._members.attach(self.sdo)
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
+        self.sdo.disable()  # mute until the boot-up frame is out
+        self.communication.emcy.set_enabled(False, 0)
         for machine in self.pdos.machines:
             self._members.attach(machine)
         self._reactions.update(
@@ -118,6 +121,7 @@ class LocalNode(Group):
                 SyncSent: self._on_sync,
                 PdoReceived: self._on_pdo,
                 PdoLengthError: self._on_length_error,
+                PdoOverdue: self._on_pdo_error,
                 HeartbeatLost: self._on_heartbeat_lost,
                 HeartbeatRecovered: self._on_heartbeat_recovered,
             }
@@ -149,14 +153,25 @@ class LocalNode(Group):
         self._settle(mark, now)
 
     def set_value(self, index: int, subindex: int, value: Value, now: Time) -> None:
-        """The device's own side changes a value: event-driven TPDOs that carry it are triggered. No access right is asked.
+        """The device's own side changes a value, whatever its access right: event-driven TPDOs that carry it are triggered.
 
-        Raises LocalProtocolError, ValueRangeError where the dictionary has no such object or it cannot hold the value.
+        A communication object takes effect as if a client had written it. Raises LocalProtocolError, ValueRangeError where the
+        dictionary has no such object, it cannot hold the value, or a communication object refuses it.
         """
         variable = self.dictionary.variable((index, subindex))
         variable.encode(value)
+        if index not in COMMUNICATION_OBJECTS:
+            self.values.store[variable.mux] = value
+            self.pdos.trigger(variable.mux, now)
+            return
+        refusal = self._refusal(index, subindex, value)
+        if refusal is not None:
+            raise LocalProtocolError(f"node {self.node_id}: {variable.label} = {value!r}: {text_of(refusal)}")
+        mark = len(self.inner.events)
         self.values.store[variable.mux] = value
+        self._obey(index, subindex, now)
         self.pdos.trigger(variable.mux, now)
+        self._settle(mark, now)
 
     def raise_error(self, code: int, register_bits: int, vendor_data: bytes, now: Time) -> None:
         """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error."""
@@ -179,11 +194,13 @@ class LocalNode(Group):
         if index in self.deferred:
             variable = self._store.readable(index, subindex)
             return variable if isinstance(variable, AbortCode) else PENDING
-        if index >= 0x2000:
+        if index not in COMMUNICATION_OBJECTS:
             if self.application is not None:
                 self.application.refresh(now)
         elif index <= 0x1003:
-            self.communication.refresh(index)
+            refusal = self.communication.refresh(index, subindex)
+            if refusal is not None:
+                return refusal
         return self._store.read(index, subindex, now)
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
@@ -203,42 +220,70 @@ class LocalNode(Group):
             return refusal
         if index in self.deferred:
             return PENDING
-        if 0x1400 <= index <= 0x1BFF:
-            refusal = self.pdos.check_write(index, subindex, value)
-        elif index < 0x2000:
-            refusal = self.communication.check_write(index, subindex, value)
-        else:
-            refusal = self.application.check_write(index, subindex, value) if self.application is not None else None
+        refusal = self._refusal(index, subindex, value)
         if refusal is not None:
             return refusal
-        key = index << 8 | subindex
-        self.values.store[key] = value
-        if 0x1400 <= index <= 0x1BFF:
-            self.pdos.apply(index, subindex, now)
-        elif index < 0x2000:
-            self.communication.apply(index, subindex, now)
-        elif self.application is not None:
-            self.application.written(index, subindex, now)
-        self.pdos.trigger(key, now)
+        self.values.store[variable.mux] = value
+        self._obey(index, subindex, now)
+        self.pdos.trigger(variable.mux, now)
         return None
+
+    def _refusal(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """Why the owner of an object does not take that value, right in type and limits, or None."""
+        if index in COMMUNICATION_OBJECTS:
+            if place_of(index) is not None:
+                return self.pdos.check_write(index, subindex, value)
+            return self.communication.check_write(index, subindex, value)
+        return None if self.application is None else self.application.check_write(index, subindex, value)
+
+    def _obey(self, index: int, subindex: int, now: Time) -> None:
+        """The owner of an object goes by the value that was stored."""
+        if index not in COMMUNICATION_OBJECTS:
+            if self.application is not None:
+                self.application.written(index, subindex, now)
+            return
+        place = place_of(index)
+        if place is not None:
+            self.pdos.apply(index, subindex, now)
+            if place.number in self._pdo_errors and place.direction is Direction.RPDO:
+                self._clear_pdo_errors(place.number, now)  # it is another PDO from now on
+            return
+        self.communication.apply(index, subindex, now)
+        for node_id in self._lost.difference(self.communication.monitors):
+            self._clear_lost(node_id, now)  # it is monitored no more
+
+    # ---- inputs ----
+
+    def handle_timeout(self, now: Time) -> None:
+        if now < self.deadline:
+            return
+        mark = len(self.inner.events)
+        if self.application is not None:
+            self.application.refresh(now)  # an event timer may send what it shows
+        self._members.handle_timeout(now)
+        self._settle(mark, now)
 
     # ---- reactions ----
 
     def _start(self, now: Time) -> None:
-        self.pdos.reload(now)
         self.nmt.boot(now)
+        self.pdos.reload(now)
         self.communication.reload(now)
 
     def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
+        emcy = self.communication.emcy
         if request.command is NmtCommand.RESET_NODE:
             self.values.reset()
-            self.communication.emcy.reset()
+            emcy.reset()
             if self.application is not None:
                 self.application.reset(now)
         else:
-            self.values.reset(*COMMUNICATION_PROFILE)
-        self._lost.clear()
-        self._short_pdos.clear()
+            self.values.reset(COMMUNICATION_OBJECTS.start, COMMUNICATION_OBJECTS.stop - 1)
+            emcy.clear_history()
+        for node_id in tuple(self._lost):
+            self._clear_lost(node_id, now)
+        for number in tuple(self._pdo_errors):
+            self._clear_pdo_errors(number, now)
         self._start(now)
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
@@ -264,22 +309,20 @@ class LocalNode(Group):
             self.application.refresh(now)
         mark = len(self.inner.events)
         self.pdos.on_sync(sync.counter, now)
+        # Before the application's step, not in the course of `_settle`: what came for this SYNC acts at this SYNC.
+        for report in self.inner.events[mark:]:
+            if isinstance(report, PdoReceived):
+                self._on_values(report, now)
         if self.application is not None:
-            # Before the application's step, not in the course of `_settle`: what came for this SYNC acts at this SYNC.
-            for report in self.inner.events[mark:]:
-                if isinstance(report, PdoReceived):
-                    self._tell_application(report, now)
             self.application.on_sync(now)
 
     def _on_pdo(self, report: PdoReceived, now: Time) -> None:
         if not self.pdos.consumers[report.number].synchronous:
-            self._tell_application(report, now)
+            self._on_values(report, now)
 
-    def _tell_application(self, report: PdoReceived, now: Time) -> None:
-        if report.number in self._short_pdos:
-            self._short_pdos.discard(report.number)
-            if not self._short_pdos:
-                self.clear_error(EMCY_PDO_NOT_PROCESSED, now)
+    def _on_values(self, report: PdoReceived, now: Time) -> None:
+        if report.number in self._pdo_errors:
+            self._clear_pdo_errors(report.number, now)
         for entry in report.mapping.components:
             if self.application is not None:
                 self.application.written(entry.index, entry.subindex, now)
@@ -287,12 +330,21 @@ class LocalNode(Group):
 
     def _on_length_error(self, report: PdoLengthError, now: Time) -> None:
         if report.emcy_code == EMCY_PDO_NOT_PROCESSED:
-            self._short_pdos.add(report.number)
-            self.raise_error(EMCY_PDO_NOT_PROCESSED, COMMUNICATION_ERROR_BIT, b"", now)
+            self._on_pdo_error(report, now)
+
+    def _on_pdo_error(self, report: PdoLengthError | PdoOverdue, now: Time) -> None:
+        self._pdo_errors.setdefault(report.number, set()).add(report.emcy_code)
+        # The number tells errors of several PDOs apart. CiA 301 v4.2.0, 7.5.2.4 (additional information)
+        self.communication.emcy.raise_error(report.emcy_code, COMMUNICATION_ERROR_BIT, b"", now, report.number)
+
+    def _clear_pdo_errors(self, number: int, now: Time) -> None:
+        for code in sorted(self._pdo_errors.pop(number)):
+            self.communication.emcy.clear(code, now, number)
 
     def _on_heartbeat_lost(self, report: HeartbeatLost, now: Time) -> None:
-        self._lost.add(report.node_id)
-        self.raise_error(EMCY_HEARTBEAT, COMMUNICATION_ERROR_BIT, bytes((report.node_id,)), now)
+        node_id = report.node_id
+        self._lost.add(node_id)
+        self.communication.emcy.raise_error(EMCY_HEARTBEAT, COMMUNICATION_ERROR_BIT, bytes((node_id,)), now, node_id)
         if self.application is not None:
             self.application.connection_lost(now)
         # 0x1029:01: 0 pre-operational (only from operational), 1 no change, 2 stopped. CiA 301 v4.2.0, 7.5.2.32
@@ -303,6 +355,8 @@ class LocalNode(Group):
             self.nmt.execute(NmtCommand.STOP, now)
 
     def _on_heartbeat_recovered(self, report: HeartbeatRecovered, now: Time) -> None:
-        self._lost.discard(report.node_id)
-        if not self._lost:
-            self.clear_error(EMCY_HEARTBEAT, now)
+        self._clear_lost(report.node_id, now)
+
+    def _clear_lost(self, node_id: int, now: Time) -> None:
+        self._lost.discard(node_id)
+        self.communication.emcy.clear(EMCY_HEARTBEAT, now, node_id)

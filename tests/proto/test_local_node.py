@@ -1,0 +1,672 @@
+"""A device as its peers see it: frames in, frames out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import pytest
+
+from canopen_proto.datatypes import DataType, Value, ValueRangeError
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.emcy import EmcySent
+from canopen_proto.heartbeat import HeartbeatLost
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Machine, Outbox, Time
+from canopen_proto.nmt import SERVICES, NmtCommand, NmtState, NmtStateChanged, Service
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten, SdoServerAborted
+from tests.proto.device_bench import (
+    PRE_OPERATIONAL,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    START,
+    STOP,
+    SYNC,
+    DeviceBench,
+)
+from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
+
+READ_INPUT = "605#4000200000000000"
+
+
+def with_object(dictionary: ObjectDictionary, index: int, data_type: DataType, access: Access) -> ObjectDictionary:
+    variable = Variable(index, 0, f"object_{index:04x}", data_type, access)
+    return dictionary.with_objects([Object.of(variable.name, [variable])])
+
+
+def with_default(dictionary: ObjectDictionary, index: int, subindex: int, default: Value) -> ObjectDictionary:
+    """The dictionary with another value at power-on."""
+    found = dictionary.objects[index]
+    variables = {**found.variables, subindex: dataclasses.replace(found.variables[subindex], default=default)}
+    return dictionary.with_objects([Object.of(found.name, variables.values(), found.object_type)])
+
+
+# ---- power on, NMT ----
+
+
+def test_a_device_is_mute_until_it_boots() -> None:
+    bench = DeviceBench(boot=False)
+    assert bench.tell(READ_INPUT, START, SYNC) == []
+    assert bench.wait(10_000) == []
+    assert bench.node.state is NmtState.INITIALISING
+    bench.node.boot(bench.now)
+    assert bench.take() == ["705#00"]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_device_that_is_on_can_not_be_switched_on_and_nothing_changes() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    bench.write(0x1800, 5, 20, 2)
+    bench.wait(15)
+    with pytest.raises(LocalProtocolError, match="boots from INITIALISING only"):
+        bench.node.boot(bench.now)
+    assert bench.take() == []
+    assert bench.wait(10) == ["20 185#0000"]  # the event timer was not started anew
+
+
+@pytest.mark.parametrize("node_id", [0, 128, -1])
+def test_node_ids(node_id: int) -> None:
+    with pytest.raises(LocalProtocolError, match="outside 1..127"):
+        LocalNode(Outbox(), node_id, io_device())
+
+
+@pytest.mark.parametrize(
+    ("command", "state"),
+    [(START, NmtState.OPERATIONAL), (STOP, NmtState.STOPPED), (PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL)],
+)
+def test_which_service_lives_in_which_state(command: str, state: NmtState) -> None:
+    bench = DeviceBench()
+    bench.write(0x1017, 0, 100, 2)
+    bench.tell(START if command != START else STOP, command)
+    assert bench.node.state is state
+
+    answered = bool(bench.tell(READ_INPUT))
+    bench.node.set_value(INPUT, 0, 0x1234, bench.now)
+    sent_pdo = "185#3412" in bench.take()
+    bench.node.raise_error(0x4210, 0x08, b"", bench.now)
+    sent_emcy = "085#1042090000000000" in bench.take()
+    beats = bench.wait(100)
+
+    assert answered == (Service.SDO in SERVICES[state])
+    assert sent_pdo == (Service.PDO in SERVICES[state])
+    assert sent_emcy == (Service.EMCY in SERVICES[state])
+    assert beats == [f"100 705#{int(state):02X}"]
+    assert bool(bench.tell(SYNC)) == (state is NmtState.OPERATIONAL)  # TPDO2 goes by SYNC
+
+
+def test_a_request_behind_nmt_stop_is_not_answered_and_a_pdo_behind_nmt_start_is_taken() -> None:
+    bench = DeviceBench()
+    assert bench.tell(START, "205#0700") == []
+    assert bench.node.values.store[OUTPUT << 8] == 7
+    assert bench.tell(STOP, READ_INPUT, "205#0900") == []
+    assert bench.node.values.store[OUTPUT << 8] == 7
+
+
+def test_a_transfer_under_way_is_forgotten_when_the_node_stops() -> None:
+    bench = DeviceBench()
+    assert bench.tell("605#4003200000000000") == ["585#410320001E000000"]
+    assert bench.tell(STOP) == []
+    assert [event.origin for event in bench.seen(SdoServerAborted)] == [AbortOrigin.CANCELLED]
+    assert bench.wait(2000) == []
+    assert bench.tell(PRE_OPERATIONAL, "605#6000000000000000") == ["585#8000000001000405"]
+
+
+def test_reset_node_puts_all_values_back() -> None:
+    bench = DeviceBench(io_device(heartbeat_ms=100))
+    assert bench.write(LIMITED, 0, 15, 1) is None
+    assert bench.write(0x1017, 0, 50, 2) is None
+    bench.tell(START)
+    bench.events.clear()
+    assert bench.tell(RESET_NODE) == ["705#00"]
+    assert [(event.previous.name, event.state.name) for event in bench.seen(NmtStateChanged)] == [
+        ("OPERATIONAL", "INITIALISING"),
+        ("INITIALISING", "PRE_OPERATIONAL"),
+    ]
+    assert bench.number(LIMITED) == 10
+    assert bench.number(0x1017) == 100
+    assert bench.wait(200) == ["100 705#7F", "200 705#7F"]
+
+
+def test_reset_communication_puts_back_0x1000_to_0x1fff_only() -> None:
+    dictionary = with_object(io_device(heartbeat_ms=100), 0x1FFF, DataType.UNSIGNED8, Access.RW)
+    bench = DeviceBench(dictionary)
+    for index, value, size in [(LIMITED, 15, 1), (0x1017, 50, 2), (0x1FFF, 3, 1), (OUTPUT, 7, 2)]:
+        assert bench.write(index, 0, value, size) is None
+    assert bench.tell(RESET_COMMUNICATION) == ["705#00"]
+    assert [bench.number(index) for index in (LIMITED, 0x1017, 0x1FFF, OUTPUT)] == [15, 100, 0, 7]
+
+
+def test_a_reset_puts_a_remapped_pdo_back() -> None:
+    bench = DeviceBench()
+    assert bench.write(0x1800, 1, 0x80000185, 4) is None
+    assert bench.write(0x1800, 1, 0x40000190, 4) is None
+    bench.tell(START)
+    bench.node.set_value(INPUT, 0, 1, bench.now)
+    assert bench.take() == ["190#0100"]
+    bench.tell(RESET_COMMUNICATION, START)
+    bench.node.set_value(INPUT, 0, 2, bench.now)
+    assert bench.take() == ["185#0200"]
+
+
+def test_reset_node_ends_errors_and_reset_communication_those_of_communication() -> None:
+    bench = DeviceBench()
+    bench.tell(START, "205#01")
+    bench.node.raise_error(0x4210, 0x08, b"", bench.now)
+    assert bench.take() == ["085#1042190000000000"]
+    bench.tell(RESET_COMMUNICATION)
+    assert bench.number(0x1001) == 0x09  # the temperature; 0x8210 is gone
+    assert bench.number(0x1003) == 0
+    bench.tell(RESET_NODE)
+    assert bench.number(0x1001) == 0
+
+
+def test_the_heartbeat_bears_the_state_and_begins_with_the_boot_up_frame() -> None:
+    bench = DeviceBench(io_device(heartbeat_ms=100), boot=False)
+    bench.node.boot(0)
+    assert bench.take() == ["705#00"]
+    assert bench.wait(100) == ["100 705#7F"]
+    assert bench.tell(START) == []
+    assert bench.wait(100) == ["200 705#05"]
+    assert bench.tell(STOP) == []
+    assert bench.wait(100) == ["300 705#04"]
+
+
+def test_a_device_may_start_itself() -> None:
+    bench = DeviceBench(boot=False)
+    bench.node.boot(0)
+    bench.node.execute(NmtCommand.START, 0)
+    assert bench.take() == ["705#00"]
+    assert bench.tell("205#0500", SYNC) == ["285#0000"]
+
+
+# ---- SDO ----
+
+
+@pytest.mark.parametrize(
+    ("request_frame", "answer"),
+    [
+        ("605#4000100000000000", "585#4300100091010000"),  # 0x1000: 0x191
+        ("605#4018100200000000", "585#4318100207000000"),
+        ("605#2B01200034120000", "585#6001200000000000"),
+        ("605#2300100000000000", "585#8000100002000106"),  # read only
+        ("605#4000100100000000", "585#8000100111000906"),  # no such subindex
+        ("605#4004100000000000", "585#8004100000000206"),  # no such object
+        ("605#2F02200015000000", "585#8002200031000906"),  # 21 > 20
+        ("605#2F02200009000000", "585#8002200032000906"),  # 9 < 10
+        ("605#2B0220000A000000", "585#8002200012000706"),  # two bytes for one
+        ("605#2F01200001000000", "585#8001200013000706"),  # one byte for two
+    ],
+)
+def test_sdo_in_frames(request_frame: str, answer: str) -> None:
+    assert DeviceBench().tell(request_frame) == [answer]
+
+
+def test_text_goes_in_segments() -> None:
+    bench = DeviceBench()
+    content = b""
+    assert bench.tell("605#4003200000000000") == ["585#410320001E000000"]
+    for toggle in (0x60, 0x70, 0x60, 0x70, 0x60):
+        (answer,) = bench.tell(f"605#{toggle:02X}00000000000000")
+        content += bytes.fromhex(answer[6:])
+    assert content.rstrip(b"\x00") == b"an I/O device with a long name"
+    assert bench.tell("605#2103200000000000") == ["585#6003200000000000"]
+    assert bench.tell("605#0F00000000000000") == ["585#2000000000000000"]
+    assert bench.node.values.store[TEXT << 8] == ""
+
+
+def test_a_value_that_the_device_itself_spoiled_is_an_abort_and_not_an_exception() -> None:
+    bench = DeviceBench()
+    bench.node.values.store[INPUT << 8] = 1 << 20
+    assert bench.read(INPUT) == AbortCode.INTERNAL_INCOMPATIBILITY
+
+
+def test_objects_that_only_the_host_can_serve() -> None:
+    dictionary = with_object(io_device(), 0x1010, DataType.UNSIGNED32, Access.RW)
+    bench = DeviceBench(dictionary)
+    bench.node.deferred.add(0x1010)
+
+    assert bench.tell("605#4010100000000000") == []
+    (access,) = bench.seen(ObjectAccessPending)
+    assert (access.node_id, access.index, access.subindex, access.data) == (5, 0x1010, 0, None)
+    bench.node.complete(access.access_id, b"\x01\x00\x00\x00", bench.now)
+    assert bench.take() == ["585#4310100001000000"]
+
+    assert bench.tell("605#2310100073617665") == []
+    (access,) = bench.seen(ObjectAccessPending)
+    assert access.data == b"save"
+    bench.node.complete(access.access_id, None, bench.now)
+    assert bench.take() == ["585#6010100000000000"]
+    assert [(event.index, event.subindex) for event in bench.seen(ObjectWritten)] == [(0x1010, 0)]
+
+    bench.tell("605#2310100073617665")
+    (access,) = bench.seen(ObjectAccessPending)
+    bench.node.complete(access.access_id, AbortCode.HARDWARE_ERROR, bench.now)
+    assert bench.take() == ["585#8010100000000606"]
+
+    bench.tell("605#2310100073617665")
+    assert bench.wait(6000) == ["5000 585#8010100020000008"]
+    bench.node.complete(access.access_id, None, bench.now)  # too late: no fault, no frame
+    assert bench.take() == []
+
+
+def test_a_deferred_object_keeps_its_access_right_and_length() -> None:
+    dictionary = with_object(io_device(), 0x2100, DataType.UNSIGNED32, Access.WO)
+    bench = DeviceBench(with_object(dictionary, 0x2101, DataType.UNSIGNED32, Access.RO))
+    bench.node.deferred |= {0x2100, 0x2101}
+    assert bench.read(0x2100) == AbortCode.WRITE_ONLY
+    assert bench.write(0x2101, 0, 1, 4) == AbortCode.READ_ONLY
+    assert bench.write(0x2100, 0, 1, 2) == AbortCode.LENGTH_TOO_LOW
+    assert bench.seen(ObjectAccessPending) == []
+
+
+def test_a_host_that_answers_after_a_reset_answers_nobody() -> None:
+    bench = DeviceBench()
+    bench.node.deferred.add(TEXT)
+    bench.tell("605#4003200000000000")
+    (access,) = bench.seen(ObjectAccessPending)
+    assert bench.tell(RESET_NODE) == ["705#00"]
+    bench.node.complete(access.access_id, b"late", bench.now)
+    assert bench.take() == []
+    assert bench.wait(10_000) == []
+
+
+# ---- PDO ----
+
+
+def test_a_value_that_changes_sends_its_event_driven_pdo_and_the_synchronous_one_goes_by_sync() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    bench.node.set_value(INPUT, 0, -2, bench.now)
+    assert bench.take() == ["185#FEFF"]
+    assert bench.tell(SYNC, SYNC) == ["285#FEFF", "285#FEFF"]
+
+
+def test_a_write_by_sdo_or_pdo_sends_the_pdo_that_carries_the_object() -> None:
+    dictionary = io_device().with_objects([standard_object(0x1A00, highest=2, defaults={0: 1, 1: 0x20010010})])
+    bench = DeviceBench(dictionary)
+    bench.tell(START)
+    assert bench.tell("605#2B01200007000000") == ["185#0700", "585#6001200000000000"]
+    assert bench.tell("205#0800") == ["185#0800"]
+
+
+@pytest.mark.parametrize(("key", "value"), [((0x2FFF, 0), 1), ((INPUT, 1), 1)])
+def test_set_value_of_no_object(key: tuple[int, int], value: int) -> None:
+    bench = DeviceBench()
+    with pytest.raises(LocalProtocolError, match="is not in the dictionary"):
+        bench.node.set_value(*key, value, 0)
+
+
+def test_set_value_that_does_not_fit_changes_nothing() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    with pytest.raises(ValueRangeError):
+        bench.node.set_value(INPUT, 0, 40_000, 0)
+    assert bench.node.values.store[INPUT << 8] == 0
+    assert bench.take() == []
+
+
+def test_set_value_of_a_communication_object_takes_effect() -> None:
+    bench = DeviceBench()
+    bench.node.set_value(0x1017, 0, 20, bench.now)
+    assert bench.take() == ["705#7F"]
+    assert bench.wait(20) == ["20 705#7F"]
+    bench.tell(START)
+    bench.node.set_value(0x1800, 1, 0x80000185, bench.now)
+    bench.node.set_value(INPUT, 0, 1, bench.now)
+    assert bench.take() == []
+    with pytest.raises(LocalProtocolError, match=r"cob_id_sync .* = 128000: .*value"):
+        bench.node.set_value(0x1005, 0, 128_000, bench.now)
+    assert bench.number(0x1005) == 0x80
+
+
+def test_an_rpdo_of_type_1_acts_at_the_sync_and_the_last_one_before_it_counts() -> None:
+    bench = DeviceBench()
+    bench.tell(START, "305#0100", "305#0200")
+    assert bench.node.values.store[OUTPUT << 8] == 0
+    bench.tell(SYNC)
+    assert bench.node.values.store[OUTPUT << 8] == 2
+    bench.node.values.store[OUTPUT << 8] = 9
+    bench.tell(SYNC)
+    assert bench.node.values.store[OUTPUT << 8] == 9
+
+
+def test_what_was_held_for_a_sync_is_dropped_when_the_node_leaves_operational() -> None:
+    bench = DeviceBench()
+    bench.tell(START, "305#0100", PRE_OPERATIONAL, START, SYNC)
+    assert bench.node.values.store[OUTPUT << 8] == 0
+
+
+def test_a_short_pdo_is_an_emcy_until_a_good_one_comes() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    assert bench.tell("205#07") == ["085#1082110000000000"]
+    assert bench.tell("205#", "205#08") == []  # told once
+    assert bench.node.values.store[OUTPUT << 8] == 0
+    assert bench.number(0x1003, 1) == 0x0001_8210  # of RPDO 1
+    assert bench.tell("205#0800") == ["085#0000000000000000"]
+    assert bench.number(0x1001) == 0
+
+
+def test_short_pdos_of_several_rpdos_are_several_errors() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    assert bench.tell("205#07", "305#07") == ["085#1082110000000000"] * 2
+    assert bench.tell("205#0700") == []
+    assert bench.tell("305#0700") == []  # held for the SYNC
+    assert bench.tell(SYNC) == ["285#0000", "085#0000000000000000"]
+
+
+def test_a_pdo_that_is_too_long_is_used_and_no_error() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    assert bench.tell("205#0700AABB") == []
+    assert bench.node.values.store[OUTPUT << 8] == 7
+
+
+def test_an_overdue_rpdo_is_an_emcy_until_it_comes() -> None:
+    bench = DeviceBench()
+    bench.write(0x1400, 5, 50, 2)
+    bench.tell(START)
+    assert bench.wait(200) == []  # it has not begun
+    bench.tell("205#0100")
+    assert bench.wait(100) == ["250 085#5082110000000000"]
+    assert bench.tell("205#0100") == ["085#0000000000000000"]
+
+
+def test_the_error_of_an_rpdo_ends_when_it_is_set_up_anew() -> None:
+    bench = DeviceBench()
+    bench.tell(START, "205#07")
+    assert bench.write(0x1400, 1, 0x80000205, 4) is None
+    assert bench.others == ["085#0000000000000000"]
+
+
+def test_a_remote_frame_is_no_pdo_and_no_request() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    assert bench.tell("205#R2", "605#R8", "185#R2", "000#R2", "080#R") == []
+    assert bench.node.state is NmtState.OPERATIONAL
+
+
+REMAP_RPDO1_TO_LIMITED = (
+    (0x1400, 1, 0x80000205, 4),
+    (0x1600, 0, 0, 1),
+    (0x1600, 1, 0x20020008, 4),
+    (0x1600, 0, 1, 1),
+    (0x1400, 2, 254, 1),
+    (0x1400, 1, 0x00000205, 4),
+)
+
+
+def test_a_pdo_is_remapped_by_sdo() -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    for step in REMAP_RPDO1_TO_LIMITED:
+        assert bench.write(*step) is None
+    bench.tell("205#0C")
+    assert bench.node.values.store[LIMITED << 8] == 12
+    assert bench.node.values.store[OUTPUT << 8] == 0
+
+
+@pytest.mark.parametrize(
+    ("step", "abort_code"),
+    [
+        ((0x1600, 0, 0, 1), AbortCode.DEVICE_STATE),  # the PDO is valid
+        ((0x1600, 1, 0x20020008, 4), AbortCode.DEVICE_STATE),
+        ((0x1400, 1, 0x206, 4), AbortCode.DEVICE_STATE),
+        ((0x1400, 2, 250, 1), AbortCode.INVALID_VALUE),
+        ((0x1400, 0, 1, 1), AbortCode.READ_ONLY),
+    ],
+)
+def test_a_pdo_is_not_remapped_against_the_rules(step: tuple[int, int, int, int], abort_code: AbortCode) -> None:
+    bench = DeviceBench()
+    bench.tell(START)
+    assert bench.write(*step) == abort_code
+    bench.tell("205#0700")
+    assert bench.node.values.store[OUTPUT << 8] == 7
+
+
+# ---- errors of communication ----
+
+
+def monitoring(milliseconds: int = 100) -> DeviceBench:
+    """A device that monitors node 9 and has heard it."""
+    bench = DeviceBench()
+    assert bench.write(0x1016, 1, 9 << 16 | milliseconds, 4) is None
+    bench.tell(START, "709#05")
+    return bench
+
+
+def test_a_lost_heartbeat_is_an_emcy_and_leads_to_pre_operational() -> None:
+    bench = monitoring()
+    assert bench.wait(150) == ["100 085#3081110900000000"]
+    assert [event.node_id for event in bench.seen(HeartbeatLost)] == [9]
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+    assert bench.number(0x1001) == 0x11
+    assert bench.number(0x1003, 1) == 0x0009_8130
+    assert bench.tell("709#05") == ["085#0000000000000000"]
+    assert bench.number(0x1001) == 0
+    assert bench.node.state is NmtState.PRE_OPERATIONAL  # back only by NMT
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "from_state", "state"),
+    [
+        (0, START, NmtState.PRE_OPERATIONAL),
+        (0, STOP, NmtState.STOPPED),
+        (1, START, NmtState.OPERATIONAL),
+        (2, START, NmtState.STOPPED),
+        (2, PRE_OPERATIONAL, NmtState.STOPPED),
+    ],
+)
+def test_error_behaviour(behaviour: int, from_state: str, state: NmtState) -> None:
+    bench = monitoring()
+    assert bench.write(0x1029, 1, behaviour, 1) is None
+    bench.tell(from_state)
+    bench.wait(150)
+    assert bench.node.state is state
+
+
+def test_without_0x1029_a_lost_heartbeat_leads_to_pre_operational() -> None:
+    dictionary = ObjectDictionary(each for index, each in io_device().objects.items() if index != 0x1029)
+    bench = DeviceBench(dictionary)
+    bench.write(0x1016, 1, 9 << 16 | 100, 4)
+    bench.tell(START, "709#05")
+    bench.wait(150)
+    assert bench.node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_each_lost_node_is_told_of_and_the_error_ends_with_the_last_one() -> None:
+    bench = monitoring()
+    bench.write(0x1016, 2, 10 << 16 | 200, 4)
+    bench.tell("70A#05")
+    assert bench.wait(300) == ["100 085#3081110900000000", "200 085#3081110A00000000"]
+    assert bench.tell("709#05") == []
+    assert bench.tell("70A#7F") == ["085#0000000000000000"]
+
+
+def test_a_lost_node_that_is_no_longer_monitored_is_no_error() -> None:
+    bench = monitoring()
+    bench.wait(150)
+    assert bench.write(0x1016, 1, 0, 4) is None
+    assert bench.others == ["085#0000000000000000"]
+    assert bench.wait(1000) == []
+
+
+def test_monitoring_begins_anew_after_a_reset() -> None:
+    dictionary = io_device().with_objects([standard_object(0x1016, highest=2, defaults={1: 9 << 16 | 100})])
+    bench = DeviceBench(dictionary)
+    bench.tell("709#05")
+    bench.wait(150)
+    assert bench.number(0x1001) == 0x11
+    assert bench.tell(RESET_COMMUNICATION) == ["705#00", "085#0000000000000000"]
+    assert bench.number(0x1001) == 0
+    assert bench.wait(1000) == []  # until it is heard
+    bench.tell("709#05")
+    assert bench.wait(200) == [f"{150 + 1000 + 100} 085#3081110900000000"]
+
+
+def test_errors_reported_by_the_device_itself() -> None:
+    bench = DeviceBench()
+    bench.node.raise_error(0x2310, 0x02, b"\x01\x02", 0)
+    bench.node.raise_error(0x4210, 0x08, b"", 0)
+    assert bench.take() == ["085#1023030102000000", "085#10420B0000000000"]
+    bench.node.clear_error(0x2310, 0)
+    assert bench.take() == []
+    bench.node.clear_error(0x4210, 0)
+    assert bench.take() == ["085#0000000000000000"]
+    assert [event.code for event in bench.seen(EmcySent)] == [0x2310, 0x4210, 0]
+
+
+# ---- dictionaries of all kinds ----
+
+
+def minimal() -> ObjectDictionary:
+    return ObjectDictionary([standard_object(0x1000)])
+
+
+def test_a_device_with_nothing_but_0x1000() -> None:
+    bench = DeviceBench(minimal(), boot=False)
+    bench.node.boot(0)
+    assert bench.take() == ["705#00"]
+    assert bench.number(0x1000) == 0
+    for index in (0x1001, 0x1003, 0x1017, 0x1400, 0x1600, 0x1800, 0x2000):
+        assert bench.read(index) == AbortCode.NO_SUCH_OBJECT
+        assert bench.write(index, 0, 0, 1) == AbortCode.NO_SUCH_OBJECT
+    assert bench.tell(START, SYNC, "205#0000", "705#05", RESET_COMMUNICATION, RESET_NODE, STOP) == ["705#00", "705#00"]
+    bench.tell(PRE_OPERATIONAL)
+    bench.node.raise_error(0x1000, 0, b"", bench.now)
+    assert bench.take() == ["085#0010010000000000"]
+    assert bench.wait(60_000) == []
+    assert set(bench.node.values.store) == {0x100000}
+
+
+def test_two_nodes_of_one_dictionary_share_no_value() -> None:
+    dictionary = io_device()
+    out = Outbox()
+    one, other = LocalNode(out, 5, dictionary), LocalNode(out, 6, dictionary)
+    one.boot(0)
+    one.set_value(INPUT, 0, 7, 0)
+    one.set_value(0x1017, 0, 100, 0)
+    assert other.values.store[INPUT << 8] == 0
+    assert other.values.store[0x1017 << 8] == 0
+    assert one.dictionary is other.dictionary
+    assert one.values.store[0x1014 << 8] == 0x85
+    assert other.values.store[0x1014 << 8] == 0x86
+
+
+def test_a_default_that_no_client_could_write_does_not_keep_a_device_from_starting() -> None:
+    bench = DeviceBench(with_default(io_device(), 0x1019, 0, 241))
+    assert bench.tell(START, SYNC) == ["285#0000"]
+    dictionary = io_device().with_objects([standard_object(0x1600, highest=2, defaults={0: 1, 1: 0x2FFF0010})])
+    bench = DeviceBench(dictionary)
+    assert bench.tell(START, "205#0700") == []
+    assert bench.node.pdos.faults == {0x1600: "object 0x2FFF:00 is not in the dictionary"}
+
+
+# ---- the application ----
+
+
+class Recorder(Machine):
+    """An application that writes down what it is told, and refuses 13."""
+
+    def __init__(self, out: Outbox, node: LocalNode) -> None:
+        super().__init__(out)
+        self.node = node
+        self.log: list[str] = []
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        return AbortCode.LOCAL_CONTROL if value == 13 else None
+
+    def written(self, index: int, subindex: int, now: Time) -> None:
+        self.log.append(f"written {index:04X}:{subindex:02X} = {self.node.values.store[index << 8 | subindex]}")
+
+    def refresh(self, now: Time) -> None:
+        self.node.values.store[INPUT << 8] = now // MILLISECOND % 1000
+
+    def on_sync(self, now: Time) -> None:
+        self.log.append(f"sync, output {self.node.values.store[OUTPUT << 8]}")
+
+    def connection_lost(self, now: Time) -> None:
+        self.log.append(f"connection lost, {self.node.state.name}")
+
+    def reset(self, now: Time) -> None:
+        self.log.append("reset")
+
+    def take(self) -> Iterable[str]:
+        taken, self.log = self.log, []
+        return taken
+
+
+def with_application(dictionary: ObjectDictionary | None = None) -> tuple[DeviceBench, Recorder]:
+    bench = DeviceBench(dictionary)
+    recorder = Recorder(bench.node.inner, bench.node)
+    bench.node.application = recorder
+    return bench, recorder
+
+
+def test_an_application_is_asked_before_a_value_is_stored_and_told_behind_it() -> None:
+    bench, application = with_application()
+    assert bench.write(LIMITED, 0, 12, 1) is None
+    assert application.take() == ["written 2002:00 = 12"]
+    assert bench.write(LIMITED, 0, 13, 1) == AbortCode.LOCAL_CONTROL
+    assert bench.write(LIMITED, 0, 99, 1) == AbortCode.VALUE_TOO_HIGH  # not asked
+    assert bench.number(LIMITED) == 12
+    assert application.take() == []
+    assert bench.write(0x1017, 0, 13, 2) is None  # the node's own
+
+
+def test_an_application_hears_of_pdos_at_once_or_with_their_sync() -> None:
+    bench, application = with_application()
+    bench.tell(START, "205#0500")
+    assert application.take() == ["written 2001:00 = 5"]
+    bench.tell("305#0600")
+    assert application.take() == []
+    bench.tell(SYNC)
+    assert application.take() == ["written 2001:00 = 6", "sync, output 6"]
+
+
+def test_at_a_sync_tpdos_are_sampled_before_rpdos_are_taken() -> None:
+    dictionary = io_device().with_objects([standard_object(0x1A01, highest=2, defaults={0: 1, 1: 0x20010010})])
+    bench = DeviceBench(dictionary)
+    assert bench.tell(START, "305#0600", SYNC, SYNC) == ["285#0000", "285#0600"]
+
+
+def test_what_an_application_shows_is_up_to_date_wherever_it_is_read() -> None:
+    bench, _ = with_application()
+    bench.write(0x1800, 5, 30, 2)
+    bench.tell(START)
+    bench.wait(7)
+    assert bench.number(INPUT) == 7
+    assert bench.tell(SYNC) == ["285#0700"]
+    assert bench.wait(30) == ["30 185#1E00"]  # by the event timer
+
+
+def test_an_application_hears_of_lost_connections_and_resets() -> None:
+    bench, application = with_application()
+    bench.tell(PRE_OPERATIONAL, STOP)
+    assert application.take() == []
+    bench.tell(START, STOP)
+    assert application.take() == ["connection lost, STOPPED"]
+    bench.tell(RESET_COMMUNICATION)
+    assert application.take() == []
+    bench.tell(RESET_NODE)
+    assert application.take() == ["reset"]
+    bench.tell(START, PRE_OPERATIONAL)
+    assert application.take() == ["connection lost, PRE_OPERATIONAL"]
+    bench.write(0x1016, 1, 9 << 16 | 100, 4)
+    bench.write(0x1029, 1, 1, 1)
+    bench.tell(START, "709#05")
+    bench.wait(150)
+    assert application.take() == ["connection lost, OPERATIONAL"]
+
+
+def test_time_that_comes_early_does_nothing() -> None:
+    bench, _ = with_application(io_device(heartbeat_ms=100))
+    bench.node.handle_timeout(99 * MILLISECOND)
+    assert bench.take() == []
+    bench.now = 10 * SECOND  # late: one heartbeat, not a hundred
+    bench.network.handle_timeout(bench.now)
+    assert bench.take() == ["705#7F"]
