@@ -124,6 +124,13 @@ class RemoteNode(Group):
         self._writes[request_id] = (variable, meant)
         return request_id
 
+    def cancel(self, request_id: RequestId, now: Time) -> bool:
+        """Give up a request of `read` or `write`, or of `sdo`: SdoAborted follows at once. False if it is not open."""
+        mark = len(self.inner.events)
+        was_open = self.sdo.cancel(request_id, now)
+        self._settle(mark, now)
+        return was_open
+
     def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
         """What a write of `value` (or of a constant's name) to `key` means and sends. Raises as `write` does."""
         variable = self.dictionary.variable(key)

@@ -23,7 +23,7 @@ class UnexpectedLength(ProcedureError):
 def read(node: RemoteNode, key: Key) -> Procedure[Value]:
     """Read an object by SDO; its value, which `node.values` then holds too. Raises SdoFailed, UnexpectedLength."""
     variable = node.dictionary.variable(key)
-    outcome: Outcome = yield Request(node.sdo, lambda now, urgent: node.read(variable, now, urgent=urgent))
+    outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
     if isinstance(outcome, SdoUploaded):
         try:
             return variable.decode(outcome.data)
@@ -57,7 +57,7 @@ def write(node: RemoteNode, key: Key, value: Value) -> Procedure[None]:
 
     Raises LocalProtocolError or ValueRangeError, with nothing sent, for what the dictionary forbids.
     """
-    outcome: Outcome = yield Request(node.sdo, lambda now, urgent: node.write(key, value, now, urgent=urgent))
+    outcome: Outcome = yield Request(node, lambda now, urgent: node.write(key, value, now, urgent=urgent))
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
         raise SdoFailed(outcome, "writing")
