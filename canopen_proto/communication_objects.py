@@ -114,11 +114,11 @@ class CommunicationObjects:
         if index == 0x1001 and ERROR_REGISTER in store:
             store[ERROR_REGISTER] = self.emcy.error_register
         elif index == 0x1003 and ERROR_HISTORY in store:
-            history = self.emcy.history
-            store[ERROR_HISTORY] = len(history)
-            for number, entry in enumerate(history, start=1):
-                store[ERROR_HISTORY + number] = entry
-            if subindex > len(history) and ERROR_HISTORY + subindex in store:
+            shown = {ERROR_HISTORY + number: entry for number, entry in enumerate(self.emcy.history, start=1)}
+            shown = {key: entry for key, entry in shown.items() if key in store}
+            store.update(shown)
+            store[ERROR_HISTORY] = len(shown)
+            if subindex and (key := ERROR_HISTORY + subindex) in store and key not in shown:
                 return AbortCode.NO_DATA
         return None
 

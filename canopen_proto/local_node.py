@@ -257,11 +257,11 @@ class LocalNode(Group):
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
             return
-        mark = len(self.inner.events)
         if self.application is not None:
+            mark = len(self.inner.events)
             self.application.refresh(now)  # an event timer may send what it shows
-        self._members.handle_timeout(now)
-        self._settle(mark, now)
+            self._settle(mark, now)
+        super().handle_timeout(now)
 
     # ---- reactions ----
 
