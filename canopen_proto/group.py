@@ -116,7 +116,8 @@ class Members:
 
     def next_deadline(self) -> Time:
         """The nearest wake that is held: never late, perhaps early."""
-        self.refresh()
+        if self._out.armed or self._out.rerouted:
+            self.refresh()
         return self._heap[0][0] if self._heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
@@ -157,7 +158,8 @@ class Group(Machine):
         mark = len(inner.events)
         for machine in self._members.routes.get(frame.key, ()):
             machine.receive(frame, now)
-        self._settle(mark, now)
+        if len(inner.events) > mark:
+            self._settle(mark, now)
         inner.timestamp = None
 
     def handle_timeout(self, now: Time) -> None:
@@ -166,11 +168,13 @@ class Group(Machine):
         mark = len(self.inner.events)
         self._members.handle_timeout(now)
         self._settle(mark, now)
+        self._arm(self._members.next_deadline())  # even if it is the old one: the wake for that may just have been used up
 
     def _settle(self, mark: int, now: Time) -> None:
-        """React to what was reported since `mark` (and to what the reactions report), then take up routes and deadlines.
+        """React to what was reported since `mark`, and to what the reactions report.
 
-        Inputs end with this; so does every command of a group that makes members report something.
+        Inputs end with this; so does every command of a group that makes members report something. (Deadlines need nothing here:
+        a member that arms a nearer one arms its group too, see `Machine._arm`.)
         """
         events = self.inner.events
         reactions = self._reactions
@@ -179,4 +183,3 @@ class Group(Machine):
             if reaction is not None:
                 reaction(events[mark], now)
             mark += 1
-        self._arm(self._members.next_deadline())  # even if it is the old one: the wake for that may just have been used up

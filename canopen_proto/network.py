@@ -105,7 +105,8 @@ class Network:
             machine.receive(frame, now)
         if len(out.events) > self._settled:
             self._settle(now)
-            self._shed()
+            if len(out.events) > MAX_UNDRAINED_EVENTS:
+                self._shed()
         out.timestamp = None
 
     def next_deadline(self) -> Time:
@@ -118,27 +119,37 @@ class Network:
         self._now = now
         self._members.handle_timeout(now)
         self._settle(now)
-        self._shed()
+        if len(self.out.events) > MAX_UNDRAINED_EVENTS:
+            self._shed()
 
     def drain(self, now: Time) -> tuple[list[Frame], list[Event]]:
         """The frames to send and the events to deliver since the last drain, each in order."""
-        now = max(now, self._now)
+        if now < self._now:
+            now = self._now
         self._now = now
         out = self.out
-        self._settle(now)
-        fed = 0
-        while self.runner.busy and fed < len(out.events):  # procedures may report more while they are fed
-            self.runner.observe(out.root, out.events[fed], now)
-            fed += 1
+        frames, events = out.frames, out.events
+        if len(events) > self._settled:
             self._settle(now)
-        frames, events = out.frames[:], out.events[:]
-        out.frames.clear()
-        out.events.clear()
+        if self.runner.busy:
+            self._feed(now)
+        drained = frames[:], events[:]
+        frames.clear()
+        events.clear()
         self._settled = 0
         if self._dropped:
-            events.insert(0, EventsDropped(0, self._dropped))
+            drained[1].insert(0, EventsDropped(0, self._dropped))
             self._dropped = 0
-        return frames, events
+        return drained
+
+    def _feed(self, now: Time) -> None:
+        """Feed the events to the running procedures; what these report in turn, too."""
+        fed = 0
+        events = self.out.events
+        while self.runner.busy and fed < len(events):
+            self.runner.observe(self.out.root, events[fed], now)
+            fed += 1
+            self._settle(now)
 
     def run(self, procedure: Procedure[T], now: Time) -> RequestId:
         """Start a procedure (see `canopen_proto.procedures`); ProcedureFinished, -Failed or -Cancelled follows with this id."""
@@ -157,19 +168,17 @@ class Network:
 
     def _settle(self, now: Time) -> None:
         """React to what was reported since the last time, be it by an input or by a command of some machine."""
-        events = self.out.events
+        events, reactions = self.out.events, self._reactions
         while self._settled < len(events):
             report = events[self._settled]
             self._settled += 1
-            reaction = self._reactions.get(type(report))
+            reaction = reactions.get(type(report))
             if reaction is not None:
                 reaction(report, now)
 
     def _shed(self) -> None:
-        """Drop the oldest notifications if there are too many, down to half of the bound, so that the cost is spread."""
+        """Drop the oldest notifications, down to half of the bound, so that the cost is spread."""
         events = self.out.events
-        if len(events) <= MAX_UNDRAINED_EVENTS:
-            return
         excess = len(events) - MAX_UNDRAINED_EVENTS // 2
         kept: list[Event] = []
         for report in events:
