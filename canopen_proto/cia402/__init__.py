@@ -1,0 +1,16 @@
+"""CiA 402, drives and motion control: both sides of the profile.
+
+    states.py            the state machine as one table, and the way through it       both sides
+    modes.py             modes of operation, their bits, texts                        both sides
+    objects.py           the objects' multiplexers                                    both sides
+    motion.py            closed-form motion profiles
+    axis.py              `Axis`: a drive as its master sees it                        the master's side
+    drive.py             `Drive`: a simulated drive                                   the drive's side
+    drive_modes.py       what it does in each mode
+    homing_run.py        how it homes
+    servo.py             its mechanics: track, lag, limits
+    drive_dictionary.py  its object dictionary, in two shapes
+    drive_node.py        `DriveNode`: it on the bus
+
+Import from these modules: the master's side and the drive's need nothing of each other.
+"""

@@ -10,8 +10,9 @@ simulation nor the overshoot has an influence. A limit switch that comes before 
 At the home position the position shall be 607Ch, home offset. (The standard's picture can be read with the other sign; drives
 do it this way.) The axis goes back to the edge, then homing is complete.
 
-    bit 4 rises -> in progress -> attained (edge found, axis returns) -> complete      bit 4 falls or halt rises -> interrupted
-                       |-> error, moving -> error, stopped
+    bit 4 rises --> in progress --> attained (edge found, the axis returns) --> complete
+                    in progress --> error, moving --> error, stopped
+    bit 4 falls or halt rises: interrupted; the bits say "in progress" until the axis stands
 
 Left out: methods with switch and index pulse together (1 to 14), those with a home switch that turn round at a limit switch
 (23 to 30), touch probe (36).
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, assert_never
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_modes import OperationMode
@@ -71,6 +72,8 @@ class Seek(NamedTuple):
                 low, high = track.positive_limit, math.inf
             case Switch.HOME:
                 low, high = track.home_switch
+            case _:
+                assert_never(self.switch)
         near, far = (low, high) if self.direction > 0 else (high, low)
         if not self.active:  # from before the switch it goes all through it: a fast seek may have overshot
             return far if (far - position) * self.direction >= 0 else position
@@ -193,7 +196,7 @@ class Homing(OperationMode):
     @property
     def status(self) -> int:
         if self._status is HomingStatus.INTERRUPTED and self.servo.is_moving:
-            return HOMING_BITS[HomingStatus.IN_PROGRESS]  # it decelerates; bit 10 would say that it stands
+            return HOMING_BITS[HomingStatus.IN_PROGRESS]  # it still brakes: bit 10 would say that it stands
         return HOMING_BITS[self._status]
 
     @property

@@ -50,15 +50,12 @@ class Profile:
     def at(self, now: Time) -> tuple[float, float, float]:
         """Position, velocity and acceleration at `now`; before `start`, those of the start."""
         time = (now - self.start) * _SECONDS if now > self.start else 0.0
-        for begin, position, velocity, acceleration in reversed(self.pieces):
-            if time >= begin:
-                elapsed = time - begin
-                return (
-                    position + (velocity + 0.5 * acceleration * elapsed) * elapsed,
-                    velocity + acceleration * elapsed,
-                    acceleration,
-                )
-        raise AssertionError("the first piece begins at 0")
+        number = len(self.pieces) - 1
+        while self.pieces[number][0] > time:  # the first piece begins at 0
+            number -= 1
+        begin, position, velocity, acceleration = self.pieces[number]
+        elapsed = time - begin
+        return position + (velocity + 0.5 * acceleration * elapsed) * elapsed, velocity + acceleration * elapsed, acceleration
 
     def at_rest(self, now: Time) -> bool:
         """True once the motion is over: nothing will move any more."""
