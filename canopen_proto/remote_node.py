@@ -4,12 +4,14 @@ A group of the machines that concern one node: SDO client, heartbeat consumer, E
 us. It holds
 
 - `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
-  by an SDO read, and by an SDO write that was confirmed; `heard_at` tells when;
-- `nmt_state`: what its heartbeat says, and where it has none, what we commanded.
+  by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read);
+- `nmt_state`: what its heartbeat says, and where it has none, what we commanded. A heartbeat right behind a command may have been
+  sent before it: until NMT_REACTION_TIME is over, the command counts. A node whose heartbeat is lost keeps the state last known.
 
 What follows from what (CiA 301 v4.2.0, 7.3.2.2, table 37):
 
     node boots, heartbeat lost      open SDO requests are aborted: their answers will not come
+    node boots                      what it said is old; its RPDOs have to be enabled anew: its mappings are the defaults again
     node Operational / not          its PDOs live / don't: RPDOs are not sent to a node that would ignore them
     SYNC sent or heard              synchronous RPDOs go out
     PDO received                    `values` is brought up to date
@@ -25,24 +27,30 @@ from typing import Final
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
+from canopen_proto.frame import KEY_EXTENDED
 from canopen_proto.group import Group
-from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, NmtStateReported, NodeBooted
-from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, RequestId, Time, check_node_id
+from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
+from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.pdo.settings import MAX_PDOS
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 
 FRESH: Final = 100 * MILLISECOND
 """A value younger than this is taken as the present one: ten cycles of the usual 10 ms."""
 
+NMT_REACTION_TIME: Final = 50 * MILLISECOND
+"""A heartbeat that comes this soon after an NMT command may not know of it yet: it waited in the node's or an adapter's queue."""
+
 
 class RemoteNode(Group):
     """Everything that we run for one other node. Made with a Network's `out`, then attached to it."""
 
     __slots__ = (
+        "_commanded_at",
         "_listeners",
         "_wanted",
         "_writes",
@@ -74,6 +82,7 @@ class RemoteNode(Group):
         self.heard_at: dict[int, Time] = {}
         self.nmt_state: NmtState | None = None
         self.last_sync: Time | None = None
+        self._commanded_at: Time = -NEVER
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
         self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
         self.emcy = EmcyConsumer(self.inner, node_id)
@@ -88,7 +97,7 @@ class RemoteNode(Group):
             {
                 NodeBooted: self._on_boot,
                 HeartbeatLost: self._on_lost,
-                NmtStateReported: self._on_state,
+                HeartbeatReceived: self._on_heartbeat,
                 PdoReceived: self._on_pdo,
                 SdoUploaded: self._on_uploaded,
                 SdoDownloaded: self._on_downloaded,
@@ -160,7 +169,7 @@ class RemoteNode(Group):
         number: 1..512, by default that of the predefined connection set. transmission_type: of an RPDO, when we send it: 1..240
         at every n-th SYNC, 254 and 255 when triggered. A TPDO is decoded as it comes. An RPDO is made disabled: `enable_rpdo`.
         """
-        number = number or description.number
+        number = description.number if number is None else number
         if number is None:
             raise LocalProtocolError(f"PDO {description.name}: 0x{description.cob_base:X} has no predefined number; give one")
         mapping, key = Mapping.from_description(description), description.can_id(self.node_id)
@@ -169,7 +178,8 @@ class RemoteNode(Group):
         return self.add_rpdo(number, key, mapping, transmission_type)
 
     def add_tpdo(self, number: int, key: int, mapping: Mapping, now: Time) -> PdoConsumer:
-        """Receive the device's TPDO `number` on a CAN-ID (a routing key)."""
+        """Receive the device's TPDO `number` (1..512) on a CAN-ID (a routing key)."""
+        self._check_pdo(Direction.TPDO, number, key)
         self.remove_pdo(Direction.TPDO, number)
         consumer = PdoConsumer(self.inner, self.node_id, number, key, mapping, self.values.store)
         consumer.set_enabled(True, now)  # a TPDO that comes shows that the node is Operational, whoever started it
@@ -179,12 +189,19 @@ class RemoteNode(Group):
         return consumer
 
     def add_rpdo(self, number: int, key: int, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
-        """Send the device's RPDO `number` on a CAN-ID (a routing key), once `enable_rpdo` was called."""
+        """Send the device's RPDO `number` (1..512) on a CAN-ID (a routing key), once `enable_rpdo` was called."""
+        self._check_pdo(Direction.RPDO, number, key)
         self.remove_pdo(Direction.RPDO, number)
         producer = PdoProducer(self.inner, self.node_id, number, key, mapping, self.values.store, transmission_type)
         self.rpdos[number] = producer
         self._members.attach(producer)
         return producer
+
+    def _check_pdo(self, direction: Direction, number: int, key: int) -> None:
+        if not 1 <= number <= MAX_PDOS:
+            raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: PDOs have the numbers 1..{MAX_PDOS}")
+        if key > 0x7FF and not key & KEY_EXTENDED:
+            raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: CAN-ID 0x{key:X} has more than 11 bits")
 
     def remove_pdo(self, direction: Direction, number: int) -> None:
         """Exchange that PDO no more; one that is not exchanged is ignored."""
@@ -197,7 +214,7 @@ class RemoteNode(Group):
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
         """Let an RPDO be sent while the node is Operational, or not. `values` should hold what the drive is to do: the next SYNC
-        sends it."""
+        sends it. It ends when the node boots."""
         producer = self.rpdos.get(number)
         if producer is None:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
@@ -223,6 +240,7 @@ class RemoteNode(Group):
             producer.on_sync(counter, now)
 
     def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
+        self._commanded_at = now
         self._enter(target_of(command), now)
 
     # ---- reactions ----
@@ -235,13 +253,15 @@ class RemoteNode(Group):
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
         self.heard_at.clear()
         self._enter(NmtState.PRE_OPERATIONAL, now)
+        self._wanted.clear()
         self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
     def _on_lost(self, report: HeartbeatLost, now: Time) -> None:
         self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
-    def _on_state(self, report: NmtStateReported, now: Time) -> None:
-        self._enter(report.state, now)
+    def _on_heartbeat(self, report: HeartbeatReceived, now: Time) -> None:
+        if report.state is not self.nmt_state and now >= self._commanded_at + NMT_REACTION_TIME:
+            self._enter(report.state, now)
 
     def _heard(self, muxes: Collection[int], now: Time) -> None:
         for mux in muxes:
