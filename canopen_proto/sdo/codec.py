@@ -29,6 +29,8 @@ INITIATE: Final = struct.Struct("<BHBI")
 """Command, index, subindex, and size or abort code (or nothing)."""
 EXPEDITED: Final = struct.Struct("<BHB4s")
 """Command, index, subindex, up to four bytes of data; fewer are filled with zeros."""
+MULTIPLEXER: Final = struct.Struct("<xHB4x")
+"""Index and subindex alone."""
 SIZE: Final = struct.Struct("<I")
 
 # Command bytes

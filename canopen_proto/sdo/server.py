@@ -57,6 +57,7 @@ from canopen_proto.sdo.codec import (
     LAST,
     LEAST_REQUEST,
     MAX_EXPEDITED,
+    MULTIPLEXER,
     SIZE,
     SIZE_BIT,
     SPECIFIER,
@@ -275,7 +276,7 @@ class SdoServer(Machine):
         """CiA 301 v4.2.0, 7.2.4.3.6"""
         if self._state != _IDLE and not self._replace(data, frame):
             return
-        _, self._index, self._subindex, _ = INITIATE.unpack(data)
+        self._index, self._subindex = MULTIPLEXER.unpack(data)
         self._last = data
         content = self._store.read(self._index, self._subindex, now)
         if isinstance(content, bytes):
@@ -421,7 +422,7 @@ class SdoServer(Machine):
         if is_initiate:
             if self._state != _IDLE and not self._replace(data, frame):
                 return
-            _, self._index, self._subindex, _ = INITIATE.unpack(data)
+            self._index, self._subindex = MULTIPLEXER.unpack(data)
             self._abort(AbortCode.INVALID_COMMAND)
         else:
             self._on_unknown(command, data, frame, now)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import NEVER, SECOND, FrameIgnored, Outbox, Time
+from canopen_proto.machine import NEVER, SECOND, Event, FrameIgnored, Outbox, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import (
     ACCESS_TIMEOUT,
@@ -83,6 +83,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
         self.now: Time = 0
         self.transfer: Transfer | None = None
         self.enabled = True
+        self.reports: list[Event] = []
         self.stale: list[int] = []  # accesses that nobody waits for any more
 
     # ---- what the model does and expects ----
@@ -90,17 +91,21 @@ class ServerAgainstModel(RuleBasedStateMachine):
     def ask(self, data: bytes) -> list[bytes]:
         self.now += 1000
         self.server.receive(Frame(0x60C, data), self.now)
+        return self.take()
+
+    def take(self) -> list[bytes]:
+        """What the server sends; what it reports stands in `reports` then."""
+        self.reports = take_events(self.out)
         return [bytes.fromhex(text.removeprefix("58C#")) for text in take_frames(self.out)]
 
     def expect_abort(self, answers: list[bytes], index: int, code: int) -> None:
         self.end()
         assert answers == [b"\x80" + index.to_bytes(2, "little") + b"\x00" + code.to_bytes(4, "little")]
-        report = take_events(self.out)[-1]
-        assert report == SdoServerAborted(12, index, 0, code, AbortOrigin.LOCAL)
+        assert self.reports[-1] == SdoServerAborted(12, index, 0, code, AbortOrigin.LOCAL)
 
-    def expect_nothing(self, answers: list[bytes]) -> None:
+    def expect_ignored(self, answers: list[bytes]) -> None:
         assert answers == []
-        take_events(self.out)
+        assert [type(report) for report in self.reports] == [FrameIgnored]
 
     def end(self) -> None:
         if self.transfer is not None and self.transfer.access_id is not None:
@@ -111,12 +116,17 @@ class ServerAgainstModel(RuleBasedStateMachine):
         self.transfer = Transfer(index, upload, last=request, deadline=self.now + TIMEOUT)
         return self.transfer
 
-    def make_way(self, request: bytes) -> bool:
-        """Before a new initiate; False if it is a copy of the one that the host is serving."""
-        if self.transfer is not None and self.transfer.access_id is not None and self.transfer.last == request:
-            return False
+    def initiate(self, request: bytes) -> list[bytes] | None:
+        """The answers to an initiate request, which ends a transfer; None if it was a copy of one that the host is serving."""
+        old = self.transfer
+        answers = self.ask(request)
+        if old is not None and old.last == request and old.access_id is not None:
+            self.expect_ignored(answers)
+            return None
         self.end()
-        return True
+        if old is not None and old.last != request:
+            assert self.reports[0] == SdoServerAborted(12, old.index, 0, AbortCode.GENERAL_ERROR, AbortOrigin.REPLACED)
+        return answers
 
     def expect_confirmation(self, index: int, content: bytes, answer: bytes, answers: list[bytes], request: bytes) -> None:
         """A download is complete: written, refused, or handed to the host."""
@@ -124,7 +134,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
         if refusal is not None:
             self.expect_abort(answers, index, refusal)
         elif index == BY_HOST:
-            access = take_events(self.out)[-1]
+            access = self.reports[-1]
             assert isinstance(access, ObjectAccessPending)
             assert (access.index, access.data) == (index, content)
             transfer = self.transfer or self.begin(index, upload=False, request=request)
@@ -133,7 +143,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
             assert answers == []
         else:
             assert answers == [answer]
-            assert take_events(self.out)[-1] == ObjectWritten(12, index, 0)
+            assert self.reports[-1] == ObjectWritten(12, index, 0)
             self.expected[index] = content
             self.end()
 
@@ -151,14 +161,13 @@ class ServerAgainstModel(RuleBasedStateMachine):
     @rule(index=INDICES)
     def initiate_upload(self, index: int) -> None:
         request = b"\x40" + index.to_bytes(2, "little") + bytes(5)
-        makes_way = self.make_way(request)
-        answers = self.ask(request)
-        if not makes_way:
-            self.expect_nothing(answers)
-        elif index == MISSING:
+        answers = self.initiate(request)
+        if answers is None:
+            return
+        if index == MISSING:
             self.expect_abort(answers, index, AbortCode.NO_SUCH_OBJECT)
         elif index == BY_HOST:
-            access = take_events(self.out)[-1]
+            access = self.reports[-1]
             assert isinstance(access, ObjectAccessPending)
             assert access.data is None
             transfer = self.begin(index, upload=True, request=request)
@@ -172,20 +181,17 @@ class ServerAgainstModel(RuleBasedStateMachine):
     def expedited_download(self, index: int, content: bytes) -> None:
         head = index.to_bytes(2, "little") + b"\x00"
         request = bytes((0x23 | 4 - len(content) << 2,)) + head + content.ljust(4, b"\x00")
-        makes_way = self.make_way(request)
-        answers = self.ask(request)
-        if makes_way:
+        answers = self.initiate(request)
+        if answers is not None:
             self.expect_confirmation(index, content, b"\x60" + head + bytes(4), answers, request)
-        else:
-            self.expect_nothing(answers)
 
     @precondition(lambda self: self.enabled)
     @rule(index=INDICES, announced=st.one_of(st.none(), st.integers(0, MAX_DOWNLOAD + 2)))
     def initiate_segmented_download(self, index: int, announced: int | None) -> None:
         head = index.to_bytes(2, "little") + b"\x00"
         request = (b"\x20" + head + bytes(4)) if announced is None else b"\x21" + head + announced.to_bytes(4, "little")
-        self.end()
-        answers = self.ask(request)
+        answers = self.initiate(request)
+        assert answers is not None
         refusal = self.objects.check_write(index, 0, announced)
         if refusal is None and (announced or 0) > MAX_DOWNLOAD:
             refusal = AbortCode.OUT_OF_MEMORY
@@ -264,7 +270,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
         answers = self.ask(transfer.last)
         if transfer.copies == 1:
             assert answers == []
-            assert isinstance(take_events(self.out)[-1], FrameIgnored)
+            assert isinstance(self.reports[-1], FrameIgnored)
         else:
             at_host = transfer.access_id is not None
             code = AbortCode.INVALID_COMMAND if at_host else AbortCode.TOGGLE_NOT_ALTERNATED
@@ -275,13 +281,13 @@ class ServerAgainstModel(RuleBasedStateMachine):
         answers = self.ask(b"\x80" + bytes(3) + code.to_bytes(4, "little"))
         assert answers == []
         expected = [] if self.transfer is None else [SdoServerAborted(12, self.transfer.index, 0, code, AbortOrigin.PEER)]
-        assert take_events(self.out)[-1:] == expected
+        assert self.reports == expected
         self.end()
 
     @rule(data=st.binary(max_size=3))
     def send_too_little(self, data: bytes) -> None:
-        if not data or data[0] & 0xE0 in (0x20, 0x40, 0x80):
-            self.expect_nothing(self.ask(data))
+        if self.enabled and (not data or data[0] & 0xE0 in (0x20, 0x40, 0x80)):
+            self.expect_ignored(self.ask(data))
 
     @precondition(lambda self: self.transfer is not None and self.transfer.access_id is not None)
     @rule(result=st.one_of(st.binary(max_size=12), st.just(AbortCode.HARDWARE_ERROR)))
@@ -292,7 +298,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
         self.now += 1000
         read = isinstance(result, bytes) and transfer.upload
         assert self.server.complete(transfer.access_id, result if read or isinstance(result, AbortCode) else None, self.now)
-        answers = [bytes.fromhex(text.removeprefix("58C#")) for text in take_frames(self.out)]
+        answers = self.take()
         self.end()
         if isinstance(result, AbortCode):
             self.expect_abort(answers, transfer.index, result)
@@ -300,7 +306,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
             self.expect_upload(transfer.index, result, answers, transfer.last)
         else:
             assert answers == [transfer.held]
-            assert take_events(self.out)[-1] == ObjectWritten(12, transfer.index, 0)
+            assert self.reports[-1] == ObjectWritten(12, transfer.index, 0)
 
     @precondition(lambda self: bool(self.stale))
     @rule()
@@ -315,7 +321,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
             duration = 0 if transfer is None else transfer.deadline - self.now
         self.now += duration
         self.server.handle_timeout(self.now)
-        answers = [bytes.fromhex(text.removeprefix("58C#")) for text in take_frames(self.out)]
+        answers = self.take()
         if transfer is None or self.now < transfer.deadline:
             assert answers == []
             return
@@ -324,7 +330,7 @@ class ServerAgainstModel(RuleBasedStateMachine):
             code = AbortCode.CANNOT_TRANSFER
         self.end()
         assert answers == [b"\x80" + transfer.index.to_bytes(2, "little") + b"\x00" + code.to_bytes(4, "little")]
-        assert take_events(self.out)[-1] == SdoServerAborted(12, transfer.index, 0, code, AbortOrigin.TIMEOUT)
+        assert self.reports[-1] == SdoServerAborted(12, transfer.index, 0, code, AbortOrigin.TIMEOUT)
 
     @rule()
     def nmt_state_changes(self) -> None:
@@ -334,13 +340,14 @@ class ServerAgainstModel(RuleBasedStateMachine):
         else:
             self.server.enable()
         self.enabled = not self.enabled
-        assert take_frames(self.out) == []
-        take_events(self.out)
+        assert self.take() == []
+        assert all(isinstance(report, SdoServerAborted) for report in self.reports)
 
     @precondition(lambda self: not self.enabled)
     @rule(data=st.binary(max_size=8))
     def nothing_is_answered_while_disabled(self, data: bytes) -> None:
-        self.expect_nothing(self.ask(data))
+        assert self.ask(data) == []
+        assert self.reports == []
 
     # ---- invariants ----
 

@@ -20,7 +20,8 @@ from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending, SdoS
 from tests.proto.bus import CAN_FATES, Bus, Fate
 
 MAX_DELAY = 5 * MILLISECOND
-INDICES = (0x2000, 0x2001, 0x2002)
+AT_FIRST = {0x2000: bytes(range(20)), 0x2001: b"\x37\x02", 0x2002: b"hello world"}
+INDICES = tuple(AT_FIRST)
 BY_HOST = 0x2002  # served late, by the host
 
 
@@ -28,7 +29,7 @@ class HistoryStore:
     """Objects of any length that remember what they held, and since when."""
 
     def __init__(self) -> None:
-        self.history: dict[int, list[tuple[Time, bytes]]] = {index: [(0, b"")] for index in INDICES}
+        self.history: dict[int, list[tuple[Time, bytes]]] = {index: [(0, content)] for index, content in AT_FIRST.items()}
         self.writes: list[tuple[Time, int, bytes]] = []
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
@@ -88,6 +89,8 @@ class Pair:
         return request_id
 
     def on_event(self, report: Event) -> None:
+        assert len(self.client._buffer) <= self.client.max_upload + 7
+        assert len(self.server._buffer) <= self.server.max_download + 7
         if isinstance(report, Outcome):
             self.jobs[report.request_id].outcomes.append((self.bus.now, report))
             self.finished.append(report)
