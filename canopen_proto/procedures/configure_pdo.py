@@ -8,16 +8,25 @@ the error says so, and the PDO is then at worst destroyed, which is the safe sta
 
 from __future__ import annotations
 
+from typing import Final
+
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
+from canopen_proto.machine import LocalProtocolError
 from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping
 from canopen_proto.pdo.settings import PdoSettings, RemapStep, objects_to_read
+from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, act, download, upload
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.abort import AbortOrigin
+
+_FAILURES: Final = (SdoFailed, LocalProtocolError)
+"""How a step can fail: the transfer, or before that the client whose queue is full."""
 
 
 class PdoRefused(ProcedureError):
-    """A device did not take a PDO's settings. restored: whether it has its old ones again."""
+    """A device did not take a PDO's settings, or not its old ones back. step: the one that failed, from 1 on, or that a cancel
+    met. restored: whether the device has its old settings."""
 
     def __init__(self, message: str, *, step: int, restored: bool) -> None:
         super().__init__(message)
@@ -26,44 +35,68 @@ class PdoRefused(ProcedureError):
 
 
 def read_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
-    """How a PDO of the device is set up now. Raises SdoFailed where the device has no such PDO, MappingError for nonsense."""
+    """How a PDO of the device is set up now.
+
+    Raises SdoFailed where the device has no such PDO, MappingError and UnexpectedLength for nonsense.
+    """
     answers: dict[tuple[int, int], bytes] = {}
     fixed = objects_to_read(number, direction)
+    sizes = dict(zip(fixed, (4, 1, 1), strict=True))  # COB-ID, transmission type, number of mapped objects
     for index, subindex in fixed:
-        answers[index, subindex] = yield from upload(node.sdo, index, subindex)
-    count = min(int.from_bytes(answers[fixed[-1]], "little"), MAX_ENTRIES + 1)  # from_read tells of too many
+        answers[index, subindex] = yield from _upload(node, index, subindex, sizes[index, subindex])
+    count = min(answers[fixed[-1]][0], MAX_ENTRIES + 1)  # from_read tells of too many
     if count <= MAX_ENTRIES:
         for index, subindex in objects_to_read(number, direction, count)[len(fixed) :]:
-            answers[index, subindex] = yield from upload(node.sdo, index, subindex)
+            answers[index, subindex] = yield from _upload(node, index, subindex, 4)
     return PdoSettings.from_read(number, direction, answers)
+
+
+def _upload(node: RemoteNode, index: int, subindex: int, size: int) -> Procedure[bytes]:
+    data = yield from upload(node.sdo, index, subindex)
+    if len(data) != size:
+        raise UnexpectedLength(f"node {node.node_id}: 0x{index:04X}:{subindex:02X} came with {len(data)} bytes, not {size}")
+    return data
 
 
 def configure_pdo(node: RemoteNode, settings: PdoSettings) -> Procedure[PdoSettings]:
     """Set a PDO of the device up; its settings before that. The node must be pre-operational, as most devices ask.
 
-    Raises PdoRefused, which names the step, the abort and what stands now; SdoFailed where the old settings could not be read.
+    Raises PdoRefused, which names the step, the abort and what stands now; what `read_pdo` raises where the old settings could
+    not be read; then nothing was written.
     """
     before = yield from read_pdo(node, settings.direction, settings.number)
     steps = settings.steps(before.cob_id)
+    name = f"{settings.direction} {settings.number} of node {node.node_id}"
     done = 0
     try:
         for index, subindex, data in steps:
             yield from download(node.sdo, index, subindex, data)
             done += 1
     except Cancelled:
-        yield from _write_all(node, before.steps(before.cob_id))
-        raise
-    except SdoFailed as refused:
-        name = f"{settings.direction} {settings.number} of node {node.node_id}"
-        where = f"step {done + 1} of {len(steps)} ({_what(steps[done])})"
         try:
-            yield from _write_all(node, before.steps(before.cob_id))
-        except SdoFailed as failed:
-            message = f"{name} could not be set up: {where}: {refused}; and its old settings could not be put back: {failed}"
-            raise PdoRefused(message, step=done + 1, restored=False) from refused
-        message = f"{name} could not be set up: {where}: {refused}; it has its old settings again"
-        raise PdoRefused(message, step=done + 1, restored=True) from refused
+            yield from _put_back(node, before, settings, done, len(steps))
+        except _FAILURES as failed:
+            message = f"setting {name} up was cancelled, and its old settings could not be put back: {failed}"
+            raise PdoRefused(message, step=done + 1, restored=False) from failed
+        raise
+    except _FAILURES as refused:
+        message = f"{name} could not be set up: step {done + 1} of {len(steps)} ({_what(steps[done])}): {refused}"
+        in_doubt = isinstance(refused, SdoFailed) and refused.origin is not AbortOrigin.PEER
+        if done or in_doubt:  # else nothing has changed
+            try:
+                yield from _put_back(node, before, settings, done, len(steps))
+            except _FAILURES as failed:
+                message += f"; and its old settings could not be put back: {failed}"
+                raise PdoRefused(message, step=done + 1, restored=False) from refused
+        raise PdoRefused(f"{message}; it has its old settings", step=done + 1, restored=True) from refused
     return before
+
+
+def _put_back(node: RemoteNode, before: PdoSettings, settings: PdoSettings, done: int, count: int) -> Procedure[None]:
+    """Write the old settings. Whether the step behind the `done` ones was executed is not known: an answer may have been lost."""
+    standing = settings.cob_id if done == count - 1 else before.cob_id  # with which a strict device wants to be destroyed
+    for index, subindex, data in before.steps(standing):
+        yield from download(node.sdo, index, subindex, data)
 
 
 def define_pdo(
@@ -95,11 +128,6 @@ def use_device_pdo(node: RemoteNode, direction: Direction, number: int) -> Proce
     else:
         yield from act(lambda now: node.add_rpdo(number, key, mapping, settings.transmission_type))
     return mapping
-
-
-def _write_all(node: RemoteNode, steps: list[RemapStep]) -> Procedure[None]:
-    for index, subindex, data in steps:
-        yield from download(node.sdo, index, subindex, data)
 
 
 def _what(step: RemapStep) -> str:
