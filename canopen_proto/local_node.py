@@ -215,9 +215,6 @@ class LocalNode(Group):
         value = self._store.decode(variable, data)
         if isinstance(value, AbortCode):
             return value
-        refusal = self._store.check(variable, value)
-        if refusal is not None:
-            return refusal
         if index in self.deferred:
             return PENDING
         refusal = self._refusal(index, subindex, value)

@@ -13,7 +13,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.emcy import EmcySent
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Machine, Outbox, Time
+from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
 from canopen_proto.nmt import SERVICES, NmtCommand, NmtState, NmtStateChanged, Service
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten, SdoServerAborted
@@ -670,3 +670,18 @@ def test_time_that_comes_early_does_nothing() -> None:
     bench.now = 10 * SECOND  # late: one heartbeat, not a hundred
     bench.network.handle_timeout(bench.now)
     assert bench.take() == ["705#7F"]
+
+
+def test_bytes_that_are_no_value_are_refused_by_sdo_and_ignored_by_pdo() -> None:
+    """A time of day with 25 hours: the length is right, and yet it is none."""
+    dictionary = with_object(io_device(), 0x2100, DataType.TIME_OF_DAY, Access.RW)
+    variable = dataclasses.replace(dictionary.objects[0x2100].variables[0], pdo_mappable=True)
+    mapping = standard_object(0x1601, highest=2, defaults={0: 1, 1: 0x21000030})
+    bench = DeviceBench(dictionary.with_objects([Object.of("time", [variable]), mapping]))
+    noon = bench.node.values.store[0x210000]
+
+    assert bench.tell("605#2100210006000000") == ["585#6000210000000000"]
+    assert bench.tell("605#03FFFFFF0F010000") == ["585#8000210030000906"]
+    bench.tell(START, "305#FFFFFF0F0100", SYNC)
+    assert [event.reason for event in bench.seen(FrameIgnored)] != []
+    assert bench.node.values.store[0x210000] == noon
