@@ -1,0 +1,79 @@
+"""A CANopen master for trio: several buses, chains of CiA 402 drives, SYNC cycles, supervision; on the way out it halts what moves.
+
+    async with open_master("socketcan:can0") as master:
+        arm = master.load_chains("single_device.csv")["chain1"]
+        await arm.initialise()
+        await arm.home()
+
+For scripts without async there is `canopen_master.direct`, the manual's blocking API on top of this.
+"""
+
+from canopen_master.bus import FramesLost
+from canopen_master.chain import Chain, ChainSettings, ChainState
+from canopen_master.chain_file import ChainDescription, JointDescription, parse_chains, read_chains
+from canopen_master.cycles import Cycle, Cycles
+from canopen_master.device import Device
+from canopen_master.errors import (
+    BusError,
+    ChainError,
+    ChainFault,
+    ChainFileError,
+    ChainHalted,
+    HaltNotConfirmed,
+    MasterClosed,
+    MasterError,
+    NodeError,
+    NodeSilent,
+    SdoError,
+    SdoGivenUp,
+    SdoRefused,
+    SdoTimeout,
+    SetPointRefused,
+    UnexpectedAnswer,
+    UnknownChain,
+)
+from canopen_master.master import Master
+from canopen_master.node import Node
+from canopen_master.session import MasterSession, open_master
+from canopen_master.simulation import Host, powerballs, simulate, standard_drives
+from canopen_master.subscription import Subscription
+
+__all__ = [
+    "BusError",
+    "Chain",
+    "ChainDescription",
+    "ChainError",
+    "ChainFault",
+    "ChainFileError",
+    "ChainHalted",
+    "ChainSettings",
+    "ChainState",
+    "Cycle",
+    "Cycles",
+    "Device",
+    "FramesLost",
+    "HaltNotConfirmed",
+    "Host",
+    "JointDescription",
+    "Master",
+    "MasterClosed",
+    "MasterError",
+    "MasterSession",
+    "Node",
+    "NodeError",
+    "NodeSilent",
+    "SdoError",
+    "SdoGivenUp",
+    "SdoRefused",
+    "SdoTimeout",
+    "SetPointRefused",
+    "Subscription",
+    "UnexpectedAnswer",
+    "UnknownChain",
+    "open_master",
+    "parse_chains",
+    "powerballs",
+    "read_chains",
+    "simulate",
+    "standard_drives",
+]

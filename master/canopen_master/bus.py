@@ -1,0 +1,282 @@
+"""The pump: it drives the Networks of one participant, on one or several buses, with trio. A master has one, a simulated device
+has one.
+
+Theory of operation
+-------------------
+The core's driver loop is: mutate, drain, send, deliver, wait. Here
+
+- one task per bus receives frames, one per bus sends them, and one for all buses keeps the time. Delivery needs no task: events
+  go into bounded queues and wake tasks, which neither blocks nor calls anybody's code;
+- whatever mutates a machine (a frame, a deadline, a command of any task) is followed by `pump`, at once and without a checkpoint
+  between: it drains all networks until none has anything more to say. A task that is cancelled can so never leave the core ahead
+  of the wire, nor the wire ahead of the core;
+- what delivery itself mutates (a chain that stops because a joint failed) is drained in the same turn.
+
+The tasks are shielded and survive the cancelling of the user's code: `Pump.run` ends by `Pump.stop` only. Without that a cancel
+would put nothing on the wire, and drives would run on. All of it is protected from a KeyboardInterrupt in the middle of a turn.
+
+**Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in: a process
+that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+trio's own waits are up to 1 ms late (epoll counts in ms); SYNC keeps its phase all the same.
+
+**What goes first.** Frames leave in the order in which the core made them, but for SDO: its frames wait until nothing else is to
+be sent, and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs behind it, then SDO in what
+is left.
+
+**When a bus fails**, its tasks end, what is queued for it is dropped, and `on_failure` is told once; the other buses run on until
+they are stopped. A bug in the core is told in the same way, and the pump runs on, so that drives can still be halted.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_proto.frame import EXTENDED, Frame
+from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time, event
+from canopen_proto.network import Network
+from canopen_proto.sync import SyncProducer
+from canopen_transports import ReceiveOverrun, Transport, TransportError
+from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
+
+MAX_SEND_QUEUE: Final = 4096
+"""Frames that wait to be sent on one bus: about one second at 500 kbit/s. A bus that is behind by more has failed."""
+
+SDO_GUARD: Final = 300 * MICROSECOND
+"""Before a SYNC no SDO frame is begun: the longest frame takes 270 us at 500 kbit/s, and a frame under way delays the SYNC."""
+
+MAX_CATCH_UP: Final = 4096
+"""Frames that are taken in before a due timeout is handled. A bus that brings more, without end, must not hold up the time."""
+
+_QUIET_TICKS: Final = 2
+"""A frame that is there reaches us within two rounds of trio's scheduler."""
+
+_SDO_FIRST, _SDO_LAST = 0x580, 0x67F
+
+
+@event
+class FramesLost(Event):
+    """Received frames were lost, at this place in the order of frames: PDOs and answers may be missing. node_id is 0.
+
+    lost: how many at least. reason: where, for people.
+    """
+
+    lost: int
+    reason: str
+
+
+class Bus:
+    """One participant's place on one bus: its Network, the transport, and what waits to be sent.
+
+    name: as this participant calls it. sync: the SYNC producer, if it has one.
+    """
+
+    def __init__(self, name: str, transport: Transport, network: Network, sync: SyncProducer | None = None) -> None:
+        self.name = name
+        self.transport = transport
+        self.network = network
+        self.sync = sync
+        self.failed = False
+        self._first: deque[Frame] = deque()
+        self._sdo: deque[Frame] = deque()
+        self._is_sending = False
+        self._work = trio.lowlevel.ParkingLot()  # the sender waits for frames
+        self._sent = trio.lowlevel.ParkingLot()  # others wait for the sender
+
+    @property
+    def pending(self) -> int:
+        """Frames that have not reached the transport yet."""
+        return len(self._first) + len(self._sdo) + self._is_sending
+
+    def queue(self, frames: Sequence[Frame]) -> bool:
+        """Queue frames for sending; False where they are too many."""
+        if self.failed:
+            return True
+        for frame in frames:
+            is_sdo = _SDO_FIRST <= frame.can_id <= _SDO_LAST and not frame.flags & EXTENDED
+            (self._sdo if is_sdo else self._first).append(frame)
+        self._work.unpark()
+        return len(self._first) + len(self._sdo) <= MAX_SEND_QUEUE
+
+    def fail(self) -> None:
+        """Drop what waits: nothing more can be sent."""
+        self.failed = True
+        self._first.clear()
+        self._sdo.clear()
+        self._sent.unpark_all()
+
+    async def flush(self) -> None:
+        """Wait until all frames queued so far and meanwhile have reached the transport, or the bus has failed."""
+        while self.pending and not self.failed:
+            await self._sent.park()
+
+    async def next_frame(self, now: Callable[[], Time]) -> Frame:
+        """The frame that is to be sent next."""
+        self._is_sending = False
+        if not self.pending:
+            self._sent.unpark_all()
+        while True:
+            if self._first:
+                frame = self._first.popleft()
+                break
+            if self._sdo:
+                until_sync = self.sync.deadline - now() if self.sync is not None else NEVER
+                if until_sync > SDO_GUARD:
+                    frame = self._sdo.popleft()
+                    break
+                with trio.move_on_after(max(until_sync, SDO_GUARD) / SECOND):
+                    await self._work.park()
+            else:
+                await self._work.park()
+        self._is_sending = True
+        return frame
+
+
+class Listener(Protocol):
+    """Who is told of each event, and of a failure."""
+
+    def on_event(self, bus: Bus, event: Event) -> None:
+        """An event came out of a bus's network. May mutate machines; must not raise or block."""
+
+    def on_failure(self, bus: Bus | None, error: Exception) -> None:
+        """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
+
+
+class Pump:
+    """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner."""
+
+    def __init__(self, buses: Sequence[Bus], listener: Listener) -> None:
+        self.buses = tuple(buses)
+        self._listener = listener
+        self._scope = trio.CancelScope(shield=True)
+        self._alarm: trio.CancelScope | None = None
+        self._is_pumping = False
+        self._received = 0
+
+    def now(self) -> Time:
+        """trio's clock in ns: the one time of all machines."""
+        return round(trio.current_time() * SECOND)
+
+    @enable_ki_protection
+    def pump(self) -> None:
+        """Take up everything that the machines have to say, until they have no more. After each mutation."""
+        if self._is_pumping:
+            return  # called by what is being delivered: the loop below goes round again
+        self._is_pumping = True
+        try:
+            now = self.now()
+            busy = True
+            while busy:
+                busy = False
+                for bus in self.buses:
+                    out = bus.network.out
+                    if out.frames or out.events:
+                        busy = True
+                        self._take(bus, now)
+        finally:
+            self._is_pumping = False
+        self._set_alarm()
+
+    def _take(self, bus: Bus, now: Time) -> None:
+        frames, events = bus.network.drain(now)
+        if frames and not bus.queue(frames):
+            waiting = f"{bus.pending} frames wait to be sent"
+            name = getattr(bus.transport, "locator", bus.name)
+            self._fail(bus, TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=waiting))
+        for each in events:
+            self._listener.on_event(bus, each)
+
+    def stop(self) -> None:
+        """End the tasks. What is queued is not sent any more: `flush` first."""
+        self._scope.cancel()
+
+    async def flush(self) -> None:
+        """Wait until all that is queued has reached the transports."""
+        for bus in self.buses:
+            await bus.flush()
+
+    @enable_ki_protection
+    async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
+        """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
+        with self._scope:
+            async with trio.open_nursery() as nursery:
+                for bus in self.buses:
+                    nursery.start_soon(self._receive, bus)
+                    nursery.start_soon(self._send, bus)
+                nursery.start_soon(self._keep_time)
+                task_status.started()
+
+    @enable_ki_protection
+    async def _receive(self, bus: Bus) -> None:
+        while not bus.failed:
+            try:
+                frame, timestamp = await bus.transport.receive()
+            except ReceiveOverrun as overrun:
+                self._turn(bus.network.out.events.append, FramesLost(0, overrun.lost, overrun.seen))
+            except (TransportError, trio.ClosedResourceError) as error:
+                self._fail(bus, error)
+            else:
+                self._received += 1
+                self._turn(bus.network.receive, frame, self.now(), timestamp)
+
+    @enable_ki_protection
+    async def _send(self, bus: Bus) -> None:
+        while not bus.failed:
+            frame = await bus.next_frame(self.now)
+            try:
+                await bus.transport.send(frame)
+            except (TransportError, trio.ClosedResourceError) as error:
+                self._fail(bus, error)
+
+    @enable_ki_protection
+    async def _keep_time(self) -> None:
+        while True:
+            with trio.CancelScope() as self._alarm:
+                self._set_alarm()
+                await trio.sleep_forever()
+            self._alarm = None
+            await self._catch_up()
+            self._turn(self._handle_timeouts)
+
+    async def _catch_up(self) -> None:
+        """Let the receivers handle what is already there."""
+        for _ in range(MAX_CATCH_UP):
+            received = self._received
+            for _ in range(_QUIET_TICKS):
+                await trio.lowlevel.checkpoint()
+            if received == self._received:
+                return
+
+    def _handle_timeouts(self) -> None:
+        """One instant for all buses: SYNCs that are due together go out together."""
+        now = self.now()
+        for bus in self.buses:
+            bus.network.handle_timeout(now)
+
+    def _set_alarm(self) -> None:
+        """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
+        if self._alarm is None:
+            return
+        deadline = min(bus.network.next_deadline() for bus in self.buses)
+        if deadline < NEVER and deadline / SECOND < self._alarm.deadline:
+            self._alarm.deadline = deadline / SECOND
+
+    def _turn(self, mutate: Callable[..., object], *args: object) -> None:
+        try:
+            mutate(*args)
+            self.pump()
+        except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
+            self._listener.on_failure(None, error)
+
+    def _fail(self, bus: Bus, error: TransportError | trio.ClosedResourceError) -> None:
+        if bus.failed:
+            return
+        bus.fail()
+        if isinstance(error, trio.ClosedResourceError):
+            name = getattr(bus.transport, "locator", bus.name)
+            error = TransportError(BUS_LOST, name, f"{name} was closed", cause="somebody closed the transport that we use")
+        self._listener.on_failure(bus, error)

@@ -1,0 +1,444 @@
+"""`Chain`: several joints that are moved as one. Made by `Master.load_chains` or `Master.chain`.
+
+    await arm.initialise()
+    await arm.home()
+    await arm.enable_interpolated_position()
+    async for cycle in arm.cycles():
+        arm.set_positions([...])
+
+Theory of operation
+-------------------
+**One thing at a time**: initialise, home, enable_interpolated_position, recover and shut_down run one procedure per joint, side
+by side; if one fails, the others are cancelled (what they moved is halted), and the error names the joint.
+
+**Cycle.** SYNC goes out, right behind it one PDO per joint with the set-points as they are then. A set-point given in cycle n so
+goes out behind SYNC n+1, acts at SYNC n+2, and is reached at the SYNC after it. If none was given in a cycle, the last one is
+repeated, and the cycle counts as missed; after `max_missed_cycles` in a row the chain is halted. It stays halted until
+`enable_interpolated_position` or `recover`, which begin where the joints stand: nothing jumps.
+
+**Supervision**, from the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, loses its heartbeat, or,
+while set-points are followed, leaves Operation enabled or sends no PDO any more, stops its whole chain: what runs is cancelled,
+all other joints are halted, and everything that is asked of the chain raises ChainFault, until `recover`.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.cycles import Cycles, SetPoints
+from canopen_master.device import Device
+from canopen_master.dispatch import ProcedureTakenBack, Waiter
+from canopen_master.errors import (
+    CHAIN_FAILED,
+    CHAIN_HALTED,
+    CHAIN_NOT_READY,
+    NO_ANSWER,
+    REFUSED,
+    ChainError,
+    ChainFault,
+    ChainHalted,
+    sign_of_life,
+)
+from canopen_master.joint_procedures import JointFailed, of_joint, power_down, prepare, quietly, stop
+from canopen_proto.cia402.axis import AxisStateChanged
+from canopen_proto.cia402.states import State
+from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault, start_interpolation
+from canopen_proto.procedures.runner import ProcedureFinished
+from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
+from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sync import SyncSent
+
+if TYPE_CHECKING:
+    from canopen_master.master import Master
+
+T = TypeVar("T")
+
+MAX_MISSED_CYCLES: Final = 10
+"""In a row; at the usual 10 ms a program that is 0.1 s late has lost control of the arm."""
+SILENT_CYCLES: Final = 10
+SILENT_TIME: Final = 100 * MILLISECOND
+"""A joint from which nothing came for this many cycles, and this long, is gone."""
+
+
+class ChainState(enum.Enum):
+    """What a chain is ready for."""
+
+    OFF = "off"
+    """Not initialised, or shut down."""
+    READY = "ready"
+    """All joints are in Operation enabled."""
+    FOLLOWING = "following"
+    """In interpolated position mode: set-points are sent behind each SYNC."""
+    HALTED = "halted"
+    """Halted; no set-points are followed."""
+    FAULT = "fault"
+    """Stopped because a joint failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSettings:
+    """cycle_time: seconds between two SYNCs. rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have
+    them declared to the devices (`definePDO`), for devices that do not come with them. max_step: the largest step of a set-point
+    from one cycle to the next, in the user's unit; None for no limit. max_missed_cycles: in a row, until the chain is halted.
+    """
+
+    cycle_time: float = 0.01
+    rpdo: str = "schunk_default_rPDO"
+    tpdo: str = "schunk_default_tPDO"
+    define_pdos: bool = False
+    max_step: float | None = None
+    max_missed_cycles: int = MAX_MISSED_CYCLES
+
+
+class _Operation:
+    """What a chain is doing. name: for messages; request_id: of its procedure."""
+
+    __slots__ = ("name", "request_id")
+
+    def __init__(self, name: str, request_id: RequestId) -> None:
+        self.name = name
+        self.request_id = request_id
+
+
+class Chain:
+    """See this module's text. devices: its joints in the order of the file. state: a ChainState."""
+
+    def __init__(self, master: Master, name: str, devices: Sequence[Device], settings: ChainSettings) -> None:
+        self._master = master
+        self.name = name
+        self.devices = tuple(devices)
+        self.settings = settings
+        self.state = ChainState.OFF
+        self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
+        self._supervised = False
+        self._followed = False  # set-points, before it was stopped
+        self._running: _Operation | None = None
+        self._stopping: Waiter | None = None  # the procedure that halts the joints
+        self._culprit: tuple[Device, str] | None = None  # for whose sake it was stopped, and why
+        self._why_halted = ""
+        buses = tuple(dict.fromkeys(master.bus(device.node.bus) for device in devices))
+        master.watch((SyncSent,), self._on_sync, buses[0])
+        for device in devices:
+            bus, node_id = master.bus(device.node.bus), device.node.node_id
+            master.watch((AxisStateChanged,), partial(self._on_axis, device), bus, node_id)
+            master.watch((HeartbeatLost, NodeBooted, NmtStateReported), partial(self._on_node, device), bus, node_id)
+
+    def __repr__(self) -> str:
+        return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
+
+    # ---- what is known ----
+
+    @property
+    def joints(self) -> Mapping[str, Device]:
+        """The joints by their names."""
+        return {device.name: device for device in self.devices}
+
+    @property
+    def positions(self) -> list[float]:
+        """The actual positions, as last heard."""
+        return [device.position for device in self.devices]
+
+    @property
+    def desired_positions(self) -> list[float]:
+        """The positions that the next PDOs command."""
+        return [device.desired_position for device in self.devices]
+
+    @property
+    def velocities(self) -> list[float]:
+        """The actual velocities, per second."""
+        return [device.velocity for device in self.devices]
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether all joints are."""
+        return all(device.is_homed for device in self.devices)
+
+    @property
+    def sync_cycles(self) -> int:
+        """SYNCs sent while it followed set-points."""
+        return self._set_points.sync_cycles
+
+    @property
+    def missed_cycles(self) -> int:
+        """How many of these cycles brought no new set-point, though a loop over `cycles` was there to give it."""
+        return self._set_points.missed_cycles
+
+    # ---- what it does ----
+
+    async def initialise(self) -> None:
+        """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Nothing moves.
+
+        Raises ChainFault where a fault stays, ChainError for a joint that does not answer or refuses.
+        """
+        master, settings = self._master, self.settings
+        self._require_idle("initialise")
+        self._supervised = False
+        self._end_following(ChainState.OFF)
+        self._culprit, self._why_halted = None, ""
+        await self._for_all("initialise", self._prepare)
+        for device in self.devices:
+            await master.nmt_start(device.node.node_id, bus=device.node.bus)
+        if master.sync_period != round(settings.cycle_time * SECOND):
+            master.sync_start(settings.cycle_time)
+        await self._for_all("initialise", lambda device: _reset_and_enable(device))
+        self.state, self._supervised = ChainState.READY, True
+
+    async def home(self) -> None:
+        """Home all joints, side by side. Cancelled, or if one fails, all are halted."""
+        self._require("home", ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+        self._end_following(ChainState.READY)
+        await self._for_all("home", lambda device: home(device.axis))
+
+    async def enable_interpolated_position(self) -> None:
+        """Let all joints follow set-points, beginning where they stand. Raises ChainError where a drive lacks the mode."""
+        self._require("enable interpolated position", ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+        self._end_following(ChainState.READY)
+        cycle_time = round(self.settings.cycle_time * SECOND)
+        await self._for_all("enable interpolated position", lambda device: start_interpolation(device.axis, cycle_time))
+        self._set_points.begin()
+        self.state, self._followed = ChainState.FOLLOWING, True
+
+    async def halt(self) -> None:
+        """Stop all joints, whatever the chain is doing (that ends with ChainHalted), and wait until they stand.
+
+        They stay enabled. Raises ChainError that names a joint which did not confirm it.
+        """
+        self._master.check_open()
+        if self._stopping is None or self._stopping.done.is_set():
+            self._stop("by halt()")
+        failures = await self._joints_stopped()
+        self._raise_first("halt", failures)
+
+    async def recover(self) -> None:
+        """After a fault or a halt: reset and enable all joints again; a chain that followed set-points does so again."""
+        followed = self._followed
+        await self._joints_stopped()
+        await self.initialise()
+        if followed:
+            await self.enable_interpolated_position()
+
+    async def shut_down(self) -> None:
+        """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop). SYNC ends with the last chain.
+
+        All joints are shut down as far as they let themselves be; then ChainError names one that did not.
+        """
+        self._master.check_open()
+        self._supervised = self._followed = False
+        if self._running is not None:
+            self._stop("by shut_down()")
+        await self._joints_stopped()
+        self._end_following(ChainState.OFF)
+        failures = await self._for_all("shut down", lambda device: quietly(device, power_down(device)))
+        for device in self.devices:
+            await self._master.nmt_stop(device.node.node_id, bus=device.node.bus)
+        if all(chain.state is ChainState.OFF for chain in self._master.chains):
+            self._master.sync_stop()
+        self._raise_first("shut down", failures)
+
+    def cycles(self) -> Cycles:
+        """The SYNC cycles from now on, as an async iterator. A loop that is late gets the newest cycle, with `skipped`.
+
+        Raises ChainFault when a joint fails, ChainHalted when the chain is halted, once the other joints stand.
+        """
+        self._require("give cycles", ChainState.FOLLOWING)
+        return Cycles(self._set_points, self._why_stopped)
+
+    @enable_ki_protection
+    def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
+        """Give the next set-points, one per joint, in the user's unit; they go out behind the next SYNC.
+
+        cycles: be there in that many cycles, on a straight line from the last set-points; no cycle is missed meanwhile. Raises
+        SetPointRefused, with nothing changed, for a wrong count, a number that is not finite or does not fit, or a step beyond
+        `max_step` per cycle. Raises ChainFault, ChainHalted, ChainError as the chain's state is.
+        """
+        self._require("follow set-points", ChainState.FOLLOWING)
+        self._set_points.give(positions, cycles)
+
+    @enable_ki_protection
+    def hold(self) -> None:
+        """Stay at the last set-points in this cycle on purpose: it does not count as missed."""
+        self._require("follow set-points", ChainState.FOLLOWING)
+        self._set_points.hold()
+
+    # ---- procedures ----
+
+    def _prepare(self, device: Device) -> Procedure[None]:
+        dictionary, settings = device.node.dictionary, self.settings
+        pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
+        return prepare(device, pdos, settings.define_pdos, self._master.heartbeat_timeout)
+
+    async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
+        """Run one procedure for each joint, side by side. A failure is told as this chain's."""
+        procedures = [of_joint(device, make(device)) for device in self.devices]
+        request_id, waiter = self._master.launch(all_of(*procedures))
+        running = self._running = _Operation(operation, request_id)
+        try:
+            results: list[T] = await self._master.outcome_of(request_id, waiter)
+            return results
+        except JointFailed as failed:
+            raise self._error_of(operation, failed) from failed.error
+        except ProcedureTakenBack:
+            error = await self._why_stopped()
+            raise error or self._halted("while it was stopped") from None
+        finally:
+            if self._running is running:  # else halt() or shut_down() took over
+                self._running = None
+
+    def _error_of(self, operation: str, failed: JointFailed) -> ChainError:
+        device, error = failed.device, failed.error
+        if isinstance(error, DriveFault):
+            return self._fault(device, "is in fault")
+        code, seen, cause = CHAIN_FAILED, "", ""
+        tries: tuple[str, ...] = ()
+        if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
+            code = NO_ANSWER
+            seen, cause, tries = sign_of_life(device.node.remote, self._master.now())
+        elif isinstance(error, SdoFailed):
+            code = REFUSED
+        place = f"{device.name} (node {device.node.node_id} on {device.node.bus})"
+        failure = f"chain {self.name} could not {operation}: {place}: {error}"
+        return ChainError(code, self.name, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
+
+    def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
+        errors = [self._error_of(operation, failed) for failed in failures if failed is not None]
+        if errors:
+            for other in errors[1:]:
+                errors[0].add_note(str(other))
+            raise errors[0]
+
+    # ---- state ----
+
+    def _require_idle(self, what: str) -> None:
+        self._master.check_open()
+        if self._running is not None:
+            failed, seen = f"chain {self.name} cannot {what} now", f"it is busy: {self._running.name}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or halt() it",))
+
+    def _require(self, what: str, *states: ChainState) -> None:
+        if self.state is ChainState.FAULT:
+            self._master.check_open()
+            raise self._stop_reason()
+        if self.state is ChainState.HALTED and ChainState.HALTED not in states:
+            raise self._stop_reason()
+        self._require_idle(what)
+        if self.state not in states:
+            step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.enable_interpolated_position()"
+            failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
+
+    def _end_following(self, state: ChainState) -> None:
+        self.state = state
+        self._set_points.end()
+
+    # ---- being stopped ----
+
+    def _stop(self, why: str, culprit: Device | None = None) -> None:
+        """Halt all joints, and have whatever runs on this chain end. Also in the pump's turn; `_joints_stopped` waits for it."""
+        self._why_halted = why
+        if culprit is not None:
+            self._culprit = culprit, why
+        state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
+        self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
+        running, self._running = self._running, None
+        _, self._stopping = self._master.launch(all_of(*(quietly(device, stop(device)) for device in self.devices)))
+        if running is not None:
+            self._master.take_back(running.request_id)
+
+    async def _joints_stopped(self) -> list[JointFailed | None]:
+        """Wait until the joints that were told to stop stand; which of them did not confirm it."""
+        await trio.lowlevel.checkpoint()
+        if self._stopping is None:
+            return []
+        await self._stopping.done.wait()
+        match self._stopping.result():
+            case ProcedureFinished(result=failures):
+                return list(failures)
+            case _:
+                return []  # the master is being left
+
+    async def _why_stopped(self) -> ChainError | None:
+        """Why no set-points are followed (any more), once the joints stand; None while they are."""
+        if self.state is ChainState.FOLLOWING:
+            return None
+        await self._joints_stopped()
+        return self._stop_reason()
+
+    def _stop_reason(self) -> ChainError:
+        if self._culprit is not None:
+            return self._fault(*self._culprit)
+        return self._halted(self._why_halted or "by another command")
+
+    def _halted(self, why: str) -> ChainHalted:
+        return ChainHalted(
+            CHAIN_HALTED,
+            self.name,
+            f"chain {self.name} was halted {why}",
+            tries=("await chain.enable_interpolated_position() starts where the joints stand",),
+        )
+
+    def _fault(self, device: Device, reason: str) -> ChainFault:
+        return ChainFault(
+            self.name,
+            device.name,
+            device.node.node_id,
+            device.node.bus,
+            reason,
+            state=device.state,
+            statusword=device.statusword,
+            error_code=device.error_code,
+            emcy=device.emcy,
+            seen=device.describe(),
+            tries=("find the cause, then await chain.recover()",),
+        )
+
+    # ---- supervision, in the pump's turn ----
+
+    def _joint_failed(self, device: Device, reason: str) -> None:
+        if self._supervised and self.state is not ChainState.FAULT and not self._master.is_closed:
+            self._stop(reason, device)
+
+    def _on_axis(self, device: Device, report: AxisStateChanged) -> None:
+        if device.has_fault:
+            self._joint_failed(device, f"fell into {report.state}")
+        elif self.state is ChainState.FOLLOWING and report.state is not State.OPERATION_ENABLED:
+            self._joint_failed(device, f"left operation enabled by itself: {report.state}")
+
+    def _on_node(self, device: Device, report: HeartbeatLost | NodeBooted | NmtStateReported) -> None:
+        match report:
+            case HeartbeatLost(timeout=timeout):
+                self._joint_failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s")
+            case NodeBooted():
+                self._joint_failed(device, "was reset, or lost its power: it has booted anew")
+            case NmtStateReported(state=state) if self.state is ChainState.FOLLOWING and state is not NmtState.OPERATIONAL:
+                self._joint_failed(device, f"left NMT state Operational: {state.name}")
+
+    def _on_sync(self, sync: SyncSent) -> None:
+        if self.state is not ChainState.FOLLOWING:
+            return
+        set_points, settings = self._set_points, self.settings
+        set_points.on_sync(sync.skipped)
+        if set_points.missed_in_row >= settings.max_missed_cycles:
+            self._stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")
+            return
+        now = self._master.now()
+        limit = max(SILENT_TIME, round(SILENT_CYCLES * settings.cycle_time * SECOND))
+        for device in self.devices:
+            silence = device.silence(now)
+            if silence is not None and silence > limit:
+                self._joint_failed(device, f"is silent: no PDO with its statusword for {silence / SECOND:.3g} s")
+                return
+
+
+def _reset_and_enable(device: Device) -> Procedure[None]:
+    yield from reset_fault(device.axis)
+    yield from enable(device.axis)

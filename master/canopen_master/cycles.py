@@ -1,0 +1,151 @@
+"""The cycle of a chain that follows set-points: which of them go out behind which SYNC, and which cycles brought none.
+
+The set-points stand in the images from which the core builds the PDOs behind each SYNC; here is kept what that means over time.
+A path of several cycles is put into the images step by step, each step right after the SYNC that took the one before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+
+import trio
+
+from canopen_master.device import Device
+from canopen_master.errors import SetPointRefused
+from canopen_proto.cia402.objects import INTERPOLATION_SET_POINT
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.machine import LocalProtocolError
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """One SYNC cycle. number: periods since the first one; time: the same in seconds, on the grid of the periods.
+
+    skipped: cycles since the last one that was handed out. More than 0 means that the loop is too slow, or that SYNC was late.
+    """
+
+    number: int
+    time: float
+    skipped: int
+
+
+class SetPoints:
+    """What a chain is told to follow. sync_cycles: SYNCs while it followed; missed_cycles: those of them without a new set-point;
+    missed_in_row: the last ones of these. sent: the set-points that went out last; empty while none are followed.
+    """
+
+    def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
+        self.devices = devices
+        self.cycle_time = cycle_time
+        self.max_step = max_step
+        self.sync_cycles = 0
+        self.missed_cycles = 0
+        self.missed_in_row = 0
+        self.sent: list[float] = []
+        self.tick = trio.lowlevel.ParkingLot()
+        self.number = 0  # of the current period
+        self.is_awaited = False  # somebody was handed a cycle: set-points are due from now on
+        self._given = False
+        self._path: deque[list[float]] = deque()
+
+    def begin(self) -> None:
+        """From now on each SYNC takes the images along."""
+        self.end()
+        self.sent = [device.desired_position for device in self.devices]
+        self.number = 0
+
+    def end(self) -> None:
+        """No set-points are followed any more."""
+        self.sent = []
+        self._path.clear()
+        self._given = self.is_awaited = False
+        self.missed_in_row = 0
+        for device in self.devices:
+            device.forget_commands()
+        self.tick.unpark_all()
+
+    def give(self, positions: Sequence[float], cycles: int) -> None:
+        """See Chain.set_positions."""
+        self._check(positions, cycles)
+        shares = [number / cycles for number in range(1, cycles)]
+        line = [[a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares]
+        self._path = deque([*line, list(positions)])
+        self._put(self._path.popleft())
+
+    def hold(self) -> None:
+        """See Chain.hold."""
+        self._given = True
+
+    def on_sync(self, skipped: int) -> None:
+        """A SYNC went out, and the images behind it."""
+        self.number += 1 + skipped
+        self.sync_cycles += 1
+        self.sent = [device.desired_position for device in self.devices]
+        for device, position in zip(self.devices, self.sent, strict=True):
+            device.command_sent(position)
+        if self._given:
+            self.missed_in_row = 0
+        elif self.is_awaited:
+            self.missed_cycles += 1
+            self.missed_in_row += 1
+        self._given = False
+        if self._path:
+            self._put(self._path.popleft())
+        self.tick.unpark_all()
+
+    def _put(self, positions: Sequence[float]) -> None:
+        for device, position in zip(self.devices, positions, strict=True):
+            device.axis.set_position(position)
+        self._given = True
+
+    def _check(self, positions: Sequence[float], cycles: int) -> None:
+        if cycles < 1:
+            raise LocalProtocolError(f"set-points are reached in 1 cycle or more, not {cycles}")
+        if len(positions) != len(self.devices):
+            names = ", ".join(device.name for device in self.devices)
+            counts = f"{len(positions)} set-points were given, not {len(self.devices)}"
+            raise SetPointRefused(counts, "", f"the joints are {names}")
+        for device, target, start in zip(self.devices, positions, self.sent, strict=True):
+            refused = f"set-point {target} of {device.name} was refused"
+            if not math.isfinite(target):
+                raise SetPointRefused(refused, device.name, "it is not a finite number")
+            step = abs(target - start) / cycles
+            if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # not to refuse the limit itself for its last bit
+                seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {self.max_step:g}"
+                raise SetPointRefused(refused, device.name, seen, ("a finer path, more `cycles`, or a larger max_step",))
+            variable = device.node.dictionary.get(INTERPOLATION_SET_POINT >> 8, INTERPOLATION_SET_POINT & 0xFF)
+            if variable is not None:
+                try:
+                    variable.encode(device.axis.to_counts(target))
+                except ValueRangeError as error:
+                    raise SetPointRefused(refused, device.name, str(error)) from error
+
+
+class Cycles:
+    """The iterator that `Chain.cycles` gives."""
+
+    def __init__(self, set_points: SetPoints, stopped: Callable[[], Awaitable[Exception | None]]) -> None:
+        """stopped: why no set-points are followed (any more), once the joints stand; None while they are."""
+        self._set_points = set_points
+        self._stopped = stopped
+        self._first = self._last = set_points.number
+
+    def __aiter__(self) -> Cycles:
+        return self
+
+    async def __anext__(self) -> Cycle:
+        set_points = self._set_points
+        await trio.lowlevel.checkpoint()
+        while (error := await self._stopped()) is None and set_points.number == self._last:
+            await set_points.tick.park()
+        if error is not None:
+            raise error
+        if self._first == self._last:
+            self._first = self._last = set_points.number - 1
+        set_points.is_awaited = True
+        skipped, self._last = set_points.number - self._last - 1, set_points.number
+        number = self._last - self._first - 1
+        return Cycle(number, number * set_points.cycle_time, skipped)

@@ -1,0 +1,171 @@
+"""`Device`: one joint of a chain, with all that is known of it. Its properties can be asked at any time; they send nothing.
+
+What they show comes from the PDOs that the drive sends, and from what was read by SDO. For more, or at once when it comes, take
+the events: `async with joint.events(PdoReceived) as updates: ...`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from canopen_master.node import Node
+from canopen_master.subscription import Subscription
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, STATUSWORD, VELOCITY_ACTUAL_VALUE
+from canopen_proto.cia402.states import COMMAND_BITS, Command, State
+from canopen_proto.emcy import EmcyReceived
+from canopen_proto.machine import SECOND, Event, Time
+from canopen_proto.nmt import NmtState
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
+
+if TYPE_CHECKING:
+    from canopen_master.master import Master
+
+E = TypeVar("E", bound=Event)
+
+FOLLOWING_LAG: Final = 2
+"""SYNCs from sending a set-point to being there: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
+
+
+class Device:
+    """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive.
+
+    Positions are in the user's unit (radians, unless its AxisSettings say otherwise).
+    """
+
+    def __init__(self, master: Master, name: str, node: Node, axis: Axis) -> None:
+        self._master = master
+        self.name = name
+        self.node = node
+        self.axis = axis
+        self.sdo_round_trips = 0
+        self.largest_following_error = 0.0
+        self.emcy: EmcyReceived | None = None
+        self.emcy_time: Time | None = None
+        self._commanded: deque[float] = deque(maxlen=FOLLOWING_LAG + 1)
+        self._position: tuple[Time, float] | None = None
+        self._velocity = 0.0
+        bus = master.bus(node.bus)
+        master.watch((SdoUploaded, SdoDownloaded), self._on_round_trip, bus, node.node_id)
+        master.watch((EmcyReceived,), self._on_emcy, bus, node.node_id)
+        master.watch((PdoReceived,), self._on_pdo, bus, node.node_id)
+
+    def __repr__(self) -> str:
+        return f"<Device {self.name}: node {self.node.node_id} on {self.node.bus}>"
+
+    # ---- what is known of it ----
+
+    @property
+    def position(self) -> float:
+        """Actual position, as last heard."""
+        return self.axis.position
+
+    @property
+    def desired_position(self) -> float:
+        """The position that the next PDO commands."""
+        return self.axis.set_point
+
+    @property
+    def velocity(self) -> float:
+        """Actual velocity, per second: the drive's own (0x606C) where it sends it, else from its last two positions."""
+        if VELOCITY_ACTUAL_VALUE in self.node.remote.heard_at:
+            return self.axis.velocity
+        return self._velocity
+
+    @property
+    def torque(self) -> float:
+        """Actual torque, as a share of the rated torque, as last heard."""
+        return self.axis.torque
+
+    @property
+    def state(self) -> State:
+        """The CiA 402 state that the last statusword shows."""
+        return self.axis.state
+
+    @property
+    def statusword(self) -> int:
+        """0x6041, as last heard."""
+        return self.axis.statusword
+
+    @property
+    def mode(self) -> int:
+        """The active mode of operation (0x6061), as last heard."""
+        return self.axis.mode
+
+    @property
+    def has_fault(self) -> bool:
+        """Whether the drive is in Fault, or on its way there."""
+        return self.axis.has_fault
+
+    @property
+    def error_code(self) -> int:
+        """0x603F as last heard, 0 for none."""
+        return self.axis.error_code
+
+    @property
+    def nmt_state(self) -> NmtState | None:
+        """What its heartbeat says, and where it has none, what we commanded."""
+        return self.node.nmt_state
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether it was homed, by this master, since it was switched on."""
+        return self.axis.is_homed
+
+    @property
+    def following_error(self) -> float:
+        """Commanded minus actual position, both of the same instant; 0 while no set-points are sent."""
+        return self._commanded[0] - self.position if len(self._commanded) > FOLLOWING_LAG else 0.0
+
+    @property
+    def may_move(self) -> bool:
+        """Whether it is in Operation enabled, as far as we know, or was last commanded there."""
+        commanded = self.axis.controlword & COMMAND_BITS == Command.ENABLE_OPERATION
+        return self.state is State.OPERATION_ENABLED or (commanded and not self.has_fault)
+
+    def silence(self, now: Time) -> Time | None:
+        """ns since its statusword was last heard, None if it never was."""
+        heard = self.node.remote.heard_at.get(STATUSWORD)
+        return None if heard is None else now - heard
+
+    def describe(self) -> str:
+        """State, statusword and what else explains it, in one line for people."""
+        text = self.axis.describe()
+        if self.emcy_time is not None:
+            text += f" ({(self._master.now() - self.emcy_time) / SECOND:.3g} s ago)"
+        return text
+
+    def events(self, *kinds: type[E]) -> Subscription[E]:
+        """As `Master.events`, of this joint only."""
+        return self.node.events(*kinds)
+
+    # ---- what the chain tells it ----
+
+    def command_sent(self, position: float) -> None:
+        """A set-point went out behind a SYNC."""
+        self._commanded.append(position)
+
+    def forget_commands(self) -> None:
+        """No set-points are followed any more."""
+        self._commanded.clear()
+
+    # ---- what the bus tells it ----
+
+    def _on_round_trip(self, report: SdoUploaded | SdoDownloaded) -> None:
+        self.sdo_round_trips += 1
+
+    def _on_emcy(self, report: EmcyReceived) -> None:
+        self.emcy = report
+        self.emcy_time = self._master.now()
+
+    def _on_pdo(self, report: PdoReceived) -> None:
+        if POSITION_ACTUAL_VALUE not in report.mapping.muxes:
+            return
+        now, position = self._master.now(), self.position
+        if self._position is not None and now > self._position[0]:
+            self._velocity = (position - self._position[1]) * SECOND / (now - self._position[0])
+        self._position = now, position
+        self.largest_following_error = max(self.largest_following_error, math.fabs(self.following_error))

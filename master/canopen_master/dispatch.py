@@ -1,0 +1,120 @@
+"""Who is told of what the machines report: requests of their outcome, subscriptions and chains of events.
+
+All of this happens inside the pump's turn: nothing here blocks, raises or calls a user's code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import trio
+
+from canopen_master.bus import Bus
+from canopen_proto.machine import Event, Outcome, RequestId, Time
+
+
+class ProcedureTakenBack(Exception):
+    """A procedure that a task waited for was cancelled by somebody else: a chain that was stopped, the end of the master."""
+
+
+class Canceller(Protocol):
+    """What takes a request back: a RemoteNode, a Runner."""
+
+    def cancel(self, request_id: RequestId, now: Time) -> object:
+        """Take it back; its outcome follows."""
+
+
+class Waiter:
+    """Who waits for the outcome of one request. done: set when there is a `result`."""
+
+    __slots__ = ("_error", "_outcome", "canceller", "done")
+
+    def __init__(self, canceller: Canceller) -> None:
+        self.canceller = canceller
+        self.done = trio.Event()
+        self._outcome: Outcome | None = None
+        self._error: Exception | None = None
+
+    def resolve(self, outcome: Outcome) -> None:
+        """The outcome is there."""
+        self._outcome = outcome
+        self.done.set()
+
+    def fail(self, error: Exception) -> None:
+        """There will be no outcome, for this reason."""
+        self._error = error
+        self.done.set()
+
+    def result(self) -> Outcome:
+        """The outcome, once `done`; raises the reason why there is none."""
+        if self._error is not None:
+            raise self._error
+        assert self._outcome is not None
+        return self._outcome
+
+
+class Watcher:
+    """Who wants events of some kinds, of one bus and one node, or of all (None, 0)."""
+
+    __slots__ = ("bus", "callback", "kinds", "node_id")
+
+    def __init__(self, kinds: tuple[type[Event], ...], bus: Bus | None, node_id: int, callback: Callable[[Any], None]) -> None:
+        self.kinds = kinds
+        self.bus = bus
+        self.node_id = node_id
+        self.callback = callback
+
+
+class Dispatcher:
+    """Hands each event to whoever waits for it."""
+
+    def __init__(self) -> None:
+        self._waiters: dict[tuple[object, RequestId], Waiter] = {}
+        self._watchers: list[Watcher] = []
+        self._by_kind: dict[type[Event], tuple[Watcher, ...]] = {}
+
+    def expect(self, root: object, request_id: RequestId, canceller: Canceller) -> Waiter:
+        """Wait for the outcome of a request of the network whose `out.root` is given."""
+        waiter = self._waiters[root, request_id] = Waiter(canceller)
+        return waiter
+
+    def forget(self, root: object, request_id: RequestId) -> bool:
+        """Wait no longer; False if the outcome has come already."""
+        return self._waiters.pop((root, request_id), None) is not None
+
+    def give_up(self, error: Exception, now: Time) -> None:
+        """End all waiting with an error, and take the requests back."""
+        for (_, request_id), waiter in tuple(self._waiters.items()):
+            waiter.fail(error)
+            waiter.canceller.cancel(request_id, now)
+        self._waiters.clear()
+
+    def watch(
+        self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
+    ) -> Watcher:
+        """Call `callback` with each event of these kinds (and of kinds derived from them), until `unwatch`."""
+        watcher = Watcher(kinds, bus, node_id, callback)
+        self._watchers.append(watcher)
+        self._by_kind.clear()
+        return watcher
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Tell it no more. Twice is once."""
+        if watcher in self._watchers:
+            self._watchers.remove(watcher)
+            self._by_kind.clear()
+
+    def dispatch(self, bus: Bus, event: Event) -> None:
+        """An event came out of a bus's network."""
+        if isinstance(event, Outcome):
+            waiter = self._waiters.pop((bus.network.out.root, event.request_id), None)
+            if waiter is not None:
+                waiter.resolve(event)
+        kind = type(event)
+        watchers = self._by_kind.get(kind)
+        if watchers is None:
+            watchers = self._by_kind[kind] = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+        for watcher in watchers:
+            if (watcher.bus is None or watcher.bus is bus) and watcher.node_id in (0, event.node_id):
+                watcher.callback(event)

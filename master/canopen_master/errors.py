@@ -1,0 +1,276 @@
+"""What the master reports when something cannot be done: one tree of exceptions under `MasterError`.
+
+Each says, on one screen, what failed (node, object, value), what was seen, the likely causes with the best guess first, and what
+to try next. `str(error)` is that screen; the fields are for programs. The codes are those of the command line: CO1xx the bus,
+CO2xx SDO, CO3xx files and names, CO4xx drives.
+
+What is wrong with a call itself is not of this tree: an unknown name is `ObjectNotFound`, a value that does not fit
+`ValueRangeError`, a node-ID of 200 `LocalProtocolError`, all of the core; nothing was sent then. Nor is what a procedure that you
+wrote raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.cia402.states import State
+from canopen_proto.emcy import EmcyReceived
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.nmt import NmtState
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
+from canopen_proto.sdo.client import SdoAborted
+from canopen_transports import TransportError
+
+MASTER_CLOSED: Final = "CO130"
+"""The master has been left, or is on its way out."""
+HALT_NOT_CONFIRMED: Final = "CO131"
+"""The master has been left, and a drive did not confirm that it stands."""
+NO_ANSWER: Final = "CO201"
+REFUSED: Final = "CO202"
+GIVEN_UP: Final = "CO203"
+UNEXPECTED_ANSWER: Final = "CO204"
+NOT_HEARD: Final = "CO210"
+"""A node did not boot, or did not send what was waited for."""
+CHAIN_FILE: Final = "CO320"
+BAD_SET_POINT: Final = "CO321"
+UNKNOWN_CHAIN: Final = "CO322"
+CHAIN_FAILED: Final = "CO401"
+CHAIN_FAULT: Final = "CO402"
+CHAIN_HALTED: Final = "CO403"
+CHAIN_NOT_READY: Final = "CO404"
+
+
+class MasterError(Exception):
+    """Something could not be done; see this module's text.
+
+    code: "CO201" and the like. failed: what was asked for. seen: what was observed. cause: the likely causes, best first. tries:
+    what to do next, best first.
+    """
+
+    def __init__(self, code: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        self.code = code
+        self.failed = failed
+        self.seen = seen
+        self.cause = cause
+        self.tries = tuple(tries)
+        super().__init__(code, failed)
+
+    def __str__(self) -> str:
+        lines = [f"{self.code}: {self.failed}"]
+        if self.seen:
+            lines.append(f"  seen:  {self.seen}")
+        if self.cause:
+            lines.append(f"  cause: {self.cause}")
+        lines += [f"  {'or:  ' if number else 'try: '}  {step}" for number, step in enumerate(self.tries)]
+        return "\n".join(lines)
+
+
+class BusError(MasterError):
+    """A bus cannot be opened, or has failed; whatever waited for it ends with this. bus: its name in this master."""
+
+    def __init__(self, bus: str, error: TransportError) -> None:
+        failed = error.failed if error.locator == bus else f"bus {bus}: {error.failed}"
+        super().__init__(error.code, failed, seen=error.seen, cause=error.cause, tries=error.tries)
+        self.bus = bus
+        self.__cause__ = error
+
+
+class MasterClosed(MasterError):
+    """The `async with open_master(...)` block is over, or ending: no new command is taken."""
+
+    def __init__(self) -> None:
+        cause = "its `async with` block is over, or was cancelled"
+        super().__init__(MASTER_CLOSED, "the master is closed", cause=cause, tries=("open it anew",))
+
+
+class HaltNotConfirmed(MasterError):
+    """The master was left, and at least one drive that was enabled did not confirm that it stands."""
+
+
+class NodeError(MasterError):
+    """Something about one node. node_id: 1..127; bus: the name of its bus."""
+
+    def __init__(
+        self, code: str, node_id: int, bus: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
+    ) -> None:
+        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+        self.node_id = node_id
+        self.bus = bus
+
+
+class NodeSilent(NodeError, TimeoutError):
+    """A node did not boot, or did not show what was waited for, in time."""
+
+
+class SdoError(NodeError):
+    """An SDO transfer ended without success. abort_code: 32 bits, the node's or ours (0x05040000 for a timeout)."""
+
+    def __init__(
+        self, code: str, aborted: SdoAborted, bus: str, failed: str, seen: str, cause: str, tries: Iterable[str]
+    ) -> None:
+        super().__init__(code, aborted.node_id, bus, failed, seen=seen, cause=cause, tries=tries)
+        self.index = aborted.index
+        self.subindex = aborted.subindex
+        self.abort_code = aborted.abort_code
+
+
+class SdoTimeout(SdoError, TimeoutError):
+    """The node did not answer. A write may have been executed nevertheless."""
+
+
+class SdoRefused(SdoError):
+    """The node answered with an abort."""
+
+
+class SdoGivenUp(SdoError):
+    """The transfer was ended on our side: the node was reset or lost meanwhile, or what it sent made no sense."""
+
+
+class UnexpectedAnswer(NodeError, ValueError):
+    """A node sent an object with a length that is not that of its type."""
+
+
+class ChainFileError(MasterError, ValueError):
+    """A chain file cannot be used. problems: all that was found, as (line, column, what); column and line count from 1."""
+
+    def __init__(self, source: str, problems: Iterable[tuple[int, int, str]]) -> None:
+        self.source = source
+        self.problems = tuple(problems)
+        first = self.problems[0]
+        more = "\n".join(f"         {source}:{line}:{column}: {text}" for line, column, text in self.problems[1:])
+        super().__init__(
+            CHAIN_FILE,
+            f"{source}:{first[0]}:{first[1]}: {first[2]}" + (f"\n{more}" if more else ""),
+            tries=("a line is: CHAIN, then for each joint NAME BUS NODE-ID, as in: chain1 joint1 /dev/pcan32 12",),
+        )
+
+
+class UnknownChain(MasterError, KeyError):
+    """There is no chain, joint or bus of that name."""
+
+    __str__ = MasterError.__str__  # KeyError would show the arguments
+
+
+class SetPointRefused(MasterError, ValueError):
+    """Set-points were refused; nothing of them goes out, and the ones before stay. joint: which one, "" for all."""
+
+    def __init__(self, failed: str, joint: str, seen: str, tries: Iterable[str] = ()) -> None:
+        super().__init__(BAD_SET_POINT, failed, seen=seen, tries=tries)
+        self.joint = joint
+
+
+class ChainError(MasterError):
+    """A chain could not do what it was asked for. chain: its name; joint: the one that it failed for, "" for all."""
+
+    def __init__(
+        self,
+        code: str,
+        chain: str,
+        failed: str,
+        *,
+        joint: str = "",
+        seen: str = "",
+        cause: str = "",
+        tries: Iterable[str] = (),
+    ) -> None:
+        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+        self.chain = chain
+        self.joint = joint
+
+
+class ChainHalted(ChainError):
+    """The chain was halted (by `halt`, or because no set-points came), and follows no set-points until it is started again."""
+
+
+class ChainFault(ChainError):
+    """A joint failed, and with it its whole chain was stopped.
+
+    node_id, bus: of the joint. state, statusword: of its drive when that was noticed. error_code: 0x603F, 0 where it is not
+    known. emcy: the last emergency of that node, or None. reason: one line.
+    """
+
+    def __init__(
+        self,
+        chain: str,
+        joint: str,
+        node_id: int,
+        bus: str,
+        reason: str,
+        *,
+        state: State,
+        statusword: int,
+        error_code: int,
+        emcy: EmcyReceived | None,
+        seen: str,
+        tries: Iterable[str],
+    ) -> None:
+        super().__init__(
+            CHAIN_FAULT,
+            chain,
+            f"chain {chain} was stopped: {joint} (node {node_id} on {bus}) {reason}",
+            joint=joint,
+            seen=seen,
+            tries=tries,
+        )
+        self.node_id = node_id
+        self.bus = bus
+        self.reason = reason
+        self.state = state
+        self.statusword = statusword
+        self.error_code = error_code
+        self.emcy = emcy
+
+
+def sdo_error(node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time) -> SdoError:
+    """The exception for a transfer that ended with an abort. attempt: "reading", or "writing 5 to"."""
+    reads = attempt == "reading"
+    place = f"{attempt} {_name_of(node, aborted.index, aborted.subindex)}"
+    who = f"node {aborted.node_id}"
+    code_text = f"abort 0x{aborted.abort_code:08X}, {text_of(aborted.abort_code)}"
+    if aborted.origin is AbortOrigin.TIMEOUT:
+        hint = "" if reads else " (not confirmed: it may have been executed)"
+        failed = f"{who} did not answer {place} in {node.sdo.timeout / SECOND:g} s{hint}"
+        seen, cause, tries = sign_of_life(node, now)
+        return SdoTimeout(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
+    if aborted.origin is AbortOrigin.PEER:
+        cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
+        return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
+    cause = "it was reset, or its heartbeat was lost" if aborted.abort_code == AbortCode.NO_SDO_CONNECTION else ""
+    return SdoGivenUp(GIVEN_UP, aborted, bus, f"{place} of {who} was given up", code_text, cause, ())
+
+
+_REASONS: Final[dict[int, tuple[str, tuple[str, ...]]]] = {
+    AbortCode.NO_SUCH_OBJECT: ("the device does not have this object, though our dictionary lists it", ("check its manual",)),
+    AbortCode.NO_SUCH_SUBINDEX: ("the device does not have this subindex, though our dictionary lists it", ("check its manual",)),
+    AbortCode.READ_ONLY: ("the device permits only reading here", ()),
+    AbortCode.WRITE_ONLY: ("the device permits only writing here", ()),
+    AbortCode.TOGGLE_NOT_ALTERNATED: ("perhaps two masters talk to this node", ("end the other one",)),
+    AbortCode.DEVICE_STATE: (
+        "the device does not permit it in its present state",
+        ("look at its NMT state and, for a drive, at its statusword",),
+    ),
+    AbortCode.LENGTH_MISMATCH: ("the object has another length than our dictionary says", ("check indices.csv",)),
+    AbortCode.LENGTH_TOO_HIGH: ("the object is shorter than our dictionary says", ("check indices.csv",)),
+    AbortCode.LENGTH_TOO_LOW: ("the object is longer than our dictionary says", ("check indices.csv",)),
+}
+"""What CiA 301's abort codes mean in practice, where that says more than their text."""
+
+
+def _name_of(node: RemoteNode, index: int, subindex: int) -> str:
+    variable = node.dictionary.get(index, subindex)
+    return f"{index:04X}:{subindex:02X}" + (f" ({variable.name})" if variable is not None else "")
+
+
+def sign_of_life(node: RemoteNode, now: Time) -> tuple[str, str, tuple[str, ...]]:
+    """What was heard of a node that does not answer, what that tells, and what to try."""
+    heard = max((time for time in (node.heartbeat.last_heard, *node.heard_at.values()) if time is not None), default=None)
+    if heard is None:
+        cause = "no device has this node-ID, its power is off, or it runs with another bit rate"
+        return "nothing was heard of it", cause, (f"check the node-ID {node.node_id} (0x{node.node_id:X}), power and bit rate",)
+    state = node.nmt_state
+    seen = f"it was heard {(now - heard) / SECOND:.3g} s ago, NMT state {state.name if state is not None else 'unknown'}"
+    if state is NmtState.STOPPED:
+        return seen, "a stopped node has no SDO", (f"canopen nmt preop {node.node_id}",)
+    return seen, "it is busy, or the answer was lost", ("a longer sdo_timeout",)

@@ -1,0 +1,83 @@
+"""What a chain does with each of its joints, as procedures; the sequences themselves are in canopen_proto.procedures.drive."""
+
+from __future__ import annotations
+
+from typing import Final, TypeVar
+
+from canopen_master.device import Device
+from canopen_proto.dictionary import PdoDescription
+from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.procedures.configure_pdo import define_pdo
+from canopen_proto.procedures.drive import engage_brake, halt, shut_down
+from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+from canopen_proto.sdo.abort import AbortCode
+
+T = TypeVar("T")
+
+DEVICE_TYPE: Final = "0x1000"
+"""The one object that every device has: reading it shows whether the device answers at all."""
+HEARTBEAT: Final = "0x1017"
+HEARTBEATS_PER_TIMEOUT: Final = 3
+"""One lost frame, or one late one, is no lost node."""
+MAX_HEARTBEAT_MS: Final = 0xFFFF
+
+
+class JointFailed(ProcedureError):
+    """A joint's procedure failed; the error is its __cause__."""
+
+    def __init__(self, device: Device, error: ProcedureError) -> None:
+        super().__init__(str(error))
+        self.device = device
+        self.error = error
+
+
+def of_joint(device: Device, procedure: Procedure[T]) -> Procedure[T]:
+    """The same procedure, whose failure says which joint's it is."""
+    try:
+        return (yield from procedure)
+    except ProcedureError as error:
+        raise JointFailed(device, error) from error
+
+
+def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFailed | None]:
+    """The same procedure, whose failure is its result: what runs beside it goes on."""
+    try:
+        yield from procedure
+    except ProcedureError as error:
+        return JointFailed(device, error)
+    return None
+
+
+def prepare(device: Device, pdos: tuple[PdoDescription, ...], define: bool, heartbeat_timeout: Time) -> Procedure[None]:
+    """See whether the joint answers, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
+    node = device.node.remote
+    yield from read(node, DEVICE_TYPE)
+    for description in pdos:
+        if define:
+            yield from define_pdo(node, description)
+        else:
+            yield from act(lambda now, description=description: node.add_pdo(description, now))  # type: ignore[misc]
+    if heartbeat_timeout and HEARTBEAT in node.dictionary:
+        period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))
+        try:
+            yield from write(node, HEARTBEAT, period)
+        except SdoFailed as failed:
+            if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
+                raise
+
+
+def stop(device: Device) -> Procedure[None]:
+    """Halt the joint; of one in fault, read the error code, for whoever asks why."""
+    if device.has_fault:
+        yield from read_if_present(device.node.remote, "0x603F")
+    else:
+        yield from halt(device.axis)
+
+
+def power_down(device: Device) -> Procedure[None]:
+    """Halt, engage the brake, take the power away. A joint in fault has neither motion nor power."""
+    if not device.has_fault:
+        yield from halt(device.axis)
+        yield from engage_brake(device.axis)
+    yield from shut_down(device.axis)

@@ -1,0 +1,481 @@
+"""`Master`: what a user of one or several CAN buses holds. Made by `open_master` (session.py).
+
+Theory of operation
+-------------------
+A `Master` has one core Network per bus, all with one Runner, and the pump that drives them (bus.py). Everything that it offers is
+one of three kinds:
+
+- a command that only mutates: it is called, `pump` follows, done;
+- a request with an outcome (an SDO transfer, a procedure): a task waits for the Outcome event of that id. If the task is
+  cancelled, the request is taken back: a transfer is aborted on the wire; a procedure is cancelled, and its clean-up (it halts
+  what it moved) is waited for, shielded;
+- a subscription to events.
+
+A node is (bus, node-ID): the same node-ID may stand on two buses. SYNC is one for all buses: it is sent on each of them at the
+same instant, back to back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_data import load_dictionary
+from canopen_master.bus import Bus, Pump
+from canopen_master.chain import Chain, ChainSettings
+from canopen_master.chain_file import ChainDescription, parse_chains, read_chains, same_nodes
+from canopen_master.device import Device
+from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
+from canopen_master.errors import UNKNOWN_CHAIN, BusError, ChainFileError, MasterClosed, UnknownChain
+from canopen_master.joint_procedures import quietly, stop
+from canopen_master.node import Node
+from canopen_master.subscription import Subscription
+from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtCommand, NmtMaster
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import Procedure, all_of
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sync import SyncConsumer, SyncProducer
+from canopen_transports import Transport, TransportError
+
+T = TypeVar("T")
+E = TypeVar("E", bound=Event)
+
+SDO_TIMEOUT = 0.5
+"""Seconds that a device may take for each answer."""
+
+
+class Master:
+    """See this module's text. buses: the Bus objects by their names. failure: why the master went down, or None.
+
+    Times are in seconds here, as everywhere in trio.
+    """
+
+    def __init__(
+        self,
+        transports: Mapping[str, Transport],
+        *,
+        aliases: Mapping[str, str] | None = None,
+        sdo_timeout: float = SDO_TIMEOUT,
+        heartbeat_timeout: float = 0.0,
+        dictionary: ObjectDictionary | None = None,
+    ) -> None:
+        """transports: open ones, by name. aliases: more names for them. The rest: see `open_master`."""
+        self._sdo_timeout = nanoseconds(sdo_timeout)
+        self._heartbeat_timeout = nanoseconds(heartbeat_timeout)
+        self._dictionary = dictionary
+        self._dispatcher = Dispatcher()
+        self.buses: dict[str, Bus] = {}
+        self._nmt: dict[Bus, NmtMaster] = {}
+        self._sync: dict[Bus, SyncProducer] = {}
+        for name, transport in transports.items():
+            self._add_bus(name, transport)
+        self._pump = Pump(tuple(self.buses.values()), self)
+        self._own_buses = tuple(self.buses.values())
+        self.runner = self._own_buses[0].network.runner
+        self._root = self._own_buses[0].network.out.root
+        for alias, name in (aliases or {}).items():
+            self.buses[alias] = self.buses[name]
+        self._nodes: dict[tuple[Bus, int], Node] = {}
+        self.devices: dict[Node, Device] = {}
+        self.chains: list[Chain] = []
+        self._procedures: set[RequestId] = set()
+        self._procedure_ended = trio.lowlevel.ParkingLot()
+        self._subscriptions: dict[Subscription[Any], Watcher] = {}
+        self.failure: Exception | None = None
+        self.is_closed = False
+        self._body = trio.CancelScope()
+
+    def _add_bus(self, name: str, transport: Transport) -> None:
+        network = Network(next(iter(self.buses.values())).network.runner if self.buses else None)
+        sync = SyncProducer(network.out)
+        bus = self.buses[name] = Bus(name, transport, network, sync)
+        self._sync[bus] = sync
+        self._nmt[bus] = NmtMaster(network.out)
+        for machine in (sync, self._nmt[bus], SyncConsumer(network.out)):
+            network.attach(machine)
+
+    # ---- time, buses, state ----
+
+    def now(self) -> Time:
+        """The time of all machines: trio's clock, in ns."""
+        return self._pump.now()
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """What nodes are made with that are given no dictionary: that of the data files, unless `open_master` was given one."""
+        if self._dictionary is None:
+            self._dictionary, _ = load_dictionary()
+        return self._dictionary
+
+    @property
+    def heartbeat_timeout(self) -> Time:
+        """ns after which a node whose heartbeat stops is lost; 0 for no supervision."""
+        return self._heartbeat_timeout
+
+    def bus(self, name: str | None = None) -> Bus:
+        """A bus by its name; the only one may go unnamed. Raises UnknownChain, LocalProtocolError."""
+        names = ", ".join(self.buses)
+        if name is None:
+            if len(self._own_buses) > 1:
+                raise LocalProtocolError(f"this master has several buses ({names}): say which one")
+            return self._own_buses[0]
+        if name not in self.buses:
+            raise UnknownChain(UNKNOWN_CHAIN, f"this master has no bus {name!r}", seen=f"its buses are {names}")
+        return self.buses[name]
+
+    def check_open(self) -> None:
+        """Raise BusError if a bus has failed, MasterClosed if the master has been left."""
+        if self.failure is not None:
+            raise self.failure
+        if self.is_closed:
+            raise MasterClosed
+
+    # ---- nodes ----
+
+    @enable_ki_protection
+    def node(self, node_id: int, dictionary: ObjectDictionary | None = None, *, bus: str | None = None) -> Node:
+        """The node of that ID on a bus; asked for again, the same object. Sends nothing.
+
+        dictionary: what the device is, by default that of the data files. Raises LocalProtocolError for an ID outside 1..127,
+        for a bus that is not said where there are several, and for another dictionary than the first time.
+        """
+        self.check_open()
+        where = self.bus(bus)
+        known = self._nodes.get((where, node_id))
+        if known is not None:
+            if dictionary is not None and dictionary is not known.dictionary:
+                raise LocalProtocolError(f"node {node_id} on {where.name} is in use with another dictionary")
+            return known
+        remote = RemoteNode(
+            where.network.out,
+            node_id,
+            self.dictionary if dictionary is None else dictionary,
+            sdo_timeout=self._sdo_timeout,
+            heartbeat_timeout=self._heartbeat_timeout,
+        )
+        where.network.attach(remote)
+        node = self._nodes[where, node_id] = Node(self, where, remote)
+        return node
+
+    @enable_ki_protection
+    def device(self, node: Node, name: str = "", settings: AxisSettings = SCHUNK_POWERBALL) -> Device:
+        """The drive on a node; it is halted when the master is left while it is enabled. One per node: asked for again, the same.
+
+        name: for people, by default "node 12". settings: units and habits of the drive. Sends nothing.
+        """
+        device = self.devices.get(node)
+        if device is None:
+            axis = Axis(node.remote, settings)
+            device = self.devices[node] = Device(self, name or f"node {node.node_id}", node, axis)
+        else:
+            device.axis.settings = settings
+            device.name = name or device.name
+        return device
+
+    def chain(
+        self,
+        description: ChainDescription,
+        settings: ChainSettings | None = None,
+        *,
+        axes: AxisSettings | Mapping[str, AxisSettings] = SCHUNK_POWERBALL,
+        dictionary: ObjectDictionary | None = None,
+    ) -> Chain:
+        """The chain of a description. axes: the settings of all its joints, or by joint (the others have the default).
+
+        Raises UnknownChain where the description names a bus that this master does not have.
+        """
+        devices = []
+        for joint in description.joints:
+            axis = axes if isinstance(axes, AxisSettings) else axes.get(joint.name, SCHUNK_POWERBALL)
+            node = self.node(joint.node_id, dictionary, bus=joint.bus)
+            devices.append(self.device(node, joint.name, axis))
+        chain = Chain(self, description.name, devices, ChainSettings() if settings is None else settings)
+        self.chains.append(chain)
+        return chain
+
+    def load_chains(
+        self,
+        path: str | Path = "",
+        *,
+        text: str | None = None,
+        settings: ChainSettings | None = None,
+        axes: AxisSettings | Mapping[str, AxisSettings] = SCHUNK_POWERBALL,
+        dictionary: ObjectDictionary | None = None,
+    ) -> dict[str, Chain]:
+        """The chains of a file (see chain_file.py), or of a text in that form, by their names. Sends nothing.
+
+        A bus that the file names must be one of this master; if both have only one, it is that one, whatever it is called. Raises
+        ChainFileError with all that is wrong, DataError where the file cannot be read.
+        """
+        chains = read_chains(path) if text is None else parse_chains(text)
+        real = self._buses_of(chains)
+        problems = same_nodes(chains, {name: bus.name for name, bus in real.items()})
+        if problems:
+            raise ChainFileError(chains[0].source, problems)
+        made = {}
+        for each in chains:
+            joints = tuple(replace(joint, bus=real[joint.bus].name) for joint in each.joints)
+            made[each.name] = self.chain(replace(each, joints=joints), settings, axes=axes, dictionary=dictionary)
+        return made
+
+    def _buses_of(self, chains: Sequence[ChainDescription]) -> dict[str, Bus]:
+        """The buses that a file names."""
+        named = {joint.bus: joint for chain in reversed(chains) for joint in reversed(chain.joints)}  # where it stands first
+        if len(named) == 1 and len(self._own_buses) == 1:
+            return dict.fromkeys(named, self._own_buses[0])
+        unknown = [joint for name, joint in named.items() if name not in self.buses]
+        if unknown:
+            have = ", ".join(self.buses)
+            problems = [(each.line, each.column, f"bus {each.bus!r} is not open; open are {have}") for each in unknown]
+            raise ChainFileError(chains[0].source, sorted(problems))
+        return {name: self.buses[name] for name in named}
+
+    # ---- network management and SYNC ----
+
+    @enable_ki_protection
+    async def nmt(self, command: NmtCommand, node_id: int = 0, *, bus: str | None = None) -> None:
+        """Send an NMT command to one node, or to all (0; on all buses, unless one is named); returns when it is on its way.
+
+        Nothing confirms it but the nodes' heartbeats. What we know of the nodes' states follows it.
+        """
+        self.check_open()
+        buses = self._own_buses if bus is None and node_id == 0 else (self.bus(bus),)
+        for each in buses:
+            self._nmt[each].send(command, node_id, self.now())
+        await self._sent(buses)
+
+    async def nmt_start(self, node_id: int = 0, *, bus: str | None = None) -> None:
+        """Start remote node: to Operational."""
+        await self.nmt(NmtCommand.START, node_id, bus=bus)
+
+    async def nmt_stop(self, node_id: int = 0, *, bus: str | None = None) -> None:
+        """Stop remote node: to Stopped, where only NMT and heartbeat live."""
+        await self.nmt(NmtCommand.STOP, node_id, bus=bus)
+
+    async def nmt_enter_pre_operational(self, node_id: int = 0, *, bus: str | None = None) -> None:
+        """Enter pre-operational: SDO, no PDOs."""
+        await self.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, node_id, bus=bus)
+
+    async def nmt_reset_node(self, node_id: int = 0, *, bus: str | None = None) -> None:
+        """Reset node: as after power-on. `Node.reset` also waits for the boot-up."""
+        await self.nmt(NmtCommand.RESET_NODE, node_id, bus=bus)
+
+    async def nmt_reset_communication(self, node_id: int = 0, *, bus: str | None = None) -> None:
+        """Reset communication: the communication objects as after power-on."""
+        await self.nmt(NmtCommand.RESET_COMMUNICATION, node_id, bus=bus)
+
+    @property
+    def sync_period(self) -> Time:
+        """ns between two SYNCs, 0 while none are sent."""
+        return self._sync[self._own_buses[0]].period
+
+    @enable_ki_protection
+    def sync_start(self, period: float) -> None:
+        """Send SYNC on all buses, now and then once per period (seconds). What runs begins anew. Events: SyncSent"""
+        self.check_open()
+        self._start_sync(nanoseconds(period))
+
+    def _start_sync(self, period: Time) -> None:
+        now = self.now()
+        for sync in self._sync.values():
+            sync.start(period, now)
+        self._pump.pump()
+
+    @enable_ki_protection
+    def sync_stop(self) -> None:
+        """Send no more SYNC by itself."""
+        for sync in self._sync.values():
+            sync.stop()
+        self._pump.pump()
+
+    @enable_ki_protection
+    async def send_sync(self) -> None:
+        """Send one SYNC on all buses; returns when it is on its way. A running period keeps its phase."""
+        self.check_open()
+        now = self.now()
+        for sync in self._sync.values():
+            sync.send(now)
+        await self._sent(self._own_buses)
+
+    async def _sent(self, buses: Iterable[Bus]) -> None:
+        self._pump.pump()
+        await trio.lowlevel.checkpoint()
+        for bus in buses:
+            await bus.flush()
+        if self.failure is not None:
+            raise self.failure
+
+    # ---- requests and procedures ----
+
+    @enable_ki_protection
+    async def request(self, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]) -> Outcome:
+        """Give a command with an outcome and wait for it. Cancelled, it takes the request back."""
+        self.check_open()
+        request_id = submit(self.now())
+        root = bus.network.out.root
+        waiter = self._dispatcher.expect(root, request_id, remote)
+        self._pump.pump()
+        try:
+            await waiter.done.wait()
+        except BaseException:  # Cancelled or KeyboardInterrupt: nobody is interested any more
+            if self._dispatcher.forget(root, request_id):
+                remote.cancel(request_id, self.now())
+                self._pump.pump()
+            raise
+        return waiter.result()
+
+    @enable_ki_protection
+    async def run(self, procedure: Procedure[T]) -> T:
+        """Run a procedure of `canopen_proto.procedures`, or your own, and wait for its end; its result.
+
+        Cancelled, it cancels the procedure and waits for its clean-up first (CLEAN_UP_TIME, 1 s, at most). Raises what the
+        procedure raised: a ProcedureError.
+        """
+        self.check_open()
+        request_id, waiter = self.launch(procedure)
+        result: T = await self.outcome_of(request_id, waiter)
+        return result
+
+    @enable_ki_protection
+    async def outcome_of(self, request_id: RequestId, waiter: Waiter) -> Any:
+        """The result of a procedure that was launched; see `run`. ProcedureTakenBack if somebody else has cancelled it."""
+        try:
+            await waiter.done.wait()
+        except BaseException:
+            self.take_back(request_id)
+            with trio.CancelScope(shield=True):
+                await waiter.done.wait()
+            raise
+        match waiter.result():
+            case ProcedureFinished(result=result):
+                return result
+            case ProcedureFailed(error=error):
+                raise error
+            case outcome:
+                assert isinstance(outcome, ProcedureCancelled)
+                raise ProcedureTakenBack
+
+    @enable_ki_protection
+    def launch(self, procedure: Procedure[Any]) -> tuple[RequestId, Waiter]:
+        """Start a procedure without waiting for it. May be called while events are delivered."""
+        request_id = self.runner.start(procedure, self.now())
+        self._procedures.add(request_id)
+        waiter = self._dispatcher.expect(self._root, request_id, self.runner)
+        self._pump.pump()
+        return request_id, waiter
+
+    @enable_ki_protection
+    def take_back(self, request_id: RequestId) -> None:
+        """Cancel a procedure; one that has ended is left alone."""
+        self.runner.cancel(request_id, self.now())
+        self._pump.pump()
+
+    # ---- events ----
+
+    @enable_ki_protection
+    def events(self, *kinds: type[E], node: Node | None = None, bus: str | None = None) -> Subscription[E]:
+        """All events of these kinds from now on, as an async iterator: `with master.events(HeartbeatLost) as events: ...`.
+
+        node, bus: only those of one. The queue is bounded: see Subscription. `Event` as a kind means all.
+        """
+        self.check_open()
+        if not kinds:
+            raise LocalProtocolError("events of which kinds? Event means all")
+        where = self.bus(node.bus) if node is not None else None if bus is None else self.bus(bus)
+        subscription: Subscription[E] = Subscription(self._unsubscribe)
+        watcher = self.watch(kinds, subscription.put, where, node.node_id if node is not None else 0)
+        self._subscriptions[subscription] = watcher
+        return subscription
+
+    def _unsubscribe(self, subscription: Subscription[Any]) -> None:
+        watcher = self._subscriptions.pop(subscription, None)
+        if watcher is not None:
+            self._dispatcher.unwatch(watcher)
+
+    def watch(
+        self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
+    ) -> Watcher:
+        """For what is built upon the master (chains): a callback in the pump's turn. It must not raise or block."""
+        return self._dispatcher.watch(kinds, callback, bus, node_id)
+
+    # ---- what the pump tells ----
+
+    def on_event(self, bus: Bus, event: Event) -> None:
+        if isinstance(event, ProcedureFinished | ProcedureFailed | ProcedureCancelled) and bus is self._own_buses[0]:
+            self._procedures.discard(event.request_id)
+            self._procedure_ended.unpark_all()
+        self._dispatcher.dispatch(bus, event)
+
+    def on_failure(self, bus: Bus | None, error: Exception) -> None:
+        if self.failure is None:
+            self.failure = BusError(bus.name, error) if bus is not None and isinstance(error, TransportError) else error
+        self._end_waiting(self.failure)
+        self._body.cancel()
+
+    def _end_waiting(self, reason: Exception) -> None:
+        self._dispatcher.give_up(reason, self.now())
+        for subscription in tuple(self._subscriptions):
+            subscription.end(reason)
+            subscription.close()
+        self._pump.pump()
+
+    # ---- the way out: for session.py ----
+
+    @property
+    def pump(self) -> Pump:
+        """What drives the networks."""
+        return self._pump
+
+    @property
+    def body(self) -> trio.CancelScope:
+        """Around the user's block; cancelled when a bus fails."""
+        return self._body
+
+    @enable_ki_protection
+    async def halt_and_flush(self) -> list[str]:
+        """Take no new commands, end everything that runs, halt all drives that are enabled, and send what is queued.
+
+        Returns, for people, which drives did not confirm that they stand. May be cancelled: what was sent is sent.
+        """
+        self.is_closed = True
+        self._end_waiting(MasterClosed())
+        for request_id in tuple(self._procedures):
+            self.take_back(request_id)
+        problems = []
+        halts = []
+        for node, device in self.devices.items():
+            if self.buses[node.bus].failed and device.may_move:
+                problems.append(f"{device.name} (node {node.node_id} on {node.bus}): its bus has failed")
+            elif device.may_move:
+                halts.append(quietly(device, stop(device)))
+        _, waiter = self.launch(all_of(*halts))
+        await waiter.done.wait()
+        match waiter.result():
+            case ProcedureFinished(result=failures):
+                for failed in failures:
+                    if failed is not None:
+                        node = failed.device.node
+                        problems.append(f"{failed.device.name} (node {node.node_id} on {node.bus}): {failed.error}")
+        while self._procedures:
+            await self._procedure_ended.park()
+        await self._pump.flush()
+        return problems
+
+    def which_may_move(self) -> list[str]:
+        """The drives that are enabled as far as we know, for people."""
+        moving = [(device, node) for node, device in self.devices.items() if device.may_move]
+        return [f"{device.name} (node {node.node_id} on {node.bus})" for device, node in moving]
+
+
+def nanoseconds(seconds: float) -> Time:
+    """Seconds, as users give them, in ns, as machines take them."""
+    return round(seconds * SECOND)

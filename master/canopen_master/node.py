@@ -1,0 +1,162 @@
+"""`Node`: one device on one bus, to be read and written by the names of its objects. Made by `Master.node`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+import trio
+
+from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, UnexpectedAnswer, sdo_error
+from canopen_master.subscription import Subscription
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import Key, Message, ObjectDictionary
+from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
+from canopen_proto.machine import Event, RequestId, Time
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
+
+if TYPE_CHECKING:
+    from canopen_master.bus import Bus
+    from canopen_master.master import Master
+
+E = TypeVar("E", bound=Event)
+
+BOOT_TIME = 5.0
+"""Seconds that a device may take from a reset to its boot-up frame."""
+
+
+class Node:
+    """A device as its master sees it. remote: the core's view of it, with all that is known of it (`remote.values`).
+
+    Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing go by SDO; they
+    can be cancelled, and are then taken back on the bus. Raises ObjectNotFound for an unknown name, SdoTimeout, SdoRefused,
+    SdoGivenUp, BusError, MasterClosed.
+    """
+
+    def __init__(self, master: Master, bus: Bus, remote: RemoteNode) -> None:
+        self._master = master
+        self._bus = bus
+        self.remote = remote
+
+    def __repr__(self) -> str:
+        return f"<Node {self.node_id} on {self.bus}>"
+
+    @property
+    def node_id(self) -> int:
+        return self.remote.node_id
+
+    @property
+    def bus(self) -> str:
+        """The name of its bus."""
+        return self._bus.name
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        return self.remote.dictionary
+
+    @property
+    def nmt_state(self) -> NmtState | None:
+        """What its heartbeat says, and where it has none, what we commanded; None if neither is known."""
+        return self.remote.nmt_state
+
+    # ---- objects ----
+
+    async def read(self, key: Key) -> Value:
+        """The value of an object. UnexpectedAnswer where its length is not that of the object's type."""
+        return (await self.read_message(key)).value
+
+    async def read_message(self, key: Key) -> Message:
+        """The value of an object with its name and the constants that it bears. timestamp: when it came, ns on trio's clock."""
+        variable = self.dictionary.variable(key)
+        uploaded = await self._upload(lambda now: self.remote.read(variable, now))
+        try:
+            message = self.remote.message_of(uploaded)
+        except ValueRangeError as error:
+            raise UnexpectedAnswer(
+                UNEXPECTED_ANSWER,
+                self.node_id,
+                self.bus,
+                f"node {self.node_id} answered reading {variable.label} with {len(uploaded.data)} bytes",
+                seen=str(error),
+                cause="the device is not the one that the dictionary describes",
+                tries=("read_bytes gives what it sent",),
+            ) from error
+        return replace(message, timestamp=self.remote.heard_at.get(variable.mux))
+
+    async def write(self, key: Key, value: Value) -> None:
+        """Write a value, or a constant by its name; returns when the device has confirmed it.
+
+        ValueRangeError, ConstantNotFound, LocalProtocolError (read-only) for what the dictionary forbids; nothing is sent then.
+        After SdoTimeout, or cancelled, it may have been executed nevertheless.
+        """
+        variable, meant, _ = self.remote.encode(key, value)
+        await self._download(lambda now: self.remote.write(variable, meant, now), f"writing {meant!r} to")
+
+    async def matches(self, key: Key, constant: str) -> bool:
+        """Whether an object, read now, bears a constant: `(value & mask) == constant`."""
+        self.dictionary.constant(key, constant)  # an unknown name is told before anything is sent
+        return self.dictionary.matches(key, constant, await self.read(key))
+
+    async def read_bytes(self, index: int, subindex: int = 0) -> bytes:
+        """The bytes of any object, whether the dictionary has it or not."""
+        return (await self._upload(lambda now: self.remote.sdo.upload(index, subindex, now))).data
+
+    async def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
+        """Write bytes to any object, whether the dictionary has it or not."""
+        await self._download(lambda now: self.remote.sdo.download(index, subindex, data, now), f"writing {data.hex()} to")
+
+    # ---- network management ----
+
+    async def nmt(self, command: NmtCommand) -> None:
+        """Send an NMT command to this node; returns when it is on its way. Nothing confirms it but the node's heartbeat."""
+        await self._master.nmt(command, self.node_id, bus=self.bus)
+
+    async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
+        """Reset the node and wait for its boot-up frame, at most `timeout` seconds, else NodeSilent."""
+        with self.events(NodeBooted) as boots:
+            await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
+            await self._first_of(boots, timeout, "did not boot after a reset")
+
+    async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
+        """Wait for the next boot-up frame, at most `timeout` seconds, else NodeSilent."""
+        with self.events(NodeBooted) as boots:
+            await self._first_of(boots, timeout, "did not boot")
+
+    async def wait_for_heartbeat(self, timeout: float) -> NmtState:
+        """Wait for the next heartbeat, at most `timeout` seconds, else NodeSilent; the state that it shows."""
+        with self.events(HeartbeatReceived) as heartbeats:
+            return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
+
+    def events(self, *kinds: type[E]) -> Subscription[E]:
+        """As `Master.events`, of this node only."""
+        return self._master.events(*kinds, node=self)
+
+    # ---- inside ----
+
+    async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:
+        outcome = await self._master.request(self._bus, self.remote, submit)
+        if isinstance(outcome, SdoUploaded):
+            return outcome
+        assert isinstance(outcome, SdoAborted)
+        raise sdo_error(self.remote, self.bus, outcome, "reading", self._master.now())
+
+    async def _download(self, submit: Callable[[Time], RequestId], attempt: str) -> None:
+        outcome = await self._master.request(self._bus, self.remote, submit)
+        if not isinstance(outcome, SdoDownloaded):
+            assert isinstance(outcome, SdoAborted)
+            raise sdo_error(self.remote, self.bus, outcome, attempt, self._master.now())
+
+    async def _first_of(self, events: Subscription[E], timeout: float, missed: str) -> E:
+        with trio.move_on_after(timeout):
+            return await events.receive()
+        raise NodeSilent(
+            NOT_HEARD,
+            self.node_id,
+            self.bus,
+            f"node {self.node_id} {missed} within {timeout:g} s",
+            cause="its power is off, it has another node-ID, or it is busy",
+            tries=(f"check that node {self.node_id} (0x{self.node_id:X}) is on the bus",),
+        )

@@ -1,0 +1,168 @@
+"""`open_master`: how a master comes and goes.
+
+**The way out.** However the `async with` block ends (its end, an error, a cancel, Ctrl-C, a bus that fails), the master takes no
+new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent, but SHUTDOWN_TIME at
+most. Only then do its tasks end and its transports close. The tasks are shielded all that time: without that a cancel would put
+nothing on the wire, and the drives would run on. Drives that did not confirm that they stand are told by HaltNotConfirmed, or in
+a note on the exception that is under way. A second Ctrl-C ends the waiting at once.
+
+The block's own exception comes out as it is, never wrapped in a group: the nursery of the master's tasks does not see it.
+
+**A bus that fails** takes the master with it: whoever waits gets BusError, the body is cancelled, and BusError comes out of the
+block. Drives on the other buses are halted as ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Final, TypeAlias
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.errors import HALT_NOT_CONFIRMED, BusError, HaltNotConfirmed
+from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import LocalProtocolError
+from canopen_transports import Transport, TransportError, open_transport
+
+BusSource: TypeAlias = str | Transport
+"""A locator, or a transport that is open already; the master closes it."""
+
+SHUTDOWN_TIME: Final = 2.0
+"""Seconds that the way out may take, whatever the drives do: a person who pressed Ctrl-C waits no longer."""
+
+
+def open_master(
+    *locators: BusSource,
+    buses: Mapping[str, BusSource] | None = None,
+    sdo_timeout: float = SDO_TIMEOUT,
+    heartbeat_timeout: float = 0.0,
+    dictionary: ObjectDictionary | None = None,
+) -> MasterSession:
+    """The master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
+
+    locators: the buses, each known by its locator. buses: buses by names of your own, such as those that a chain file uses;
+    several names may mean one bus. Times in seconds: sdo_timeout, for each answer of a device; heartbeat_timeout, after which a
+    node whose heartbeat stops is lost, 0 for no supervision (a chain that initialises its joints then has them send heartbeats).
+    dictionary: for nodes that are given none; by default that of the data files.
+
+    On entering: BusError for a bus that cannot be opened. On leaving: see this module's text.
+    """
+    named: dict[str, BusSource] = {}
+    for number, locator in enumerate(locators):
+        name = locator if isinstance(locator, str) else getattr(locator, "locator", f"bus{number}")
+        if name in named:
+            raise LocalProtocolError(f"the bus {name} is named twice")
+        named[name] = locator
+    named.update(buses or {})
+    if not named:
+        raise LocalProtocolError('a master needs a bus: open_master("virtual:demo")')
+
+    def make(transports: Mapping[str, Transport], aliases: Mapping[str, str]) -> Master:
+        return Master(
+            transports,
+            aliases=aliases,
+            sdo_timeout=sdo_timeout,
+            heartbeat_timeout=heartbeat_timeout,
+            dictionary=dictionary,
+        )
+
+    return MasterSession(named, make)
+
+
+class MasterSession:
+    """What `open_master` gives: an async context manager, to be entered once."""
+
+    def __init__(
+        self, sources: Mapping[str, BusSource], make: Callable[[Mapping[str, Transport], Mapping[str, str]], Master]
+    ) -> None:
+        self._sources = sources
+        self._make = make
+        self._transports: dict[str, Transport] = {}
+
+    @enable_ki_protection
+    async def __aenter__(self) -> Master:
+        try:
+            self._master = self._make(self._transports, await self._open())
+            self._tasks = trio.open_nursery()
+            nursery = await self._tasks.__aenter__()
+        except BaseException:
+            await self._close()
+            raise
+        nursery.start_soon(self._master.pump.run)
+        self._master.body.__enter__()
+        return self._master
+
+    @enable_ki_protection
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> bool:
+        master = self._master
+        try:
+            came = None if master.body.__exit__(kind, error, traceback) else error
+        except BaseException as rest:  # noqa: BLE001 - of a group, the Cancelled that was ours was taken out; raised again below
+            came = rest
+        problems = ["the waiting for it was interrupted"]
+        try:
+            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME) as patience:
+                problems = await master.halt_and_flush()
+            if patience.cancelled_caught:
+                problems = [f"{joint}: no answer within {SHUTDOWN_TIME:g} s" for joint in master.which_may_move()]
+        finally:
+            master.pump.stop()
+            await self._tasks.__aexit__(None, None, None)
+            await self._close()
+        ours = came is None or _is_only(came, master.failure)
+        result = master.failure if ours else came
+        if problems and result is not None:
+            result.add_note(f"not confirmed to stand: {'; '.join(problems)}")
+        elif problems:
+            result = _not_confirmed(problems)
+        if result is None:
+            return True
+        if result is error:
+            return False
+        raise result
+
+    async def _open(self) -> dict[str, str]:
+        """Open the buses, each once; the names beyond the first of each."""
+        aliases: dict[str, str] = {}
+        first_names: dict[object, str] = {}
+        for name, source in self._sources.items():
+            key = source if isinstance(source, str) else id(source)
+            if key in first_names:
+                aliases[name] = first_names[key]
+                continue
+            first_names[key] = name
+            if isinstance(source, str):
+                try:
+                    self._transports[name] = await open_transport(source)
+                except TransportError as error:
+                    raise BusError(name, error) from error
+            else:
+                self._transports[name] = source
+        return aliases
+
+    async def _close(self) -> None:
+        with trio.CancelScope(shield=True):
+            for transport in self._transports.values():
+                await transport.aclose()
+
+
+def _is_only(error: BaseException, failure: Exception | None) -> bool:
+    """Whether an exception is the master's own failure, be it in a group that a nursery of the body made of it."""
+    if failure is not None and isinstance(error, BaseExceptionGroup):
+        return all(_is_only(each, failure) for each in error.exceptions)
+    return error is failure
+
+
+def _not_confirmed(problems: list[str]) -> HaltNotConfirmed:
+    return HaltNotConfirmed(
+        HALT_NOT_CONFIRMED,
+        "the master was left, but not every drive confirmed that it stands",
+        seen="; ".join(problems),
+        cause="the drive is off, or does not answer",
+        tries=("look at the drive; press the emergency stop if it moves",),
+    )

@@ -1,0 +1,85 @@
+"""Events as an async iterator: what `master.events(HeartbeatLost, EmcyReceived)` gives.
+
+A subscription is live from the call, so that nothing is missed between a command and the wait for what follows from it. Its queue
+is bounded: whoever does not take its events loses the oldest of them, counted in `dropped`, and nobody else is held up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Generic, TypeVar
+
+import trio
+
+from canopen_proto.machine import Event
+
+E = TypeVar("E", bound=Event)
+
+QUEUE_SIZE: Final = 4096
+"""Events that wait for a slow reader: four seconds of six drives with one PDO a cycle of 10 ms, and more."""
+
+
+class Subscription(Generic[E]):
+    """Iterate over it: `async for event in subscription`. Made by `Master.events`; `with` or `async with` ends it.
+
+    dropped: how many events were lost because nobody took them.
+    """
+
+    def __init__(self, close: Callable[[Subscription[E]], None], size: int = QUEUE_SIZE) -> None:
+        self.dropped = 0
+        self._close = close
+        self._size = size
+        self._events: deque[E] = deque()
+        self._waiting = trio.lowlevel.ParkingLot()
+        self._end: BaseException | None = None
+
+    def put(self, event: E) -> None:
+        """Add an event (the pump does)."""
+        if len(self._events) == self._size:
+            self._events.popleft()
+            self.dropped += 1
+        self._events.append(event)
+        self._waiting.unpark()
+
+    def end(self, reason: BaseException) -> None:
+        """Nothing more will come: what is queued can still be taken, then `reason` is raised."""
+        self._end = reason
+        self._waiting.unpark_all()
+
+    async def receive(self) -> E:
+        """The next event. Cancelled, it took none. Raises BusError or MasterClosed when no more can come."""
+        await trio.lowlevel.checkpoint()
+        while not self._events:
+            if self._end is not None:
+                raise self._end
+            await self._waiting.park()
+        return self._events.popleft()
+
+    def take(self) -> list[E]:
+        """All events that are waiting, at once."""
+        taken = list(self._events)
+        self._events.clear()
+        return taken
+
+    def close(self) -> None:
+        """Take no more events. May be called twice."""
+        self._close(self)
+
+    def __enter__(self) -> Subscription[E]:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    async def __aenter__(self) -> Subscription[E]:
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        self.close()
+
+    def __aiter__(self) -> Subscription[E]:
+        return self
+
+    async def __anext__(self) -> E:
+        return await self.receive()
