@@ -39,7 +39,7 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.cia402.states import State, StatusBit, state_of
-from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time, event
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time, event
 from canopen_proto.remote_node import RemoteNode
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
@@ -152,7 +152,7 @@ class Axis:
         """Bit 8, which Schunk drives set while they move."""
         return bool(self.statusword & StatusBit.MANUFACTURER_8)
 
-    def fresh_statusword(self, now: Time, not_before: Time) -> int | None:
+    def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
         """0x6041 if it was heard at `not_before` or later and is not older than 100 ms, else None."""
         heard = self.node.heard_at.get(STATUSWORD)
         if heard is None or heard < not_before or now - heard > 100 * MILLISECOND:

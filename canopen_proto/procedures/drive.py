@@ -77,19 +77,19 @@ def _name(axis: Axis) -> str:
 # ---- statusword and controlword ----
 
 
-def read_statusword(axis: Axis, not_before: Time = 0) -> Procedure[int]:
-    """The present statusword: what a TPDO brought no longer than 100 ms ago, else read by SDO."""
+def read_statusword(axis: Axis) -> Procedure[int]:
+    """The present statusword: what was heard no longer than 100 ms ago, else read by SDO."""
     now = yield from current_time()
-    statusword = axis.fresh_statusword(now, not_before)
+    statusword = axis.fresh_statusword(now)
     if statusword is None:
         statusword = yield from read_int(axis.node, "0x6041")
     return statusword
 
 
 def wait_for_statusword(
-    axis: Axis, done: Callable[[int], bool], timeout: Time, goal: str, *, not_before: Time = 0, accept_fault: bool = False
+    axis: Axis, done: Callable[[int], bool], timeout: Time, goal: str, *, accept_fault: bool = False
 ) -> Procedure[int]:
-    """Wait until done(statusword), at most `timeout` ns; the statusword.
+    """Wait until done(statusword), at most `timeout` ns; the statusword. What was heard before the wait does not count.
 
     Raises DriveFault as soon as the drive shows one (unless accept_fault), StepTimeout that names `goal` and what was seen last.
     """
@@ -98,14 +98,19 @@ def wait_for_statusword(
     def is_news(report: Event) -> bool:
         return isinstance(report, PdoReceived) and report.node_id == node.node_id
 
-    deadline = (yield from current_time()) + timeout
+    not_before = yield from current_time()
+    deadline = not_before + timeout
     while True:
-        statusword = yield from read_statusword(axis, not_before)
+        now = yield from current_time()
+        statusword = axis.fresh_statusword(now, not_before)
+        if statusword is None:
+            statusword = yield from read_int(node, "0x6041")
+            now = yield from current_time()
+            not_before = now + 1  # only a TPDO's value may serve for more than one look
         if done(statusword):
             return statusword
         if not accept_fault and state_of(statusword) in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             raise (yield from fault_of(axis, f"while waiting for {goal}"))
-        now = yield from current_time()
         if now >= deadline:
             raise StepTimeout(f"{_name(axis)} did not reach {goal} within {timeout / SECOND:g} s: {axis.describe()}")
         yield Wait(min(POLL_INTERVAL, deadline - now), node, is_news)
@@ -232,7 +237,6 @@ def halt(axis: Axis) -> Procedure[None]:
         return
     controlword = axis.controlword if axis.controlword & 0x0F == Command.ENABLE_OPERATION else int(Command.ENABLE_OPERATION)
     yield from command(axis, controlword | ControlBit.HALT)
-    commanded = yield from current_time()
 
     def stands(word: int) -> bool:
         if state_of(word) is not State.OPERATION_ENABLED:
@@ -241,9 +245,7 @@ def halt(axis: Axis) -> Procedure[None]:
             return not word & StatusBit.MANUFACTURER_8
         return bool(word & StatusBit.TARGET_REACHED)  # with bit 8 set it means velocity 0
 
-    yield from wait_for_statusword(
-        axis, stands, STANDSTILL_TIME, "standstill after a halt", not_before=commanded, accept_fault=True
-    )
+    yield from wait_for_statusword(axis, stands, STANDSTILL_TIME, "standstill after a halt", accept_fault=True)
 
 
 def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
@@ -294,8 +296,7 @@ def home(axis: Axis) -> Procedure[None]:
     try:
         yield from command(axis, int(Command.ENABLE_OPERATION))
         yield from command(axis, Command.ENABLE_OPERATION | ModeControl.START_HOMING)
-        started = yield from current_time()
-        yield from (_schunk_homing(axis, started) if is_schunk else _standard_homing(axis, started))
+        yield from (_schunk_homing(axis) if is_schunk else _standard_homing(axis))
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
@@ -303,7 +304,7 @@ def home(axis: Axis) -> Procedure[None]:
     axis.is_homed = True
 
 
-def _standard_homing(axis: Axis, started: Time) -> Procedure[None]:
+def _standard_homing(axis: Axis) -> Procedure[None]:
     yield from sleep(REACTION_TIME)
     ends = (HomingStatus.COMPLETE, HomingStatus.ERROR_STOPPED, HomingStatus.ERROR_MOVING)
     statusword = yield from wait_for_statusword(
@@ -311,26 +312,21 @@ def _standard_homing(axis: Axis, started: Time) -> Procedure[None]:
         lambda word: homing_status(word) in ends,
         axis.settings.homing_timeout,
         "the end of homing",
-        not_before=started + REACTION_TIME,
     )
     if homing_status(statusword) is not HomingStatus.COMPLETE:
         raise HomingFailed(f"{_name(axis)} reports a homing error: {axis.describe()}")
 
 
-def _schunk_homing(axis: Axis, started: Time) -> Procedure[None]:
+def _schunk_homing(axis: Axis) -> Procedure[None]:
     moving, referenced = StatusBit.MANUFACTURER_8, StatusBit.MANUFACTURER_15
     try:
-        yield from wait_for_statusword(
-            axis, lambda word: bool(word & moving), START_TIME, "the start of homing (bit 8)", not_before=started
-        )
+        yield from wait_for_statusword(axis, lambda word: bool(word & moving), START_TIME, "the start of homing (bit 8)")
     except StepTimeout:
         # A joint that stands at its reference already need not move; or the movement was over between two reads.
         if not axis.statusword & referenced:
             raise
     timeout = axis.settings.homing_timeout
-    statusword = yield from wait_for_statusword(
-        axis, lambda word: not word & moving, timeout, "the end of homing (bit 8)", not_before=started
-    )
+    statusword = yield from wait_for_statusword(axis, lambda word: not word & moving, timeout, "the end of homing (bit 8)")
     if not statusword & referenced:
         raise HomingFailed(f"{_name(axis)} stopped, but is not referenced (bit 15): {axis.describe()}")
 
@@ -380,11 +376,8 @@ def _follow(axis: Axis, index: int, subindex: int, start: int, active: int) -> P
                 node.enable_rpdo(number, now)
         yield from command(axis, int(Command.ENABLE_OPERATION))
         yield from command(axis, Command.ENABLE_OPERATION | start)
-        started = yield from current_time()
         goal = "interpolation active (bit 12)" if start else "follows command (bit 12)"
-        yield from wait_for_statusword(
-            axis, lambda word: bool(word & active), axis.settings.state_timeout, goal, not_before=started
-        )
+        yield from wait_for_statusword(axis, lambda word: bool(word & active), axis.settings.state_timeout, goal)
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
@@ -409,23 +402,18 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
         yield from command(axis, Command.ENABLE_OPERATION | options)
         yield from _wait_for_acknowledge(axis, True)
         yield from command(axis, Command.ENABLE_OPERATION | options & ~ModeControl.NEW_SET_POINT)
-        released = yield from current_time()
-        yield from wait_for_statusword(
-            axis, lambda word: bool(word & StatusBit.TARGET_REACHED), timeout, "its target position", not_before=released
-        )
+        yield from wait_for_statusword(axis, lambda word: bool(word & StatusBit.TARGET_REACHED), timeout, "its target position")
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
 
 
 def _wait_for_acknowledge(axis: Axis, wanted: bool) -> Procedure[None]:
-    since = yield from current_time()
     yield from wait_for_statusword(
         axis,
         lambda word: bool(word & ModeStatus.SET_POINT_ACKNOWLEDGE) is wanted,
         axis.settings.state_timeout,
         f"set-point acknowledge (bit 12) = {int(wanted)}",
-        not_before=since,
     )
 
 

@@ -11,8 +11,10 @@ from canopen_proto.cia402.axis import Axis, AxisSettings, AxisStateChanged
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import Direction
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.procedures import drive
+from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
 from tests.proto.rig import CYCLE, Rig
@@ -248,6 +250,93 @@ def test_a_mode_that_the_drive_does_not_take_up() -> None:
     rig.node.application = None  # it stores what is written, and does nothing
     with pytest.raises(drive.ModeUnsupported, match="did not take up homing"):
         rig.run(drive.set_mode(rig.axis, Mode.HOMING))
+
+
+def test_commands_go_by_an_event_driven_rpdo_at_once() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.run(use_device_pdo(rig.remote, Direction.RPDO, 1))
+    rig.remote.enable_rpdo(1, rig.bus.now)
+    rig.bus.sent.clear()
+    rig.run(drive.enable(rig.axis))
+    assert writes_of(rig, 0x6040) == []
+    assert [frame for frame in rig.bus.trace() if frame.startswith("205#")] in (
+        ["205#0600", "205#0700", "205#0F00"],
+        ["205#0600", "205#0F00"],
+    )
+
+
+def test_a_sync_that_stops_makes_commands_go_by_sdo() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.run(drive.home(rig.axis))
+    rig.start_sync()
+    rig.run(drive.start_interpolation(rig.axis, CYCLE))
+    rig.sync.stop()
+    rig.bus.sent.clear()
+    rig.run(drive.halt(rig.axis))  # SYNC ran a moment ago: it waits for the next, in vain
+    assert writes_of(rig, 0x6040) == [0x11F]
+
+
+def test_the_fault_of_a_node_that_falls_silent_is_told_all_the_same() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.start_sync()
+    rig.node.raise_fault(0x3220, rig.bus.now)
+    rig.bus.run(2 * CYCLE)
+    rig.bus.detach(rig.device)
+    with pytest.raises(drive.DriveFault, match="its error code could not be read: node 5 did not answer"):
+        rig.run(drive.enable(rig.axis))
+
+
+def schunk_whose_status_is(rig: Rig, statusword: int) -> None:
+    """The drive shows this statusword from now on, whatever happens; no drive stands behind it."""
+    rig.node.application = None
+    rig.node.values.store[objects.STATUSWORD] = statusword
+    rig.node.values.store[objects.MODES_OF_OPERATION_DISPLAY] = Mode.HOMING
+
+
+def test_a_schunk_that_stands_unreferenced_has_failed() -> None:
+    rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
+    schunk_whose_status_is(rig, 0x0337)  # operation enabled, moving
+    request = rig.master.run(drive.home(rig.axis), rig.bus.now)
+    rig.bus.run(200 * MILLISECOND)
+    schunk_whose_status_is(rig, 0x0237)  # stands, not referenced
+    ended = rig.outcome(request)
+    assert isinstance(ended, ProcedureFailed)
+    assert isinstance(ended.error, drive.HomingFailed)
+    assert "not referenced" in str(ended.error)
+
+
+def test_a_schunk_that_does_not_begin_to_home_has_failed() -> None:
+    rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
+    schunk_whose_status_is(rig, 0x0237)
+    with pytest.raises(StepTimeout, match=r"the start of homing \(bit 8\)"):
+        rig.run(drive.home(rig.axis))
+
+
+def test_a_halt_that_is_not_confirmed_is_told() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    schunk_whose_status_is(rig, 0x0237)  # operation enabled, and never at standstill
+    with pytest.raises(StepTimeout, match="standstill after a halt"):
+        rig.run(drive.halt(rig.axis))
+
+
+def test_a_cancelled_procedure_tells_of_the_halt_that_failed() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    prepare_homing(rig)
+    request = rig.master.run(drive.home(rig.axis), rig.bus.now)
+    rig.bus.run(200 * MILLISECOND)
+    schunk_whose_status_is(rig, 0x0237)
+    rig.master.cancel(request, rig.bus.now)
+    ended = rig.outcome(request)
+    assert isinstance(ended, ProcedureCancelled)
+    assert isinstance(ended.clean_up_error, StepTimeout)
+
+
+def test_a_mechanical_block_becomes_a_following_error() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.run(drive.home(rig.axis))
+    rig.node.block(True, rig.bus.now)
+    with pytest.raises(drive.DriveFault, match="0x8611"):
+        rig.run(drive.move_to(rig.axis, 1.0, timeout=20 * SECOND))
 
 
 def test_a_failing_halt_is_noted_at_its_cause() -> None:
