@@ -1,0 +1,43 @@
+"""The README's Python examples run as they stand, each as a script of its own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+LIMIT = 60  # seconds, for a machine that is busy with other things
+
+
+def test_there_are_examples() -> None:
+    assert len(EXAMPLES) >= 4
+
+
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_example(number: int) -> None:
+    path = os.pathsep.join(sys.path)
+    script = [sys.executable, "-W", "error", "-c", EXAMPLES[number]]
+    ran = subprocess.run(
+        script, capture_output=True, text=True, timeout=LIMIT, env={**os.environ, "PYTHONPATH": path}, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.strip(), "an example shows something"
+
+
+def test_the_two_commands() -> None:
+    assert "python3 -m venv .venv && .venv/bin/pip install -q '.[all]' && .venv/bin/canopen demo" in TEXT
+    assert ".venv/bin/pip install -q '.[all,test]' && .venv/bin/pytest -q" in TEXT
+
+
+def test_links_lead_somewhere() -> None:
+    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for target in re.findall(r"\]\(([^)#]+)\)", document.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (document.parent / target).exists(), f"{document.name}: {target}"
