@@ -1,4 +1,4 @@
-"""A CANopen master for trio: several buses, chains of CiA 402 drives, SYNC cycles, supervision; on the way out it halts what moves.
+"""A CANopen master for trio: several buses, chains of CiA 402 drives, SYNC cycles, supervision; when left, it halts what moves.
 
     async with open_master("socketcan:can0") as master:
         arm = master.load_chains("single_device.csv")["chain1"]

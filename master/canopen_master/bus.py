@@ -184,9 +184,8 @@ class Pump:
     def _take(self, bus: Bus, now: Time) -> None:
         frames, events = bus.network.drain(now)
         if frames and not bus.queue(frames):
-            waiting = f"{bus.pending} frames wait to be sent"
-            name = getattr(bus.transport, "locator", bus.name)
-            self._fail(bus, TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=waiting))
+            name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
+            self._fail(bus, TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen), "send")
         for each in events:
             self._listener.on_event(bus, each)
 
@@ -217,8 +216,8 @@ class Pump:
                 frame, timestamp = await bus.transport.receive()
             except ReceiveOverrun as overrun:
                 self._turn(bus.network.out.events.append, FramesLost(0, overrun.lost, overrun.seen))
-            except (TransportError, trio.ClosedResourceError) as error:
-                self._fail(bus, error)
+            except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+                self._fail(bus, error, "receive")
             else:
                 self._received += 1
                 self._turn(bus.network.receive, frame, self.now(), timestamp)
@@ -229,8 +228,8 @@ class Pump:
             frame = await bus.next_frame(self.now)
             try:
                 await bus.transport.send(frame)
-            except (TransportError, trio.ClosedResourceError) as error:
-                self._fail(bus, error)
+            except Exception as error:  # noqa: BLE001 - as above
+                self._fail(bus, error, f"send {frame}")
 
     @enable_ki_protection
     async def _keep_time(self) -> None:
@@ -272,11 +271,14 @@ class Pump:
         except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
             self._listener.on_failure(None, error)
 
-    def _fail(self, bus: Bus, error: TransportError | trio.ClosedResourceError) -> None:
+    def _fail(self, bus: Bus, error: Exception, doing: str) -> None:
         if bus.failed:
             return
         bus.fail()
-        if isinstance(error, trio.ClosedResourceError):
+        if not isinstance(error, TransportError):
+            closed = isinstance(error, trio.ClosedResourceError)
+            seen = "somebody has closed the transport" if closed else f"{type(error).__name__}: {error}"
             name = getattr(bus.transport, "locator", bus.name)
-            error = TransportError(BUS_LOST, name, f"{name} was closed", cause="somebody closed the transport that we use")
+            cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
+            error.__cause__ = cause
         self._listener.on_failure(bus, error)

@@ -182,6 +182,7 @@ class Chain:
         """
         master, settings = self._master, self.settings
         self._require_idle("initialise")
+        self._require_same_cycle()
         self._supervised = False
         self._end_following(ChainState.OFF)
         self._culprit, self._why_halted = None, ""
@@ -305,8 +306,7 @@ class Chain:
             seen, cause, tries = sign_of_life(device.node.remote, self._master.now())
         elif isinstance(error, SdoFailed):
             code = REFUSED
-        place = f"{device.name} (node {device.node.node_id} on {device.node.bus})"
-        failure = f"chain {self.name} could not {operation}: {place}: {error}"
+        failure = f"chain {self.name} could not {operation}: {device.where}: {error}"
         return ChainError(code, self.name, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 
     def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
@@ -335,6 +335,15 @@ class Chain:
             step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.enable_interpolated_position()"
             failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
+
+    def _require_same_cycle(self) -> None:
+        """SYNC is one for all chains."""
+        period = self._master.sync_period
+        others = [chain.name for chain in self._master.chains if chain is not self and chain.state is not ChainState.OFF]
+        if others and period != round(self.settings.cycle_time * SECOND):
+            failed = f"chain {self.name} cannot run with a cycle of {self.settings.cycle_time:g} s"
+            seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("one cycle_time for all chains",))
 
     def _end_following(self, state: ChainState) -> None:
         self.state = state
@@ -409,7 +418,7 @@ class Chain:
 
     def _on_axis(self, device: Device, report: AxisStateChanged) -> None:
         if device.has_fault:
-            self._joint_failed(device, f"fell into {report.state}")
+            self._joint_failed(device, "fell into fault")
         elif self.state is ChainState.FOLLOWING and report.state is not State.OPERATION_ENABLED:
             self._joint_failed(device, f"left operation enabled by itself: {report.state}")
 

@@ -55,7 +55,6 @@ class SetPoints:
         """From now on each SYNC takes the images along."""
         self.end()
         self.sent = [device.desired_position for device in self.devices]
-        self.number = 0
 
     def end(self) -> None:
         """No set-points are followed any more."""

@@ -14,7 +14,7 @@ from canopen_master.node import Node
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, STATUSWORD, VELOCITY_ACTUAL_VALUE
-from canopen_proto.cia402.states import COMMAND_BITS, Command, State
+from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.nmt import NmtState
@@ -123,8 +123,12 @@ class Device:
     @property
     def may_move(self) -> bool:
         """Whether it is in Operation enabled, as far as we know, or was last commanded there."""
-        commanded = self.axis.controlword & COMMAND_BITS == Command.ENABLE_OPERATION
-        return self.state is State.OPERATION_ENABLED or (commanded and not self.has_fault)
+        return self.state is State.OPERATION_ENABLED or (self.node.was_enabled and not self.has_fault)
+
+    @property
+    def where(self) -> str:
+        """It, for people: "joint1 (node 3 on can0)"."""
+        return f"{self.name} (node {self.node.node_id} on {self.node.bus})"
 
     def silence(self, now: Time) -> Time | None:
         """ns since its statusword was last heard, None if it never was."""

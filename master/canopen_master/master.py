@@ -32,7 +32,7 @@ from canopen_master.chain_file import ChainDescription, parse_chains, read_chain
 from canopen_master.device import Device
 from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, ChainFileError, MasterClosed, UnknownChain
-from canopen_master.joint_procedures import quietly, stop
+from canopen_master.joint_procedures import stop
 from canopen_master.node import Node
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
@@ -41,7 +41,7 @@ from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, Re
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, all_of
+from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from canopen_transports import Transport, TransportError
@@ -87,6 +87,7 @@ class Master:
         self._nodes: dict[tuple[Bus, int], Node] = {}
         self.devices: dict[Node, Device] = {}
         self.chains: list[Chain] = []
+        self.unconfirmed: dict[Device, str] = {}  # drives that may still move after the master was left, and why
         self._procedures: set[RequestId] = set()
         self._procedure_ended = trio.lowlevel.ParkingLot()
         self._subscriptions: dict[Subscription[Any], Watcher] = {}
@@ -441,39 +442,37 @@ class Master:
         return self._body
 
     @enable_ki_protection
-    async def halt_and_flush(self) -> list[str]:
+    async def halt_and_flush(self) -> None:
         """Take no new commands, end everything that runs, halt all drives that are enabled, and send what is queued.
 
-        Returns, for people, which drives did not confirm that they stand. May be cancelled: what was sent is sent.
+        `unconfirmed` then holds the drives that did not confirm that they stand. May be cancelled: what was sent is sent.
         """
         self.is_closed = True
         self._end_waiting(MasterClosed())
         for request_id in tuple(self._procedures):
             self.take_back(request_id)
-        problems = []
+        for node in self._nodes.values():
+            if node.was_enabled:
+                self.device(node)  # it was enabled by hand, and is a drive therefore
         halts = []
         for node, device in self.devices.items():
-            if self.buses[node.bus].failed and device.may_move:
-                problems.append(f"{device.name} (node {node.node_id} on {node.bus}): its bus has failed")
-            elif device.may_move:
-                halts.append(quietly(device, stop(device)))
-        _, waiter = self.launch(all_of(*halts))
-        await waiter.done.wait()
-        match waiter.result():
-            case ProcedureFinished(result=failures):
-                for failed in failures:
-                    if failed is not None:
-                        node = failed.device.node
-                        problems.append(f"{failed.device.name} (node {node.node_id} on {node.bus}): {failed.error}")
+            if device.may_move:
+                failed = self.buses[node.bus].failed
+                self.unconfirmed[device] = "its bus has failed" if failed else "it has not answered yet"
+                if not failed:
+                    halts.append(self._halt(device))
+        self.launch(all_of(*halts))
         while self._procedures:
             await self._procedure_ended.park()
         await self._pump.flush()
-        return problems
 
-    def which_may_move(self) -> list[str]:
-        """The drives that are enabled as far as we know, for people."""
-        moving = [(device, node) for node, device in self.devices.items() if device.may_move]
-        return [f"{device.name} (node {node.node_id} on {node.bus})" for device, node in moving]
+    def _halt(self, device: Device) -> Procedure[None]:
+        try:
+            yield from stop(device)
+        except ProcedureError as error:
+            self.unconfirmed[device] = str(error)
+        else:
+            del self.unconfirmed[device]
 
 
 def nanoseconds(seconds: float) -> Time:

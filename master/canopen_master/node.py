@@ -10,10 +10,12 @@ import trio
 
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, UnexpectedAnswer, sdo_error
 from canopen_master.subscription import Subscription
+from canopen_proto.cia402.objects import CONTROLWORD
+from canopen_proto.cia402.states import COMMAND_BITS, Command
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import Event, RequestId, Time
+from canopen_proto.machine import SECOND, Event, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
@@ -40,6 +42,7 @@ class Node:
         self._master = master
         self._bus = bus
         self.remote = remote
+        self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
 
     def __repr__(self) -> str:
         return f"<Node {self.node_id} on {self.bus}>"
@@ -61,6 +64,16 @@ class Node:
     def nmt_state(self) -> NmtState | None:
         """What its heartbeat says, and where it has none, what we commanded; None if neither is known."""
         return self.remote.nmt_state
+
+    @property
+    def was_enabled(self) -> bool:
+        """Whether the last controlword that we know of, or that was written here, enables operation: a drive that may move."""
+        return self._enabled_by_hand or _enables(self.remote.values.store.get(CONTROLWORD))
+
+    def supervise_heartbeat(self, timeout: float) -> None:
+        """Report HeartbeatLost when no heartbeat came for that long (seconds), from its first one on; 0 ends that."""
+        self.remote.heartbeat.set_timeout(round(timeout * SECOND), self._master.now())
+        self._master.pump.pump()
 
     # ---- objects ----
 
@@ -93,6 +106,7 @@ class Node:
         After SdoTimeout, or cancelled, it may have been executed nevertheless.
         """
         variable, meant, _ = self.remote.encode(key, value)
+        self._note(variable.mux, meant)
         await self._download(lambda now: self.remote.write(variable, meant, now), f"writing {meant!r} to")
 
     async def matches(self, key: Key, constant: str) -> bool:
@@ -106,6 +120,7 @@ class Node:
 
     async def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
         """Write bytes to any object, whether the dictionary has it or not."""
+        self._note(index << 8 | subindex, int.from_bytes(data, "little"))
         await self._download(lambda now: self.remote.sdo.download(index, subindex, data, now), f"writing {data.hex()} to")
 
     # ---- network management ----
@@ -136,6 +151,10 @@ class Node:
 
     # ---- inside ----
 
+    def _note(self, mux: int, value: Value) -> None:
+        if mux == CONTROLWORD:
+            self._enabled_by_hand = _enables(value)
+
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:
         outcome = await self._master.request(self._bus, self.remote, submit)
         if isinstance(outcome, SdoUploaded):
@@ -160,3 +179,7 @@ class Node:
             cause="its power is off, it has another node-ID, or it is busy",
             tries=(f"check that node {self.node_id} (0x{self.node_id:X}) is on the bus",),
         )
+
+
+def _enables(controlword: object) -> bool:
+    return isinstance(controlword, int) and controlword & COMMAND_BITS == Command.ENABLE_OPERATION

@@ -1,7 +1,7 @@
 """`open_master`: how a master comes and goes.
 
 **The way out.** However the `async with` block ends (its end, an error, a cancel, Ctrl-C, a bus that fails), the master takes no
-new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent, but SHUTDOWN_TIME at
+new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent, SHUTDOWN_TIME at
 most. Only then do its tasks end and its transports close. The tasks are shielded all that time: without that a cancel would put
 nothing on the wire, and the drives would run on. Drives that did not confirm that they stand are told by HaltNotConfirmed, or in
 a note on the exception that is under way. A second Ctrl-C ends the waiting at once.
@@ -15,6 +15,7 @@ block. Drives on the other buses are halted as ever.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import Final, TypeAlias
 
@@ -80,12 +81,12 @@ class MasterSession:
     ) -> None:
         self._sources = sources
         self._make = make
-        self._transports: dict[str, Transport] = {}
+        self._open_transports = AsyncExitStack()
 
     @enable_ki_protection
     async def __aenter__(self) -> Master:
         try:
-            self._master = self._make(self._transports, await self._open())
+            self._master = self._make(*await self._open())
             self._tasks = trio.open_nursery()
             nursery = await self._tasks.__aenter__()
         except BaseException:
@@ -104,30 +105,30 @@ class MasterSession:
             came = None if master.body.__exit__(kind, error, traceback) else error
         except BaseException as rest:  # noqa: BLE001 - of a group, the Cancelled that was ours was taken out; raised again below
             came = rest
-        problems = ["the waiting for it was interrupted"]
         try:
-            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME) as patience:
-                problems = await master.halt_and_flush()
-            if patience.cancelled_caught:
-                problems = [f"{joint}: no answer within {SHUTDOWN_TIME:g} s" for joint in master.which_may_move()]
+            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME):
+                await master.halt_and_flush()
         finally:
             master.pump.stop()
             await self._tasks.__aexit__(None, None, None)
             await self._close()
         ours = came is None or _is_only(came, master.failure)
         result = master.failure if ours else came
-        if problems and result is not None:
-            result.add_note(f"not confirmed to stand: {'; '.join(problems)}")
-        elif problems:
-            result = _not_confirmed(problems)
+        if master.unconfirmed:
+            problems = "; ".join(f"{device.where}: {why}" for device, why in master.unconfirmed.items())
+            if result is not None:
+                result.add_note(f"not confirmed to stand: {problems}")
+            else:
+                result = _not_confirmed(problems)
         if result is None:
             return True
         if result is error:
             return False
         raise result
 
-    async def _open(self) -> dict[str, str]:
-        """Open the buses, each once; the names beyond the first of each."""
+    async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
+        """Open the buses, each once: the transports by name, and the names beyond the first of each."""
+        transports: dict[str, Transport] = {}
         aliases: dict[str, str] = {}
         first_names: dict[object, str] = {}
         for name, source in self._sources.items():
@@ -136,19 +137,17 @@ class MasterSession:
                 aliases[name] = first_names[key]
                 continue
             first_names[key] = name
-            if isinstance(source, str):
-                try:
-                    self._transports[name] = await open_transport(source)
-                except TransportError as error:
-                    raise BusError(name, error) from error
-            else:
-                self._transports[name] = source
-        return aliases
+            try:
+                transport = await open_transport(source) if isinstance(source, str) else source
+            except TransportError as error:
+                raise BusError(name, error) from error
+            transports[name] = transport
+            self._open_transports.push_async_callback(transport.aclose)
+        return transports, aliases
 
     async def _close(self) -> None:
         with trio.CancelScope(shield=True):
-            for transport in self._transports.values():
-                await transport.aclose()
+            await self._open_transports.aclose()
 
 
 def _is_only(error: BaseException, failure: Exception | None) -> bool:
@@ -158,11 +157,11 @@ def _is_only(error: BaseException, failure: Exception | None) -> bool:
     return error is failure
 
 
-def _not_confirmed(problems: list[str]) -> HaltNotConfirmed:
+def _not_confirmed(problems: str) -> HaltNotConfirmed:
     return HaltNotConfirmed(
         HALT_NOT_CONFIRMED,
         "the master was left, but not every drive confirmed that it stands",
-        seen="; ".join(problems),
+        seen=problems,
         cause="the drive is off, or does not answer",
         tries=("look at the drive; press the emergency stop if it moves",),
     )

@@ -87,6 +87,7 @@ class Host:
                 for node in self.nodes:
                     node.boot(self.now())
                 self._pump.pump()
+                await self._pump.flush()  # a master that opens now must not take these boot-ups for a reset behind its back
                 task_status.started(self)
                 await self._ended.wait()
             finally:
