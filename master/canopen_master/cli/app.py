@@ -1,0 +1,75 @@
+"""The command tree, and `main`: one command run, one exit status, one screen where it fails."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+
+import click
+import trio
+
+from canopen_master.cli.data import data
+from canopen_master.cli.demo import demo
+from canopen_master.cli.home import home
+from canopen_master.cli.info import info
+from canopen_master.cli.nmt import nmt
+from canopen_master.cli.objects import read, write
+from canopen_master.cli.options import Settings, common
+from canopen_master.cli.problem import ExitCode, Problem, problem_of
+from canopen_master.cli.scan import scan
+from canopen_master.cli.sim import sim
+
+CLOSED_PIPE = 128 + 13
+"""What a shell reports of a command whose reader went away (SIGPIPE)."""
+
+
+class InOrder(click.Group):
+    """Lists its commands in the order in which they were added: the first thing to try comes first."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(metadata.version("canopen-proto"), prog_name="canopen")
+@common
+def cli() -> None:
+    """CANopen from the command line. Without hardware, begin with `canopen demo`; every command takes `-b demo`.
+
+    Exit status: 0 ok, 2 usage, 3 cannot open the bus, 4 bus fault, 5 no answer, 6 bad input file, 9 permission, 10 internal,
+    11 SDO abort, 12 drive fault or refused, 13 verify mismatch, 130 interrupted.
+    """
+
+
+for _command in (demo, scan, info, read, write, nmt, home, sim, data):
+    cli.add_command(_command)
+
+
+def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None = None) -> int:
+    """Run the command line; the exit status. arguments: by default those of this process. clock: trio's, for tests."""
+    settings = Settings(clock=clock)
+    try:
+        result = cli.main(
+            None if arguments is None else list(arguments), prog_name="canopen", standalone_mode=False, obj=settings
+        )
+        sys.stdout.flush()
+    except BrokenPipeError:
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains when it flushes at the end
+        return CLOSED_PIPE
+    except (click.Abort, KeyboardInterrupt):
+        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO131", "by Ctrl-C"))
+    except click.exceptions.NoArgsIsHelpError as no_arguments:
+        click.echo(no_arguments.format_message(), err=True)
+        return ExitCode.USAGE
+    except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
+        return _show(settings, problem_of(error))
+    return result if isinstance(result, int) else ExitCode.OK
+
+
+def _show(settings: Settings, problem: Problem) -> int:
+    settings.screen().problem(problem)
+    return problem.exit_code

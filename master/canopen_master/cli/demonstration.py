@@ -1,0 +1,311 @@
+"""What `canopen demo` does: boot, home, move, shut down; and what it tells of it.
+
+The drives are those of a chain file. Without a bus each bus name in that file becomes a virtual one, on which simulated drives
+stand at the node-IDs of the file; with a bus all names mean that one. Everything else is the same code: a simulated drive is a
+device on a CAN bus like any other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import trio
+from rich.markup import escape
+
+from canopen_master.chain import Chain, ChainSettings
+from canopen_master.chain_file import ChainDescription, read_chains, same_nodes
+from canopen_master.cli.demo_view import DemoView, JointView
+from canopen_master.cli.fleet import Fleet, simulated_fleet
+from canopen_master.cli.path import Path
+from canopen_master.cli.problem import problem_of, usage
+from canopen_master.cli.recording import JointTrack, Recording
+from canopen_master.cli.screen import Screen, node_text
+from canopen_master.device import Device
+from canopen_master.errors import CHAIN_FAULT, ChainFileError
+from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.session import open_master
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.pdo.consumer import PdoReceived
+
+REFRESH: Final = 0.08
+"""Seconds between two pictures on a terminal."""
+HARDWARE_DELAY: Final = 3
+"""Seconds before real drives begin to move: time to take one's hands away, or to press Ctrl-C."""
+
+SETTLING_TIME: Final = 0.1
+"""Seconds for which the last set-point is held."""
+DEMO_FAULT: Final = 0x2310
+"""Continuous over-current: what a joint reports that hits something."""
+NEXT: Final = (
+    "Next: [bold]canopen scan -b demo[/], [bold]canopen read 3 statusword -b demo[/], [bold]canopen demo --plot arm.png[/], "
+    "[bold]canopen --help[/]"
+)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds."""
+
+    bus: str | None
+    chains: str
+    chain: str | None
+    seconds: float
+    cycle: Time
+    swing: float
+    fault: tuple[int, float] | None
+    timeout: Time | None
+
+
+@dataclass
+class JointResult:
+    """The last line on one joint. error: degrees."""
+
+    name: str
+    node_id: int
+    state: str
+    homed: bool
+    error: float
+    round_trips: int
+
+    def row(self, sync_cycles: int, missed_cycles: int) -> tuple[str, ...]:
+        """For the table."""
+        homed = "[green]yes[/]" if self.homed else "[red]no[/]"
+        error = f"{self.error:.3f}°"
+        return (
+            self.name, node_text(self.node_id), escape(self.state), homed, error, str(sync_cycles), str(missed_cycles),
+            str(self.round_trips),
+        )  # fmt: skip
+
+
+COLUMNS: Final = (
+    "joint", "node", "state", "homed", "largest following error", "SYNC cycles", "missed cycles", "SDO round trips",
+)  # fmt: skip
+
+
+class Demonstration:
+    """One run. recording: what was commanded, and what the joints did; it is filled while they move."""
+
+    def __init__(self, screen: Screen, plan: Plan) -> None:
+        self.screen = screen
+        self.plan = plan
+        self.recording = Recording([])
+        self.results: list[JointResult] = []
+        self.sync_cycles = 0
+        self.missed_cycles = 0
+        self.description = self._chosen_chain()
+        self._stage = "nothing had begun yet"
+        self._fleet: Fleet | None = None
+        self._devices: tuple[Device, ...] = ()
+        self._latest: list[tuple[float, float]] = []  # of each joint: actual and commanded position
+
+    def _chosen_chain(self) -> ChainDescription:
+        chains = read_chains(self.plan.chains)
+        if self.plan.chain is None:
+            return chains[0]
+        for each in chains:
+            if each.name == self.plan.chain:
+                return each
+        names = ", ".join(each.name for each in chains)
+        raise usage(
+            "CO322",
+            f"{chains[0].source} has no chain {self.plan.chain!r}",
+            seen=f"its chains are: {names}",
+            tries=(f"--chain {chains[0].name}",),
+        )
+
+    def _locators(self) -> dict[str, str]:
+        """Bus by its name in the chain file."""
+        if self.plan.bus is not None:
+            return dict.fromkeys(self.description.buses, self.plan.bus)
+        return {name: f"virtual:demo{number or ''}" for number, name in enumerate(self.description.buses)}
+
+    # ---- the run ----
+
+    async def run(self) -> None:
+        """All of it. Raises a Problem where it fails; the drives are halted then, as far as they listen."""
+        locators = self._locators()
+        try:
+            async with contextlib.AsyncExitStack() as stack:
+                if self.plan.bus is None:
+                    joints = [(locators[joint.bus], joint.node_id) for joint in self.description.joints]
+                    self._fleet = await stack.enter_async_context(simulated_fleet(joints))
+                master = await stack.enter_async_context(self._open_master(locators))
+                await self._demonstrate(self._chain(master, locators))
+        except Exception as error:
+            problem = problem_of(error)
+            problem.more += self.story()
+            if problem.code == CHAIN_FAULT:
+                problem.tries = self._after_fault(problem.node)
+            raise problem from error
+
+    def _after_fault(self, node_id: int | None) -> tuple[str, ...]:
+        if self.plan.bus is None:
+            return ("canopen demo    (the same without the fault)",)
+        bus = f" -b {self.plan.bus}"
+        return f"canopen info {node_id}{bus}    (what the drive remembers)", f"canopen home {node_id} --reset-fault{bus}"
+
+    def _open_master(self, locators: dict[str, str]) -> contextlib.AbstractAsyncContextManager[Master]:
+        timeout = SDO_TIMEOUT if self.plan.timeout is None else self.plan.timeout / SECOND
+        return open_master(*dict.fromkeys(locators.values()), sdo_timeout=timeout)
+
+    def _chain(self, master: Master, locators: dict[str, str]) -> Chain:
+        joints = tuple(replace(joint, bus=locators[joint.bus]) for joint in self.description.joints)
+        description = replace(self.description, joints=joints)
+        doubles = same_nodes([description])
+        if doubles:
+            raise ChainFileError(description.source, doubles)
+        chain = master.chain(description, ChainSettings(cycle_time=self.plan.cycle / SECOND))
+        self._devices = chain.devices
+        self._latest = [(0.0, 0.0)] * len(chain.devices)
+        for number, device in enumerate(chain.devices):
+            master.watch((PdoReceived,), partial(self._on_position, number), master.bus(device.node.bus), device.node.node_id)
+        return chain
+
+    async def _demonstrate(self, arm: Chain) -> None:
+        with DemoView(self.screen, self.titles()[1], range=2 * self.plan.swing) as view:
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(self._draw, view)
+                await self._boot(arm, view)
+                await self._home(arm, view)
+                await self._move(arm, view)
+                self._stage = "all was done, and the drives were being shut down"
+                self.missed_cycles, self.sync_cycles = arm.missed_cycles, arm.sync_cycles
+                await arm.shut_down()
+                nursery.cancel_scope.cancel()
+        self.results = [
+            JointResult(
+                device.name,
+                device.node.node_id,
+                str(device.state),
+                device.is_homed,
+                math.degrees(device.largest_following_error),
+                device.sdo_round_trips,
+            )
+            for device in self._devices
+        ]
+
+    async def _boot(self, arm: Chain, view: DemoView) -> None:
+        self._stage = "the drives were booting"
+        count = len(arm.devices)
+        view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
+        step, start = view.begin("boot", "NMT, PDOs, fault reset, enable"), trio.current_time()
+        await arm.initialise()
+        view.done(step, f"{count} drives in operation enabled after {trio.current_time() - start:.2f} s")
+
+    async def _home(self, arm: Chain, view: DemoView) -> None:
+        if self.plan.bus is not None:
+            step = view.begin("wait", f"the arm is going to move in {HARDWARE_DELAY} s; Ctrl-C stops it")
+            await trio.sleep(HARDWARE_DELAY)
+            view.done(step, "the arm moves now; Ctrl-C stops it")
+        self._stage = "the joints were homing"
+        step, start = view.begin("home", "the joints look for their reference"), trio.current_time()
+        await arm.home()
+        view.done(step, f"{len(arm.devices)} joints homed after {trio.current_time() - start:.2f} s")
+
+    async def _move(self, arm: Chain, view: DemoView) -> None:
+        """The path, one set-point for each joint in each cycle."""
+        plan = self.plan
+        await arm.enable_interpolated_position()
+        step = view.begin("move", "", progress=0.0)
+        for device in arm.devices:
+            device.largest_following_error = 0.0
+        self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
+        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds)
+        fault = plan.fault
+        async for cycle in arm.cycles():
+            self._record(cycle.time)
+            self._stage = f"the arm had been moving for {cycle.time:.1f} s"
+            step.progress = min(1.0, cycle.time / plan.seconds)
+            step.text = f"{min(cycle.time, plan.seconds):.1f} of {plan.seconds:g} s, SYNC {arm.sync_cycles}"
+            if fault is not None and cycle.time >= fault[1]:
+                self._break(fault[0])
+                fault = None
+            arm.set_positions(path.at(cycle.time))
+            if cycle.time > plan.seconds + SETTLING_TIME:
+                break
+        missed = f"{arm.missed_cycles} missed" if arm.missed_cycles else "none missed"
+        view.done(step, f"{plan.seconds:g} s along a smooth path, {arm.sync_cycles} SYNC cycles of {_ms(plan.cycle)}, {missed}")
+
+    def _break(self, node_id: int) -> None:
+        assert self._fleet is not None
+        self._fleet.raise_fault(node_id, DEMO_FAULT)
+
+    def _record(self, time: float) -> None:
+        self.recording.times.append(time)
+        for track, (actual, commanded) in zip(self.recording.joints, self._latest, strict=True):
+            track.actual.append(math.degrees(actual))
+            track.commanded.append(math.degrees(commanded))
+
+    def _on_position(self, number: int, report: PdoReceived) -> None:
+        """A joint tells where it is: only now its position and the command that belongs to it are of one instant."""
+        device = self._devices[number]
+        self._latest[number] = device.position, device.position + device.following_error
+
+    async def _draw(self, view: DemoView) -> None:
+        while True:
+            for joint, device in zip(view.joints, self._devices, strict=False):
+                joint.state = str(device.state)
+                joint.position = math.degrees(device.position)
+            view.refresh()
+            await trio.sleep(REFRESH)
+
+    # ---- what is told of it ----
+
+    def titles(self) -> tuple[str, str]:
+        """Title and subtitle."""
+        count = len(self.description.joints)
+        where = "simulated drives" if self.plan.bus is None else f"drives on {self.plan.bus}"
+        title = f"{self.description.name}: {count} joint{'s' if count > 1 else ''} in interpolated position mode"
+        source = f"{self.description.name} of {self.description.source}"
+        return title, f"{source}, {count} {where}, one SYNC each {_ms(self.plan.cycle)}"
+
+    def story(self) -> list[str]:
+        """What has happened to the drives, where it did not end as planned."""
+        told = [self._stage]
+        faulty = [device.name for device in self._devices if device.has_fault]
+        others = [device.name for device in self._devices if not device.has_fault]
+        if faulty:
+            told.append(f"in fault, without power: {', '.join(faulty)}")
+        if others:
+            told.append(f"halted: {', '.join(others)}")
+        if self._fleet is not None and self._fleet.moving:
+            told.append(f"STILL MOVING: node {', '.join(map(str, self._fleet.moving))}")
+        return told
+
+    def show_result(self) -> None:
+        """The table on stdout, and what to try next."""
+        if self.screen.json_output:
+            self.screen.json(self._as_json())
+            return
+        rows = [result.row(self.sync_cycles, self.missed_cycles) for result in self.results]
+        self.screen.table(COLUMNS, rows, right=COLUMNS[4:])
+        if self.plan.bus is None:
+            self.screen.say(NEXT)
+
+    def _as_json(self) -> dict[str, Any]:
+        return {
+            "chain": self.description.name,
+            "simulated": self.plan.bus is None,
+            "cycle_ms": self.plan.cycle / MILLISECOND,
+            "sync_cycles": self.sync_cycles,
+            "missed_cycles": self.missed_cycles,
+            "joints": [
+                {
+                    "joint": result.name,
+                    "node": result.node_id,
+                    "state": result.state,
+                    "homed": result.homed,
+                    "largest_following_error_degrees": round(result.error, 6),
+                    "sdo_round_trips": result.round_trips,
+                }
+                for result in self.results
+            ],
+        }
+
+
+def _ms(time: Time) -> str:
+    return f"{time / MILLISECOND:g} ms"

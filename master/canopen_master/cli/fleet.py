@@ -1,0 +1,123 @@
+"""Simulated drives for the command line: those of `canopen demo`, of `-b demo`, and of `canopen sim`.
+
+A fleet runs shielded until its block is left: on a Ctrl-C the master still has to halt the drives, and simulated ones must live
+as long as that takes, as real ones would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Final
+
+import trio
+
+from canopen_master.simulation import DeviceMaker, Host
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
+from canopen_proto.cia402.servo import DriveSettings, Shape, Track
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.machine import Event
+from canopen_transports import open_transport
+
+DEMO_LOCATOR: Final = "virtual:demo"
+DEMO_NODES: Final = tuple(range(3, 9))
+"""The joints of the installed multiple_devices.csv."""
+HEARTBEAT_MS: Final = 500
+"""Simulated drives have one, so that a scan hears them and their NMT state shows."""
+BOOT_TIME: Final = 0.05
+"""Seconds from power-on until the boot-up frames are out: a request that a boot-up overtakes is lost, as it would be in life."""
+
+# Where the joints stand at power-on, in counts (millidegrees): not all at the same place, so that homing is worth watching.
+_POSITIONS: Final = (-14_000, 9_000, 21_000, -7_000, 16_000, -22_000)
+_TRACK: Final = Track(home_switch=(0.0, math.inf))
+"""The home switch is active from the middle to the positive end, as homing by method 19 takes it."""
+
+
+def drive_maker(number: int, node_id: int, shape: Shape = Shape.SCHUNK_POWERBALL) -> DeviceMaker:
+    """What makes a simulated drive. number: its place in the fleet, from 0."""
+    dictionary = drive_dictionary(shape).with_objects([standard_object(0x1017, HEARTBEAT_MS)])
+    settings = DriveSettings(shape=shape, position=_POSITIONS[number % len(_POSITIONS)], track=_TRACK)
+    return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
+
+
+class Fleet:
+    """Simulated drives, each in its place: hosts has one for each bus."""
+
+    def __init__(self, hosts: Sequence[Host]) -> None:
+        self._hosts = tuple(hosts)
+
+    @property
+    def drives(self) -> dict[int, DriveNode]:
+        """The drives by node-ID; of the same one on two buses, the first."""
+        return {node.node_id: node for host in reversed(self._hosts) for node in host.nodes if isinstance(node, DriveNode)}
+
+    def raise_fault(self, node_id: int, error_code: int) -> None:
+        """Let a drive break down. KeyError where there is none of that node-ID."""
+        drive = self.drives[node_id]
+        for host in self._hosts:
+            if drive in host.nodes:
+                drive.raise_fault(error_code, host.now())
+                host.pump()
+
+    @property
+    def moving(self) -> list[int]:
+        """The node-IDs of the drives that move: what nobody on the bus could know better."""
+        moving = []
+        for host in self._hosts:
+            for node in host.nodes:
+                if isinstance(node, DriveNode):
+                    node.drive.refresh(host.now())
+                    if node.values[VELOCITY_ACTUAL_VALUE]:
+                        moving.append(node.node_id)
+        return moving
+
+
+@asynccontextmanager
+async def simulated_fleet(
+    drives: Iterable[tuple[str, int]],
+    shape: Shape = Shape.SCHUNK_POWERBALL,
+    on_event: Callable[[Event], object] | None = None,
+) -> AsyncIterator[Fleet]:
+    """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError."""
+    makers: dict[str, list[DeviceMaker]] = {}
+    for number, (locator, node_id) in enumerate(drives):
+        makers.setdefault(locator, []).append(drive_maker(number, node_id, shape))
+    failure: Exception | None = None
+    async with trio.open_nursery() as nursery:
+        serving = trio.CancelScope(shield=True)
+        hosts: list[Host] = await nursery.start(_serve, makers, on_event, serving)
+        try:
+            await trio.sleep(BOOT_TIME)
+            yield Fleet(hosts)
+        except Exception as error:  # noqa: BLE001 - raised again below: through the nursery it would come out in a group
+            failure = error
+        finally:
+            serving.cancel()
+    if failure is not None:
+        raise failure
+
+
+async def _serve(
+    makers: dict[str, list[DeviceMaker]],
+    on_event: Callable[[Event], object] | None,
+    scope: trio.CancelScope,
+    task_status: trio.TaskStatus[list[Host]],
+) -> None:
+    hosts: list[Host] = []
+    with scope:
+        async with trio.open_nursery() as nursery:
+            for locator, each in makers.items():
+                transport = await open_transport(locator)
+                host = Host(transport, each, on_event)
+                hosts.append(host)
+                await nursery.start(_serve_host, host, transport)
+            task_status.started(hosts)
+
+
+async def _serve_host(host: Host, transport: trio.abc.AsyncResource, task_status: trio.TaskStatus[object]) -> None:
+    async with transport:
+        await host.serve(task_status)

@@ -1,0 +1,118 @@
+"""`canopen home`: home drives side by side, and take their power off again."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import click
+import trio
+from rich.markup import escape
+
+from canopen_master.cli.demo_view import DemoView, JointView
+from canopen_master.cli.options import Duration, NodeId, Settings, common
+from canopen_master.cli.running import run
+from canopen_master.cli.screen import node_text
+from canopen_master.cli.session import Session, open_session
+from canopen_proto.cia402.axis import Axis, AxisSettings, HomingStyle
+from canopen_proto.cia402.modes import describe_status
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.procedures import drive
+from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.steps import Procedure, all_of
+
+REFRESH: Final = 0.1
+"""Seconds between two pictures."""
+SCHUNK_MODES: Final = 0x43
+"""0x6502 of a Schunk Powerball joint: no homing mode, and yet it homes."""
+
+
+@click.command()
+@click.argument("node_ids", metavar="NODE...", nargs=-1, required=True, type=NodeId())
+@click.option(
+    "--style",
+    type=click.Choice(["auto", "standard", "schunk"]),
+    default="auto",
+    help="How the drives home: as CiA 402 says, or as Schunk Powerball joints do.  [default: what 0x6502 suggests]",
+)
+@click.option("--method", type=int, help="Homing method, written to 0x6098 (17, 18, 19, 21, 33 to 37 ...).")
+@click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
+@click.option("--reset-fault", is_flag=True, help="Reset a fault first.")
+@common
+@click.pass_obj
+def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int | None, limit: Time, reset_fault: bool) -> None:
+    """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them."""
+    screen = settings.screen()
+    chosen = tuple(dict.fromkeys(node_ids))
+
+    def procedure(session: Session, axes: dict[int, Axis]) -> Procedure[list[None]]:
+        return all_of(*(_home(session, axes, node_id, style, method, limit, reset_fault) for node_id in chosen))
+
+    async def command() -> list[Axis]:
+        async with open_session(settings, screen) as session:
+            axes: dict[int, Axis] = {}
+            with DemoView(screen, f"homing {', '.join(map(node_text, chosen))}", range=180) as view:
+                view.joints = [JointView(f"node {node_id}", node_id) for node_id in chosen]
+                step = view.begin("home", "")
+                async with trio.open_nursery() as nursery:
+                    nursery.start_soon(_watch, view, axes)
+                    await session.master.run(procedure(session, axes))
+                    nursery.cancel_scope.cancel()
+                view.done(step, f"{len(chosen)} of {len(chosen)} homed")
+                await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
+            return [axes[node_id] for node_id in chosen]
+
+    axes = run(settings, screen, command, story=lambda: ["the drives were halted; what was not done by then is not homed"])
+    if settings.json:
+        screen.json([_as_json(axis) for axis in axes])
+        return
+    rows = [
+        (
+            f"{axis.node.node_id} (0x{axis.node.node_id:02X})",
+            "[green]yes[/]" if axis.is_homed else "[red]no[/]",
+            escape(", ".join(describe_status(axis.statusword))),
+            f"{axis.position:.0f}",
+        )
+        for axis in axes
+    ]
+    screen.table(("node", "homed", "statusword", "position in counts"), rows, right=("node", "position in counts"))
+
+
+def _as_json(axis: Axis) -> dict[str, Any]:
+    return {
+        "node": axis.node.node_id,
+        "homed": axis.is_homed,
+        "statusword": axis.statusword,
+        "state": str(axis.state),
+        "position": round(axis.position),
+    }
+
+
+def _home(
+    session: Session, axes: dict[int, Axis], node_id: int, style: str, method: int | None, limit: Time, reset_fault: bool
+) -> Procedure[None]:
+    node = session.node(node_id)
+    modes = yield from read_if_present(node.remote, "0x6502")
+    is_schunk = style == "schunk" or (style == "auto" and modes == SCHUNK_MODES)
+    settings = AxisSettings(
+        counts_per_unit=1.0,
+        homing=HomingStyle.SCHUNK if is_schunk else HomingStyle.STANDARD,
+        homing_method=method,
+        homing_timeout=limit,
+    )
+    axis = session.master.device(node, settings=settings).axis
+    axes[node_id] = axis
+    if reset_fault:
+        yield from drive.reset_fault(axis)
+    yield from drive.home(axis)
+    yield from drive.read_position(axis)
+
+
+async def _watch(view: DemoView, axes: dict[int, Axis]) -> None:
+    """Bring the picture up to date."""
+    while True:
+        for joint in view.joints:
+            axis = axes.get(joint.node_id)
+            if axis is not None:
+                joint.state = str(axis.state) if not axis.is_homed else "homed"
+        view.refresh()
+        await trio.sleep(REFRESH)

@@ -1,0 +1,121 @@
+"""`canopen info`: what a node is, and how it is: identity, NMT state, errors; of a drive also its state, mode and position."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+from rich.markup import escape
+from rich.table import Table
+
+from canopen_master.cli.device_types import DRIVE_PROFILE, device_type_text, profile_of
+from canopen_master.cli.options import NodeId, Settings, common
+from canopen_master.cli.running import run
+from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.session import open_session
+from canopen_master.errors import SdoRefused
+from canopen_master.node import Node
+from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
+from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.error_codes import error_text, register_names
+
+IDENTITY = ((1, "vendor-ID"), (2, "product code"), (3, "revision"), (4, "serial number"))
+MAX_HISTORY = 8
+
+Facts = dict[str, tuple[Any, str]]
+"""What is found out: a name for people -> (for --json, for people)."""
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@common
+@click.pass_obj
+def info(settings: Settings, node_id: int) -> None:
+    """Show what a node is, and how it is."""
+    screen = settings.screen()
+    facts = run(settings, screen, lambda: _info(settings, screen, node_id))
+    if settings.json:
+        screen.json({"node": node_id, **{name.replace(" ", "_").replace("-", "_"): raw for name, (raw, _) in facts.items()}})
+        return
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column()
+    for name, (_, text) in facts.items():
+        grid.add_row(name, escape(text))
+    screen.data(f"[bold]{node_text(node_id)}[/]")
+    screen.data(grid)
+
+
+async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
+    async with open_session(settings, screen) as session:
+        node = session.node(node_id)
+        # Each device has this one: where it does not answer, nobody is there, and the error says so.
+        device_type = int.from_bytes(await node.read_bytes(0x1000), "little")
+        facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
+        for name, index in (("name", 0x1008), ("hardware version", 0x1009), ("software version", 0x100A)):
+            text = await _standard(node, index)
+            if isinstance(text, str) and text:
+                facts[name] = (text, text)
+        for subindex, name in IDENTITY:
+            number = await _standard(node, 0x1018, subindex)
+            if isinstance(number, int):
+                facts[name] = (number, f"0x{number:08X}")
+        await _add_health(node, facts)
+        if profile_of(device_type) == DRIVE_PROFILE:
+            await _add_drive(node, facts)
+        return facts
+
+
+async def _add_health(node: Node, facts: Facts) -> None:
+    state = node.nmt_state
+    if state is not None:
+        facts["NMT state"] = (state.name, state.name.lower().replace("_", "-"))
+    period = await _standard(node, 0x1017)
+    if isinstance(period, int):
+        facts["heartbeat"] = (period, f"each {period} ms" if period else "off")
+    register = await _standard(node, 0x1001)
+    if isinstance(register, int):
+        names = ", ".join(register_names(register)) if register else "no error"
+        facts["error register"] = (register, f"{names}  (0x{register:02X})")
+    count = await _standard(node, 0x1003)
+    history = []
+    for subindex in range(1, min(count, MAX_HISTORY) + 1 if isinstance(count, int) else 1):
+        entry = await _standard(node, 0x1003, subindex)
+        if isinstance(entry, int):
+            history.append(entry & 0xFFFF)
+    if history:
+        facts["last errors"] = (history, "\n".join(f"0x{code:04X} {error_text(code)}" for code in history))
+
+
+async def _add_drive(node: Node, facts: Facts) -> None:
+    mode = await _standard(node, 0x6061)
+    statusword = await _standard(node, 0x6041)
+    if isinstance(statusword, int):
+        words = describe_status(statusword, mode if isinstance(mode, int) else 0)
+        facts["statusword"] = (statusword, f"{', '.join(words)}  (0x{statusword:04X})")
+    if isinstance(mode, int):
+        facts["mode"] = (mode, mode_name(mode))
+    modes = await _standard(node, 0x6502)
+    if isinstance(modes, int):
+        facts["supported modes"] = (modes, ", ".join(mode_name(each) for each in supported_modes(modes)) + f"  (0x{modes:08X})")
+    position = await _standard(node, 0x6064)
+    if isinstance(position, int):
+        facts["position"] = (position, f"{position} counts")
+    error = await _standard(node, 0x603F)
+    if isinstance(error, int) and error:
+        facts["drive error"] = (error, f"0x{error:04X} {error_text(error)}")
+
+
+async def _standard(node: Node, index: int, subindex: int = 0) -> Value | None:
+    """An object as the standard types it; None where the device refuses it."""
+    try:
+        data = await node.read_bytes(index, subindex)
+    except SdoRefused:
+        return None
+    variable = find_standard(index, subindex)
+    data_type = variable.data_type if variable is not None else DataType.OCTET_STRING
+    try:
+        return decode(data, data_type)
+    except ValueRangeError:
+        return None

@@ -1,0 +1,182 @@
+"""`canopen read` and `canopen write`: objects of a node by SDO, by name or number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import click
+from rich.markup import escape
+
+from canopen_master.cli.options import NodeId, Settings, common
+from canopen_master.cli.problem import ExitCode, Problem, usage
+from canopen_master.cli.running import run
+from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.session import open_session
+from canopen_master.cli.values import TYPES, as_json, hex_text, parse_value, place_text, value_text
+from canopen_master.node import Node
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+
+_TYPE = click.option(
+    "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
+)
+
+
+@dataclass
+class Reading:
+    """One object's value as it was read."""
+
+    node_id: int
+    variable: Variable
+    value: Value
+    constants: tuple[str, ...]
+
+    def row(self) -> tuple[str, str, str, str, str]:
+        """For a table."""
+        place, name = place_text(self.variable), escape(self.variable.name)
+        words = escape(", ".join(self.constants))
+        return place, name, escape(value_text(self.value)), hex_text(self.variable, self.value), words
+
+    def as_json(self) -> dict[str, Any]:
+        """For --json."""
+        return {
+            "node": self.node_id,
+            "index": self.variable.index,
+            "sub": self.variable.subindex,
+            "name": self.variable.name,
+            "type": self.variable.data_type.name,
+            "value": as_json(self.value),
+            "hex": hex_text(self.variable, self.value) or None,
+            "constants": list(self.constants),
+        }
+
+
+COLUMNS = ("object", "name", "value", "hex", "constants")
+
+
+async def read_object(node: Node, variable: Variable) -> Reading:
+    """Read it now; also one that the node's dictionary does not have."""
+    if node.dictionary.get(variable.index, variable.subindex) is not None:
+        message = await node.read_message(variable)
+        return Reading(node.node_id, variable, message.value, message.constants)
+    value = variable.decode(await node.read_bytes(variable.index, variable.subindex))
+    return Reading(node.node_id, variable, value, ())
+
+
+def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
+    """The object that a key names; one that only --type describes, too. Raises ObjectNotFound, Problem."""
+    try:
+        return dictionary.variable(key)
+    except ObjectNotFound as unknown:
+        index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
+        try:
+            place = int(index, 16), int(subindex or "0", 16)
+        except ValueError:
+            raise unknown from None
+        if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
+            raise unknown from None
+        if type_name is None:
+            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
+        return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("keys", metavar="OBJECT...", nargs=-1, required=True)
+@_TYPE
+@common
+@click.pass_obj
+def read(settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None) -> None:
+    """Read objects of a node.
+
+    An OBJECT is a name (statusword, identity_object:vendor_id) or a number in hexadecimal (6041, 0x6041, 60C1:01).
+
+    \b
+    canopen read 3 statusword -b demo
+    canopen read 3 6041 6064 --json -b demo
+    """
+    screen = settings.screen()
+    readings = run(settings, screen, lambda: _read(settings, screen, node_id, keys, type_name))
+    if settings.json:
+        documents = [reading.as_json() for reading in readings]
+        screen.json(documents if len(documents) > 1 else documents[0])
+    else:
+        screen.say(f"[bold]{node_text(node_id)}[/]")
+        screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
+
+
+async def _read(settings: Settings, screen: Screen, node_id: int, keys: tuple[str, ...], type_name: str | None) -> list[Reading]:
+    async with open_session(settings, screen) as session:
+        variables = [find(session.dictionary, key, type_name) for key in keys]
+        for variable in variables:
+            if not variable.access.readable:
+                raise usage("CO303", f"{variable.label} is write-only", seen="nothing was sent")
+        node = session.node(node_id)
+        return [await read_object(node, variable) for variable in variables]
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("key", metavar="OBJECT")
+@click.argument("text", metavar="VALUE")
+@_TYPE
+@click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
+@common
+@click.pass_obj
+def write(settings: Settings, node_id: int, key: str, text: str, type_name: str | None, verify: bool) -> None:
+    """Write an object of a node, and show its value before and after.
+
+    A VALUE is a number (12, 0x0C, -5), or the name of a constant. What does not fit the object is refused before anything is
+    sent. Negative numbers go behind `--`.
+
+    \b
+    canopen write 3 controlword sm_shutdown -b demo
+    canopen write 3 6081 20000 -b demo
+    """
+    screen = settings.screen()
+    before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, verify))
+    if settings.json:
+        screen.json({**after.as_json(), "previous": None if before is None else as_json(before.value), "verified": verify})
+        return
+    old = "?" if before is None else _shown(before)
+    screen.data(f"{node_text(node_id)} {after.variable.label}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
+
+
+def _shown(reading: Reading) -> str:
+    number = hex_text(reading.variable, reading.value)
+    words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
+    return f"{value_text(reading.value)}{f' ({number})' if number else ''}{words}"
+
+
+async def _write(
+    settings: Settings, screen: Screen, node_id: int, key: str, text: str, type_name: str | None, verify: bool
+) -> tuple[Reading | None, Reading]:
+    async with open_session(settings, screen) as session:
+        dictionary = session.dictionary
+        variable = find(dictionary, key, type_name)
+        value = parse_value(dictionary, variable, text)
+        if not variable.access.writable:
+            raise usage("CO303", f"{variable.label} is {variable.access}: it can't be written", seen="nothing was sent")
+        variable.check_limits(value)
+        data = variable.encode(value)
+        node = session.node(node_id)
+        before = await read_object(node, variable) if variable.access.readable else None
+        if dictionary.get(variable.index, variable.subindex) is not None:
+            await node.write(variable, value)
+        else:
+            await node.write_bytes(variable.index, variable.subindex, data)
+        after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
+        if verify and variable.access.readable:
+            shown = await read_object(node, variable)
+            if shown.value != value:
+                raise Problem(
+                    ExitCode.VERIFY_MISMATCH,
+                    "CO205",
+                    f"node {node_id} took {_shown(after)} for {variable.label}, but shows {_shown(shown)}",
+                    cause="the device rounds or limits the value, or it is a command that takes effect and vanishes",
+                    node=node_id,
+                    index=variable.index,
+                    subindex=variable.subindex,
+                )
+        return before, after

@@ -1,0 +1,120 @@
+"""`canopen scan`: who is on the bus. Listens first, then asks, paced; rows come as nodes are found."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import click
+import trio
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn
+
+from canopen_master.cli.device_types import device_type_text
+from canopen_master.cli.options import Duration, NodeIds, Settings, common
+from canopen_master.cli.running import run
+from canopen_master.cli.screen import Screen
+from canopen_master.cli.session import open_session
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
+from canopen_proto.procedures.scan import scan as scan_procedure
+
+COLUMNS: Final = (
+    "node",
+    "hex",
+    "NMT state",
+    "device",
+    "name",
+    "vendor-ID",
+    "product code",
+    "revision",
+    "serial number",
+    "remark",
+)
+
+
+@click.command()
+@click.option("--passive", is_flag=True, help="Only listen: nothing is sent.")
+@click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
+@click.option("--listen", type=Duration(0), default=LISTEN, help="How long to listen before asking.  [default: 1.5s]")
+@common
+@click.pass_obj
+def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> None:
+    """Find the nodes of a bus.
+
+    Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time.
+    """
+    screen = settings.screen()
+    asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
+    found = run(settings, screen, lambda: _scan(settings, screen, asked, listen))
+    if settings.json:
+        screen.json([_as_json(node) for node in found])
+    elif found:
+        cells = [dict(zip(COLUMNS, _row(node), strict=True)) for node in found]
+        hidden = () if settings.verbosity > 0 else DETAILS
+        columns = [name for name in COLUMNS if name not in hidden and any(row[name] for row in cells)]
+        screen.table(columns, [[row[name] for name in columns] for row in cells], right=("node",))
+    how = "heard" if passive else "found"
+    screen.say(f"{len(found)} node{'' if len(found) == 1 else 's'} {how}" + ("" if found else _nobody(passive)))
+
+
+def _nobody(passive: bool) -> str:
+    if passive:
+        return ". Nodes without a heartbeat are silent: the same without --passive asks them."
+    return ". Are they powered, and is the bit rate right? One device alone needs a second one to acknowledge its frames."
+
+
+async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> list[NodeFound]:
+    async with open_session(settings, screen) as session:
+        master = session.master
+        scanner = Scanner(session.network.out)
+        session.network.attach(scanner)
+        probe = {} if settings.timeout is None else {"probe_timeout": settings.timeout, "answer_timeout": settings.timeout}
+        expected = duration_of(len(node_ids), listen=listen, probe_timeout=probe.get("probe_timeout", 100_000_000))
+        async with trio.open_nursery() as nursery:
+            with master.events(NodeFound) as reports:
+                nursery.start_soon(_show_progress, screen, expected, reports)
+                rows = await master.run(scan_procedure(scanner, node_ids, listen=listen, **probe))
+            nursery.cancel_scope.cancel()
+        session.network.detach(scanner)
+        return rows
+
+
+async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:
+    """A bar on a terminal, with each node as it is found; nothing elsewhere: the table comes at the end."""
+    if not screen.draws:
+        return
+    columns = (TextColumn("scanning"), BarColumn(30), TextColumn("{task.fields[nodes]}"))
+    with Progress(*columns, console=screen.err, transient=True, auto_refresh=False) as progress:
+        task = progress.add_task("scan", total=expected / SECOND, nodes="listening")
+        start = trio.current_time()
+        nodes: list[str] = []
+        while True:
+            nodes += [str(report.node_id) for report in reports.take()]
+            progress.update(
+                task, completed=trio.current_time() - start, nodes=f"found {', '.join(nodes)}" if nodes else "listening"
+            )
+            progress.refresh()
+            await trio.sleep(0.1)
+
+
+def _row(node: NodeFound) -> tuple[str, ...]:
+    vendor, product, revision, serial = (f"0x{field:08X}" if field is not None else "" for field in node.identity)
+    state = node.state.name.lower().replace("_", "-") if node.state is not None else ""
+    device = device_type_text(node.device_type) if node.device_type is not None else ""
+    who = f"{node.node_id} (0x{node.node_id:02X})"
+    return who, state, device, escape(node.name), vendor, product, revision, serial, escape(node.remark)
+
+
+def _as_json(node: NodeFound) -> dict[str, Any]:
+    vendor, product, revision, serial = node.identity
+    return {
+        "node": node.node_id,
+        "state": node.state.name if node.state is not None else None,
+        "device_type": node.device_type,
+        "name": node.name or None,
+        "vendor_id": vendor,
+        "product_code": product,
+        "revision_number": revision,
+        "serial_number": serial,
+        "remark": node.remark or None,
+    }

@@ -1,0 +1,116 @@
+"""Where a command writes: data to stdout, talk and progress to stderr, both without colour where nobody looks.
+
+A Screen is made once per command, from the common options. `--json` makes data JSON, and errors too; `--quiet` leaves only data
+and errors. Progress (what is drawn anew again and again) is shown on a terminal only; elsewhere it becomes plain lines.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Iterable, Sequence
+from typing import IO, Any, Final
+
+from rich.console import Console, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from canopen_master.cli.problem import ExitCode, Problem
+
+WIDTH_OFF_TERMINAL: Final = 200
+"""Columns of a table that goes into a file or a pipe: nothing of ours is wider, so nothing is cut."""
+
+
+def node_text(node_id: int) -> str:
+    """A node as all outputs show it, in both notations: 10 and 0x10 are two nodes."""
+    return f"node {node_id} (0x{node_id:02X})"
+
+
+class Screen:
+    """out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv)."""
+
+    def __init__(self, *, json_output: bool = False, verbosity: int = 0, color: bool = True) -> None:
+        self.json_output = json_output
+        self.verbosity = verbosity
+        color = color and not os.environ.get("NO_COLOR")
+        self.out = _console(sys.stdout, color)
+        self.err = _console(sys.stderr, color)
+
+    @property
+    def draws(self) -> bool:
+        """Whether progress is drawn: somebody looks at a terminal."""
+        return self.err.is_terminal and not self.err.is_dumb_terminal and self.verbosity >= 0
+
+    # ---- data ----
+
+    def data(self, renderable: RenderableType) -> None:
+        """A result, to stdout."""
+        self.out.print(renderable)
+
+    def json(self, value: Any) -> None:
+        """A result as one JSON document, to stdout."""
+        self.out.out(json.dumps(value, indent=None if isinstance(value, str) else 2, ensure_ascii=False, default=str))
+
+    def table(self, columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> None:
+        """A table to stdout. right: the columns that are aligned at the right."""
+        self.out.print(plain_table(columns, rows, right=right))
+
+    # ---- talk ----
+
+    def say(self, text: str) -> None:
+        """Tell what is done, unless --quiet. Markup is interpreted."""
+        if self.verbosity >= 0:
+            self.err.print(text, highlight=False, soft_wrap=not self.err.is_terminal)
+
+    def detail(self, text: str) -> None:
+        """Tell more, with -v."""
+        if self.verbosity >= 1:
+            self.err.print(Text(text, style="dim"), soft_wrap=True)
+
+    def problem(self, problem: Problem) -> None:
+        """Show what went wrong; with -vv also where."""
+        if self.verbosity >= 2 and problem.__cause__ is not None:
+            self.err.out("".join(traceback.format_exception(problem.__cause__)).rstrip(), highlight=False)
+        if self.json_output:
+            self.err.out(json.dumps(problem.as_json(), ensure_ascii=False), highlight=False)
+            return
+        interrupted = problem.exit_code is ExitCode.INTERRUPTED
+        word = "[bold yellow]interrupted[/]" if interrupted else f"[bold red]error {problem.code}[/]"
+        if not self.err.is_terminal:
+            self.err.print(f"{word}: {escape(problem.failed)}", highlight=False, soft_wrap=True)
+            for label, text in problem.details():
+                self.err.print(f"  {label} {escape(text)}", highlight=False, soft_wrap=True)
+            return
+        self.err.print(f"{word}: {escape(problem.failed)}", highlight=False)
+        grid = Table.grid(padding=(0, 1))
+        grid.add_column(style="dim", no_wrap=True)
+        grid.add_column()
+        for label, text in problem.details():
+            style = "bold cyan" if label.startswith(("try", "or")) else ""
+            grid.add_row(f"  {label}", Text(text, style=style))
+        self.err.print(grid)
+
+
+def plain_table(columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> Table:
+    """The look of all our tables: no frame, a rule below the heads."""
+    from rich import box
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold", show_edge=False)
+    numbers = frozenset(right)
+    for name in columns:
+        table.add_column(name, justify="right" if name in numbers else "left", no_wrap=name in numbers)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _console(stream: IO[str], color: bool) -> Console:
+    if hasattr(stream, "reconfigure"):
+        stream.reconfigure(errors="replace")  # a pipe of another encoding must not end a command
+    console = Console(file=stream, no_color=not color, highlight=False, emoji=False)
+    if not console.is_terminal:
+        console.width = int(os.environ.get("COLUMNS", "0") or 0) or WIDTH_OFF_TERMINAL
+    return console
