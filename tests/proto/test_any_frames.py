@@ -1,0 +1,159 @@
+"""Any frames whatever, at any times, into a device and into a master's view of one."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.machine import MILLISECOND, SECOND
+from tests.proto.subjects import LocalSubject, RemoteSubject, Subject, held
+
+YEAR = 365 * 24 * 3600 * SECOND
+
+OWN_CAN_IDS = [0x000, 0x080, 0x085, 0x185, 0x205, 0x285, 0x305, 0x585, 0x605, 0x705, 0x709]
+
+INDICES = [
+    0x1000, 0x1001, 0x1003, 0x1005, 0x1006, 0x1014, 0x1015, 0x1016, 0x1017, 0x1018, 0x1019, 0x1029, 0x1400, 0x1401, 0x1600,
+    0x1601, 0x1800, 0x1801, 0x1A00, 0x1A01, 0x2000, 0x2001, 0x2002, 0x2003, 0x2004,
+]  # fmt: skip
+
+COMMANDS = [
+    0x00, 0x01, 0x0D, 0x0E, 0x10, 0x11, 0x20, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F, 0x30, 0x40, 0x41, 0x42, 0x43, 0x4B, 0x4F, 0x60,
+    0x70, 0x80, 0xA0, 0xA4, 0xC0, 0xC6, 0xE0,
+]  # fmt: skip
+
+VALUES = [
+    0, 1, 2, 5, 240, 255, 1000, 0x80, 0x85, 0x205, 0x305, 0x40000080, 0x80000205, 0x80000185, 0x00090064, 0x20010010, 0x20000010,
+    0x20020008, 0x00050008, 0x20030040, 0xFFFFFFFF,
+]  # fmt: skip
+
+
+def sdo(command: int, index: int, subindex: int, value: int) -> bytes:
+    return bytes((command,)) + index.to_bytes(2, "little") + bytes((subindex,)) + value.to_bytes(4, "little")
+
+
+SDO_DATA = st.builds(sdo, st.sampled_from(COMMANDS), st.sampled_from(INDICES), st.integers(0, 6), st.sampled_from(VALUES))
+NMT_DATA = st.builds(lambda *two: bytes(two), st.sampled_from([1, 2, 0x80, 0x81, 0x82, 3]), st.sampled_from([0, 5, 6]))
+STATES = st.sampled_from([b"\x00", b"\x04", b"\x05", b"\x7f", b"\x85", b"\x01"])
+ANY_DATA = st.binary(max_size=8)
+
+FRAMES = st.one_of(
+    st.builds(Frame, st.sampled_from([0x605, 0x585]), SDO_DATA),
+    st.builds(Frame, st.just(0), NMT_DATA),
+    st.builds(Frame, st.sampled_from([0x705, 0x709]), STATES),
+    st.builds(Frame, st.sampled_from([0x080, 0x185, 0x205, 0x305]), st.sampled_from([b"", b"\x05", b"\x01\x00"])),
+    st.builds(Frame, st.sampled_from(OWN_CAN_IDS), ANY_DATA),
+    st.builds(Frame, st.integers(0, 0x7FF), ANY_DATA),
+    st.builds(Frame, st.sampled_from(OWN_CAN_IDS) | st.integers(0, 0x1FFFFFFF), ANY_DATA, st.just(EXTENDED)),
+    st.builds(Frame, st.sampled_from(OWN_CAN_IDS), st.just(b""), st.just(REMOTE), st.integers(0, 8)),
+    st.builds(Frame, st.integers(0, 0x1FFFFFFF), st.just(b""), st.just(REMOTE | EXTENDED), st.integers(0, 8)),
+)
+
+TIMES = st.one_of(
+    st.sampled_from([0, 1, MILLISECOND, 100 * MILLISECOND, 501 * MILLISECOND, 6 * SECOND, YEAR, -SECOND]),
+    st.integers(0, 10 * SECOND),
+)
+
+STEPS = st.lists(
+    st.one_of(
+        FRAMES,
+        FRAMES,
+        FRAMES,
+        st.tuples(st.just("time"), TIMES),
+        st.tuples(st.just("act"), st.integers(0, 499)),
+    ),
+    max_size=60,
+)
+
+
+def run(subject: LocalSubject | RemoteSubject, steps: list[Frame | tuple[str, int]]) -> Subject:
+    for step in steps:
+        if isinstance(step, Frame):
+            subject.receive(step)
+        elif step[0] == "time":
+            subject.pass_time(step[1])
+        else:
+            subject.act(step[1])
+    subject.check()
+    return subject
+
+
+@pytest.mark.parametrize("kind", [LocalSubject, RemoteSubject])
+@settings(max_examples=150, deadline=None)
+@given(steps=STEPS)
+def test_nothing_raises_and_equal_runs_are_equal(
+    kind: type[LocalSubject | RemoteSubject], steps: list[Frame | tuple[str, int]]
+) -> None:
+    first, second = run(kind(), steps), run(kind(), steps)
+    assert first.trace == second.trace
+    assert [str(each) for each in first.trace] == [str(each) for each in second.trace]
+
+
+@settings(max_examples=100, deadline=None)
+@given(steps=STEPS)
+def test_every_request_of_a_master_has_its_outcome(steps: list[Frame | tuple[str, int]]) -> None:
+    subject = RemoteSubject()
+    run(subject, steps)
+    while subject.open:
+        before = len(subject.open)
+        subject.pass_time(SECOND)  # nobody answers: each times out in turn
+        assert len(subject.open) < before
+    assert not subject.node.sdo.busy
+    assert subject.node._writes == {}
+
+
+def some_frame(source: random.Random) -> Frame:
+    kind = source.randrange(10)
+    if kind < 4:
+        data = sdo(source.choice(COMMANDS), source.choice(INDICES), source.randrange(7), source.choice(VALUES))
+        return Frame(source.choice((0x605, 0x585)), data)
+    if kind < 6:
+        return Frame(source.choice((0x080, 0x185, 0x205, 0x305, 0x705, 0x709)), source.choice((b"", b"\x05", b"\x01\x00")))
+    if kind < 8:
+        return Frame(source.choice(OWN_CAN_IDS), source.randbytes(source.randrange(9)))
+    if kind == 8:
+        return Frame(source.getrandbits(29), source.randbytes(source.randrange(9)), EXTENDED)
+    return Frame(source.choice(OWN_CAN_IDS), b"", REMOTE, source.randrange(9))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", [LocalSubject, RemoteSubject])
+def test_memory_is_bounded_after_many_frames(kind: type[LocalSubject | RemoteSubject], seed: int) -> None:
+    source = random.Random(seed)
+    subject = kind()
+    for number in range(6000):
+        subject.receive(some_frame(source))
+        if number % 7 == 0:
+            subject.pass_time(source.randrange(50 * MILLISECOND))
+        if number % 11 == 0:
+            subject.act(source.randrange(500))
+        if number % 500 == 0:
+            subject.forget_trace()
+            subject.check()
+    subject.check()
+
+
+@pytest.mark.parametrize("kind", [LocalSubject, RemoteSubject])
+def test_memory_is_bounded_though_nobody_takes_what_is_reported(kind: type[LocalSubject | RemoteSubject]) -> None:
+    subject = kind()
+    network = subject.network
+    for number in range(30_000):
+        network.receive(Frame(0x705, b"\x05"), number)
+        network.receive(Frame(0x709, b"\x05"), number)
+    assert len(network.out.events) <= 10_000
+    _, events = network.drain(30_000)
+    assert len(events) <= 10_001
+    assert events[0].node_id == 0  # EventsDropped
+
+
+def test_the_measure_sees_what_grows() -> None:
+    subject = LocalSubject()
+    before = held(subject.network)
+    subject.node.sdo._buffer += bytes(1000)
+    assert held(subject.network) == before + 1000
+    subject.network.out.frames += [Frame(1), Frame(2, b"12345678")]
+    assert held(subject.network) == before + 1000 + 2 + 8
