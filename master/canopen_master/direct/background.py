@@ -1,0 +1,181 @@
+"""`Background`: an async context (a master) in a trio thread of its own, and calls into it from all other threads.
+
+Theory of operation
+-------------------
+`start` begins a thread that enters an async context manager and stays in it until `stop`. `call` hands an async function to that
+thread, where it runs as a task inside the context, and waits for its result; any number of threads may call at the same time.
+
+**Nothing is left running.** A caller that is interrupted while it waits (Ctrl-C) takes its call back: the task is cancelled, so
+that what it moved is halted, and only then does the interrupt go on. When the context ends (by `stop`, or by itself because a bus
+failed), all calls that still wait end with the reason.
+
+**The end of a script.** However the main thread ends (its last line, an exception, sys.exit, Ctrl-C), Python then waits for all
+threads that are no daemons. Ours is none; it looks every WATCH_INTERVAL whether the main thread is still alive, and else leaves
+the context by itself, so that the drives are halted while the interpreter is whole. (A daemon thread with an atexit function
+would come too late: from there on Python 3.12 starts no threads any more, which transports may need.) Against a signal that kills
+the process no thread helps: `signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))` makes an exception of SIGTERM.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future, wait
+from contextlib import AbstractAsyncContextManager, suppress
+from typing import Any, Final, Generic, TypeVar
+
+import trio
+
+from canopen_master.errors import MasterClosed
+from canopen_proto.machine import LocalProtocolError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+WATCH_INTERVAL: Final = 0.05
+"""Seconds after which the end of the main thread is noticed, at most."""
+TAKE_BACK_TIME: Final = 3.0
+"""Seconds that an interrupted call may take to clean up: a procedure takes CLEAN_UP_TIME, 1 s, at most."""
+_LOOK_UP: Final = 0.5
+"""Seconds after which a waiting thread looks up: on Windows, Ctrl-C is held back by a wait until that is over."""
+
+
+class Background(Generic[T]):
+    """See this module's text. Used once: start, any number of calls, stop."""
+
+    def __init__(
+        self,
+        make: Callable[[], AbstractAsyncContextManager[T]],
+        failure: Callable[[T], Exception | None] = lambda _: None,
+        name: str = "canopen master",
+    ) -> None:
+        """make: gives the context manager; called in the thread. Its entering and leaving are not cancelled: they have to end by
+        themselves. failure: why the context came to its end, None if it was left."""
+        self._make = make
+        self._failure = failure
+        self._entered: Future[T] = Future()
+        self._scope = trio.CancelScope()
+        self._nursery: trio.Nursery | None = None  # where calls run; None before and after. Of our thread
+        self._token: trio.lowlevel.TrioToken | None = None
+        self._is_stopping = False
+        self._error: BaseException | None = None  # with which the context ended
+        self._was_told = False  # that error, to somebody
+        self._thread = threading.Thread(target=self._run, name=name, daemon=False)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether calls are taken."""
+        return self._nursery is not None
+
+    def start(self) -> T:
+        """Begin the thread, and enter the context there; what that gives. Raises what that raises."""
+        self._thread.start()
+        try:
+            _wait(self._entered)
+        except BaseException:  # interrupted
+            self.stop()
+            raise
+        return self._entered.result()
+
+    def call(self, function: Callable[[T], Awaitable[R]]) -> R:
+        """Run an async function of the context in the thread, and wait for its end: its result, or what it raises.
+
+        Raises what the context came to its end by, or MasterClosed, when that is over. Interrupted, it takes the call back and
+        waits for its clean-up. LocalProtocolError if called in that very thread, which would wait for itself.
+        """
+        if threading.current_thread() is self._thread:
+            raise LocalProtocolError("the blocking API was called in the master's own thread; call it in another one")
+        if self._token is None:
+            raise MasterClosed
+        future: Future[R] = Future()
+        scope = trio.CancelScope()
+        try:
+            self._token.run_sync_soon(self._begin, function, scope, future)
+        except trio.RunFinishedError:
+            raise self._reason() from None
+        try:
+            _wait(future)
+        except BaseException:  # interrupted
+            self._soon(scope.cancel)
+            _wait(future, TAKE_BACK_TIME)
+            raise
+        return future.result()
+
+    def stop(self) -> BaseException | None:
+        """Leave the context and end the thread; returns when that is done. May be called twice, and by several threads.
+
+        Returns what the context ended with, unless a call was told it already.
+        """
+        self._is_stopping = True
+        self._soon(self._scope.cancel)
+        while self._thread.is_alive():
+            self._thread.join(_LOOK_UP)
+        error = None if self._was_told else self._error
+        self._was_told = True
+        return error
+
+    # ---- in the thread ----
+
+    def _run(self) -> None:
+        try:
+            trio.run(self._serve)
+        except BaseException as error:  # noqa: BLE001 - whatever it is belongs to whoever asks
+            self._error = error
+        if not self._entered.done():
+            self._was_told = True
+            self._entered.set_exception(self._error or MasterClosed())
+        if self._error is not None and not self._was_told and not threading.main_thread().is_alive():
+            print(self._error, file=sys.stderr)  # nobody is left to ask
+
+    async def _serve(self) -> None:
+        self._token = trio.lowlevel.current_trio_token()
+        async with self._make() as self._context:
+            with self._scope:  # around the body only: entering and leaving are not cancelled
+                if self._is_stopping:
+                    return
+                try:
+                    async with trio.open_nursery() as self._nursery:
+                        self._entered.set_result(self._context)
+                        while threading.main_thread().is_alive():
+                            await trio.sleep(WATCH_INTERVAL)
+                        self._nursery.cancel_scope.cancel()
+                finally:
+                    self._nursery = None
+
+    def _begin(self, function: Callable[[T], Awaitable[R]], scope: trio.CancelScope, future: Future[R]) -> None:
+        if self._nursery is None:
+            future.set_exception(self._reason())
+        else:
+            self._nursery.start_soon(self._serve_call, function, scope, future)
+
+    async def _serve_call(self, function: Callable[[T], Awaitable[R]], scope: trio.CancelScope, future: Future[R]) -> None:
+        try:
+            with scope:
+                try:
+                    future.set_result(await function(self._context))
+                except trio.Cancelled:
+                    raise
+                except BaseException as error:  # noqa: BLE001 - whatever it is belongs to the caller
+                    future.set_exception(error)
+        finally:
+            if not future.done():
+                future.set_exception(self._reason())
+
+    def _reason(self) -> BaseException:
+        """Why no more calls are taken."""
+        self._was_told = True
+        failure = self._failure(self._context) if self._entered.done() else None
+        return failure or self._error or MasterClosed()
+
+    def _soon(self, function: Callable[[], object]) -> None:
+        """Run something in the thread, unless that is over."""
+        if self._token is not None:
+            with suppress(trio.RunFinishedError):
+                self._token.run_sync_soon(function)
+
+
+def _wait(future: Future[Any], timeout: float = float("inf")) -> None:
+    """Wait until it is done, or the time is over; can be interrupted by Ctrl-C."""
+    while timeout > 0 and not wait((future,), min(timeout, _LOOK_UP)).done:
+        timeout -= _LOOK_UP

@@ -1,0 +1,126 @@
+"""`ChainCalls`: a chain that may be asked and commanded from any thread. What `chain_map` holds.
+
+They are the manual's callbacks (init, homing, IPmode, setPos, getCurrentPos), free of any framework: whoever wraps the master for
+another process calls them from threads of his own. What takes time and may fail in the world gives True or False, and
+`last_error` tells why; what only hands over set-points raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TypeVar
+
+from canopen_master.chain import Chain, ChainState
+from canopen_master.chain_file import ChainDescription
+from canopen_master.direct.connection import Connection
+from canopen_master.direct.drive import find_homing_style
+from canopen_master.master import Master
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.steps import all_of
+
+R = TypeVar("R")
+
+
+class ChainCalls:
+    """One chain; see this module's text. name, joints: as in the chain file. Positions are in millidegrees, or what the drives
+    count in, one per joint in the order of the file.
+
+    Raises NotConnected before open_connection, and MasterClosed or BusError after its end.
+    """
+
+    def __init__(self, connection: Connection, description: ChainDescription) -> None:
+        self._connection = connection
+        self.description = description
+        self.name = description.name
+        self.joints = tuple(joint.name for joint in description.joints)
+
+    def __repr__(self) -> str:
+        return f"<chain {self.name}: {', '.join(self.joints)}>"
+
+    # ---- what it does ----
+
+    def init(self) -> bool:
+        """Make all joints ready to move: PDOs, NMT start, fault reset, Operation enabled. True if all got there."""
+        return self._attempt(Chain.initialise)
+
+    def homing(self) -> bool:
+        """Home all joints side by side; returns when all have stopped. True if all are referenced."""
+
+        return self._connection.attempt(lambda master: _home(master, self._chain_of(master)))
+
+    def ip_mode(self) -> bool:
+        """Let all joints follow set-points, beginning where they stand. False where a drive lacks the mode."""
+        return self._attempt(Chain.enable_interpolated_position)
+
+    def halt(self) -> bool:
+        """Stop all joints, whatever the chain is doing in another thread, and wait until they stand. They stay enabled."""
+        return self._attempt(Chain.halt)
+
+    def recover(self) -> bool:
+        """After a fault or a halt: reset and enable all joints; a chain that followed set-points does so again."""
+        return self._attempt(Chain.recover)
+
+    def shut_down(self) -> bool:
+        """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop)."""
+        return self._attempt(Chain.shut_down)
+
+    def set_pos(self, positions: Sequence[int]) -> None:
+        """Give the set-points that go out behind the next SYNC. Until others are given, they are repeated.
+
+        Raises SetPointRefused for a wrong count or a value that does not fit, ChainFault when a joint has failed, ChainHalted,
+        and ChainError for a chain that is not in IP mode.
+        """
+
+        async def give(chain: Chain) -> None:
+            chain.set_positions(positions)
+
+        self._call(give)
+
+    # ---- what is known ----
+
+    def get_current_pos(self) -> list[int]:
+        """Where the joints are, as last heard."""
+        return self._ask(lambda chain: [round(position) for position in chain.positions])
+
+    def get_desired_pos(self) -> list[int]:
+        """Where the joints are told to be, by the next PDOs."""
+        return self._ask(lambda chain: [round(position) for position in chain.desired_positions])
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether all joints are."""
+        return self._ask(lambda chain: chain.is_homed)
+
+    @property
+    def state(self) -> ChainState:
+        """What it is ready for."""
+        return self._ask(lambda chain: chain.state)
+
+    def describe(self) -> list[str]:
+        """Each joint with its state and statusword, a line each, for people."""
+        return self._ask(lambda chain: [f"{device.name}: {device.describe()}" for device in chain.devices])
+
+    # ---- inside ----
+
+    def _ask(self, question: Callable[[Chain], R]) -> R:
+        async def ask(chain: Chain) -> R:
+            return question(chain)
+
+        return self._call(ask)
+
+    def _call(self, function: Callable[[Chain], Awaitable[R]]) -> R:
+        return self._connection.call(lambda master: function(self._chain_of(master)))
+
+    def _attempt(self, function: Callable[[Chain], Awaitable[None]]) -> bool:
+        return self._connection.attempt(lambda master: function(self._chain_of(master)))
+
+    def _chain_of(self, master: Master) -> Chain:
+        for chain in master.chains:
+            if chain.name == self.name:
+                return chain
+        raise LocalProtocolError(f"chain {self.name} is not commanded yet: init_master_thread() first")
+
+
+async def _home(master: Master, chain: Chain) -> None:
+    await master.run(all_of(*(find_homing_style(device) for device in chain.devices)))
+    await chain.home()

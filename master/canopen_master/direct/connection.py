@@ -1,0 +1,167 @@
+"""`Connection`: a master in the background, and simulated drives beside it where they are wanted.
+
+What takes time and may fail in the world is an `attempt`: True or False, and `last_error` tells why. It is kept per thread, as
+C's errno is, so that threads which work side by side do not read each other's.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from functools import partial
+from typing import Final, TypeVar
+
+import trio
+
+from canopen_data import DataError
+from canopen_master.direct.background import Background
+from canopen_master.dispatch import ProcedureTakenBack
+from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
+from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.session import open_master
+from canopen_master.simulation import DeviceMaker, powerballs, simulate
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.findings import DictionaryError
+from canopen_proto.procedures.steps import ProcedureError
+from canopen_transports import TransportError, open_transport
+
+R = TypeVar("R")
+
+OPENING_ERRORS: Final = (MasterError, TransportError, DataError, DictionaryError)
+"""Why a connection cannot be opened."""
+
+
+class NotConnected(MasterError):
+    """There is no open connection."""
+
+    def __init__(self, failed: str = "there is no open connection") -> None:
+        super().__init__(MASTER_CLOSED, failed, tries=("open_connection(bus) first",))
+
+
+class AlreadyConnected(MasterError):
+    """There is an open connection, and a session has only one."""
+
+    def __init__(self, bus: str) -> None:
+        super().__init__(MASTER_CLOSED, f"the connection to {bus} is still open", tries=("close_connection() first",))
+
+
+class Connection:
+    """At most one open master at a time; see this module's text. bus: the one that was opened, "" while there is none."""
+
+    def __init__(self) -> None:
+        self.bus = ""
+        self._background: Background[Master] | None = None
+        self._lock = threading.Lock()  # open and close, one at a time
+        self._errors = threading.local()
+        self._simulated: list[tuple[str, Sequence[DeviceMaker]]] = []
+
+    @property
+    def is_open(self) -> bool:
+        """Whether commands are taken."""
+        return self._background is not None and self._background.is_running
+
+    @property
+    def last_error(self) -> Exception | None:
+        """Why the last attempt of the calling thread gave False; None if it gave True, or if there was none."""
+        error: Exception | None = getattr(self._errors, "last", None)
+        return error
+
+    @contextmanager
+    def simulated(self, node_ids: Sequence[int], bus: str) -> Iterator[None]:
+        """Inside the block, an opened connection finds simulated joints on a bus; leaving the block closes it."""
+        entry = bus, powerballs(*node_ids)
+        self._simulated.append(entry)
+        try:
+            yield
+        finally:
+            self._simulated.remove(entry)
+            self.close()
+
+    def open(
+        self,
+        bus: str,
+        buses: Mapping[str, str],
+        sdo_timeout: float = SDO_TIMEOUT,
+        dictionary: ObjectDictionary | None = None,
+        prepare: Callable[[Master], object] = lambda _: None,
+    ) -> bool:
+        """Open the buses and begin the master's thread. buses: more of them, by name. prepare: is given the master at once."""
+        with self._lock:
+            try:
+                if self.is_open:
+                    raise AlreadyConnected(self.bus)
+                self._end()
+                make = partial(_master, tuple(self._simulated), bus, dict(buses), sdo_timeout, dictionary, prepare)
+                background = Background(make, lambda master: master.failure)
+                background.start()
+            except OPENING_ERRORS as error:
+                self._errors.last = error
+                return False
+            self._background, self.bus = background, bus
+            self._errors.last = None
+            return True
+
+    def close(self) -> None:
+        """Halt what moves and end the thread. Without an open connection it does nothing.
+
+        Raises HaltNotConfirmed, or BusError where the bus failed and nobody was told.
+        """
+        with self._lock:
+            self._end()
+
+    def call(self, function: Callable[[Master], Awaitable[R]]) -> R:
+        """Run an async function of the master in its thread; its result, or what it raises. NotConnected without one."""
+        background = self._background
+        if background is None:
+            raise NotConnected
+        return background.call(function)
+
+    def attempt(self, function: Callable[[Master], Awaitable[object]]) -> bool:
+        """As `call`: True if it was done, False where the world did not let it be done.
+
+        What is wrong with the call itself raises: no connection, a node-ID of 200, an unknown name, a value that does not fit.
+        """
+        try:
+            self.call(function)
+        except (NotConnected, MasterClosed):
+            raise
+        except (ProcedureError, ProcedureTakenBack, MasterError) as error:
+            self._errors.last = error
+            return False
+        self._errors.last = None
+        return True
+
+    def _end(self) -> None:
+        background, self._background, self.bus = self._background, None, ""
+        if background is not None:
+            error = background.stop()
+            if error is not None:
+                raise error
+
+
+@asynccontextmanager
+async def _master(
+    simulated: Sequence[tuple[str, Sequence[DeviceMaker]]],
+    bus: str,
+    buses: Mapping[str, str],
+    sdo_timeout: float,
+    dictionary: ObjectDictionary | None,
+    prepare: Callable[[Master], object],
+) -> AsyncIterator[Master]:
+    """The master, and around it the simulated drives, which have to outlive it: it halts them on its way out."""
+    failure: Exception | None = None
+    async with AsyncExitStack() as stack:
+        if simulated:
+            nursery = await stack.enter_async_context(trio.open_nursery())
+            stack.callback(nursery.cancel_scope.cancel)
+        try:
+            for locator, devices in simulated:
+                await nursery.start(simulate, await open_transport(locator), devices)
+            async with open_master(buses={bus: bus, **buses}, sdo_timeout=sdo_timeout, dictionary=dictionary) as master:
+                prepare(master)
+                yield master
+        except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
+            failure = error
+    if failure is not None:
+        raise failure

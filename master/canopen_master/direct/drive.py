@@ -1,0 +1,216 @@
+"""`DirectDrive`: one drive as the direct half of the blocking API uses it. Runs in the master's thread.
+
+Theory of operation
+-------------------
+Commands go by SDO ("all these commands and checks are performed by SDO communication"). Set-points go by the manual's rPDO, sent
+at the very moment of `send_position`, and the drive takes them at the next SYNC: the user alternates send_pos and send_sync, and
+nobody else sends either. That is why the rPDO is a producer of our own here, and none of the RemoteNode's: those follow the SYNC.
+It is built from the node's one image, in which each confirmed command stands too; so it always bears the controlword last
+commanded.
+
+A drive keeps an rPDO until the next SYNC. One that was sent before the brake was commanded, and not taken yet, would enable the
+drive again, at anybody's SYNC. So where a set-point may still be waiting in the drive, the rPDO is sent once more behind the
+command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from canopen_master.device import Device
+from canopen_master.errors import NOT_HEARD, NodeSilent
+from canopen_master.master import Master
+from canopen_proto.cia402.axis import AxisSettings, HomingStyle
+from canopen_proto.cia402.modes import Mode, supported
+from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import Direction, PdoDescription
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
+from canopen_proto.nmt import NmtState
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.procedures import drive
+from canopen_proto.procedures.configure_pdo import define_pdo
+from canopen_proto.procedures.objects import ABSENT, read_if_present, write
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+
+MILLIDEGREES: Final = AxisSettings(counts_per_unit=1.0, homing=HomingStyle.SCHUNK)
+"""Positions as they are on the wire: integers, millidegrees for the manual's arm."""
+
+SILENT_SYNCS: Final = 10
+"""A drive that answered SYNC by its PDO, and now has not for so many of them, is gone."""
+
+_SYNC_TIME_OUT: Final = "0x200E"
+
+
+class DirectDrive:
+    """See this module's text. interval: ms between two SYNCs, as the drive is told."""
+
+    def __init__(self, master: Master, device: Device, rpdo: str, tpdo: str) -> None:
+        """rpdo, tpdo: which PDOs of the dictionary the drive comes with; a name that it does not have stands for none."""
+        self._master = master
+        self._device = device
+        self.axis = device.axis
+        self.node = device.node
+        self.interval = 10
+        self._producer: PdoProducer | None = None
+        self._is_following = False
+        self._may_wait = False  # a set-point, in the drive, for a SYNC
+        self._unanswered = -1  # SYNCs since its last PDO; -1: it has sent none since it follows
+        descriptions = {each.name: each for each in self.node.dictionary.pdos}
+        if rpdo in descriptions:
+            self._use(descriptions[rpdo], descriptions[rpdo].number)
+        if tpdo in descriptions and not self.node.remote.tpdos:
+            self.node.remote.add_pdo(descriptions[tpdo], master.now())
+        master.watch((PdoReceived,), self._on_pdo, master.bus(self.node.bus), self.node.node_id)
+
+    # ---- sequences ----
+
+    async def reset_fault(self) -> None:
+        """As procedures.drive.reset_fault."""
+        await self._master.run(drive.reset_fault(self.axis))
+
+    async def change_state(self, state: State) -> None:
+        """Lead it to a state, up or down. To another one than Operation enabled: it follows no set-points any more."""
+        if state is not State.OPERATION_ENABLED:
+            self._is_following = False
+        await self._master.run(drive.change_state(self.axis, state))
+        await self._master.run(self._replace_waiting())
+
+    async def home(self) -> None:
+        """Home it, in the way that it has; see `find_homing_style`."""
+        self._is_following = False
+        await self._master.run(find_homing_style(self._device))
+        await self._master.run(drive.home(self.axis))
+
+    async def set_mode(self, mode: int) -> None:
+        """Select a mode of operation."""
+        self._is_following = False
+        await self._master.run(drive.set_mode(self.axis, mode))
+
+    async def follow(self) -> None:
+        """Interpolated position mode, from where it stands."""
+        if self._producer is None:
+            raise LocalProtocolError(
+                f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
+            )
+        self._is_following = False
+        await self._master.run(drive.start_interpolation(self.axis, self.interval * MILLISECOND))
+        self._is_following, self._unanswered = True, -1
+
+    async def halt(self) -> None:
+        """Stop it; it stays enabled."""
+        self._is_following = False
+        await self._master.run(drive.halt(self.axis))
+        await self._master.run(self._replace_waiting())
+
+    async def shut_down(self) -> None:
+        """Take its power away."""
+        self._is_following = False
+        await self._master.run(drive.shut_down(self.axis))
+        await self._master.run(self._replace_waiting())
+
+    async def set_interval(self, milliseconds: int) -> None:
+        """Tell the drive the time between two SYNCs, and that it shall not watch over it (Schunk's 0x200E = 0)."""
+        await self._master.run(self._set_interval(milliseconds))
+        self.interval = milliseconds
+
+    async def wait_for(self, constant: str, timeout: Time) -> None:
+        """Wait until the statusword bears a constant; StepTimeout after `timeout` ns."""
+        wanted = self.node.dictionary.constant("statusword", constant)
+        # A fault, too, may be what is waited for.
+        waiting = drive.wait_for_statusword(self.axis, wanted.is_in, timeout, constant, accept_fault=True)
+        await self._master.run(waiting)
+
+    async def define(self, description: PdoDescription, number: int | None, transmission_type: int) -> None:
+        """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices ask."""
+        number = number or description.number
+        state = self.node.nmt_state
+        if description.direction is Direction.RPDO:
+            self._is_following = False
+        if state is NmtState.OPERATIONAL:
+            await self._master.nmt_enter_pre_operational(self.node.node_id, bus=self.node.bus)
+        try:
+            await self._master.run(define_pdo(self.node.remote, description, number=number, transmission_type=transmission_type))
+        finally:
+            if state is NmtState.OPERATIONAL:
+                await self._master.nmt_start(self.node.node_id, bus=self.node.bus)
+            if description.direction is Direction.RPDO and number is not None:
+                self.node.remote.remove_pdo(Direction.RPDO, number)  # we send it, not the SYNC
+        self._use(description, number)
+
+    # ---- set-points ----
+
+    async def send_position(self, position: int) -> None:
+        """Send the rPDO with this set-point now. Raises where the drive would not follow it; see Session.send_pos."""
+        node_id = self.node.node_id
+        if not self._is_following or self._producer is None:
+            raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
+        if self.axis.has_fault or self.axis.state is not State.OPERATION_ENABLED:
+            self._is_following = False
+            raise await self._master.run(_why_it_left(self._device))
+        if self._unanswered > SILENT_SYNCS:
+            self._is_following = False
+            failed = f"node {node_id} sent no PDO after the last {self._unanswered} SYNCs"
+            cause = "its power is off, its cable is loose, or it was stopped"
+            raise NodeSilent(NOT_HEARD, node_id, self.node.bus, failed, cause=cause, tries=("look at the drive and its cable",))
+        self.axis.set_position_counts(position)
+        if self.node.remote.rpdo_of(0x60C1, 1) is None:
+            await self._master.run(self._send())  # else the master's cycle sends it: the drive is a chain's joint
+
+    def on_sync(self) -> None:
+        """A SYNC was sent."""
+        self._may_wait = False
+        if self._unanswered >= 0:
+            self._unanswered += 1
+
+    # ---- inside ----
+
+    def _use(self, description: PdoDescription, number: int | None) -> None:
+        mapping = Mapping.from_description(description)
+        if description.direction is Direction.TPDO or mapping.find_component((0x60C1, 1)) is None:
+            return
+        remote = self.node.remote
+        key = description.can_id(self.node.node_id)
+        self._producer = PdoProducer(remote.out, remote.node_id, number or 0, key, mapping, remote.values.store)
+        self._producer.set_enabled(True, self._master.now())
+
+    def _send(self) -> Procedure[None]:
+        producer = self._producer
+        assert producer is not None
+        yield from act(producer.send)
+        self._may_wait = True
+
+    def _replace_waiting(self) -> Procedure[None]:
+        if self._may_wait:
+            yield from self._send()
+
+    def _set_interval(self, milliseconds: int) -> Procedure[None]:
+        remote = self.node.remote
+        yield from write(remote, (0x60C2, 2), -3)
+        yield from write(remote, (0x60C2, 1), milliseconds)
+        if _SYNC_TIME_OUT in remote.dictionary:
+            try:
+                yield from write(remote, _SYNC_TIME_OUT, 0)
+            except SdoFailed as failed:
+                if failed.abort_code not in ABSENT:
+                    raise
+
+    def _on_pdo(self, report: PdoReceived) -> None:
+        self._unanswered = 0
+
+
+def find_homing_style(device: Device) -> Procedure[None]:
+    """Settle how a drive homes: as CiA 402 says where 0x6502 shows homing mode, else as the manual's arm, which hides it."""
+    modes = yield from read_if_present(device.node.remote, "0x6502")
+    has_homing = isinstance(modes, int) and supported(modes, Mode.HOMING)
+    style = HomingStyle.STANDARD if has_homing else HomingStyle.SCHUNK
+    device.axis.settings = replace(device.axis.settings, homing=style)
+
+
+def _why_it_left(device: Device) -> Procedure[ProcedureError]:
+    """What to say of a drive that should follow and does not."""
+    if device.has_fault:
+        return (yield from drive.fault_of(device.axis, "while it followed set-points"))
+    return ProcedureError(f"drive {device.node.node_id} left Operation enabled while it followed set-points: {device.describe()}")

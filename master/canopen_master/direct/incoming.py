@@ -1,0 +1,64 @@
+"""`IncomingPdos`: the manual's queue `incomingPDOs`, with an end to its growth."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from typing import Final
+
+from canopen_proto.pdo.consumer import PdoReceived
+
+QUEUE_SIZE: Final = 4096
+"""PDOs that wait for a reader: four seconds of six drives with one PDO a cycle of 10 ms, and more."""
+
+
+_LOOK_UP: Final = 0.5
+"""Seconds after which a waiting thread looks up: on Windows, Ctrl-C is held back by a wait until that is over."""
+
+
+class IncomingPdos:
+    """The PDOs that devices sent, oldest first. Any thread may take from it, and wait.
+
+    Each is a `PdoReceived`: node_id, `values` by name, `get("position_actual_value")`, data, timestamp. A queue that nobody
+    empties loses its oldest entries; `dropped` counts them.
+    """
+
+    def __init__(self, size: int = QUEUE_SIZE) -> None:
+        self.dropped = 0
+        self._size = size
+        self._pdos: deque[PdoReceived] = deque()
+        self._changed = threading.Condition()
+
+    def __len__(self) -> int:
+        return len(self._pdos)
+
+    def __iter__(self) -> Iterator[PdoReceived]:
+        """Takes what is there now, and what comes meanwhile; ends when the queue is empty."""
+        while (pdo := self.get(0)) is not None:
+            yield pdo
+
+    def get(self, timeout: float | None = None) -> PdoReceived | None:
+        """Take the oldest one. Waits for it, at most `timeout` seconds; None if none came."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        with self._changed:
+            while not self._pdos:
+                rest = _LOOK_UP if deadline is None else deadline - time.monotonic()
+                if rest <= 0:
+                    return None
+                self._changed.wait(min(rest, _LOOK_UP))
+            return self._pdos.popleft()
+
+    def clear(self) -> None:
+        """Throw away what is there."""
+        self._pdos.clear()
+
+    def put(self, pdo: PdoReceived) -> None:
+        """Add one (the session does)."""
+        with self._changed:
+            if len(self._pdos) == self._size:
+                self._pdos.popleft()
+                self.dropped += 1
+            self._pdos.append(pdo)
+            self._changed.notify()

@@ -1,0 +1,389 @@
+"""`Session`: the manual's blocking API for scripts and notebooks. `canopen_master.direct` has one session's methods as functions.
+
+Theory of operation
+-------------------
+One session has one connection: a trio master in a thread of its own (background.py), which every call goes to. Any number of
+threads may call, also at the same time; for one and the same drive, one thing at a time makes sense, and `halt`.
+
+Three kinds of result:
+
+- what takes time and may fail in the world (init_device, homing ...) gives True or False, as the manual says; `last_error` tells
+  why it was False, to the thread that asks;
+- what is just sent, or asks for a value (send_sdo, send_pos, get_pos ...), raises: SdoError, ProcedureError, BusError;
+- what is wrong with the call itself always raises, and nothing is sent: NotConnected, LocalProtocolError (node-ID 200),
+  ObjectNotFound, ConstantNotFound, ValueRangeError.
+
+The direct half sends no SYNC by itself: `send_pos` sends the rPDO, `send_sync` the SYNC. The master half does the SYNC, and has
+its chains in `chain_map`.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from types import TracebackType
+from typing import Final, TypeVar
+
+import trio
+
+from canopen_master.chain import ChainSettings
+from canopen_master.chain_file import ChainDescription, read_chains
+from canopen_master.direct.chain import ChainCalls
+from canopen_master.direct.connection import Connection
+from canopen_master.direct.drive import MILLIDEGREES, DirectDrive
+from canopen_master.direct.incoming import IncomingPdos
+from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_proto.cia402.states import State, state_of
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Key, Message, ObjectDictionary
+from canopen_proto.machine import SECOND, LocalProtocolError
+from canopen_proto.nmt import NmtCommand
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.procedures.drive import read_position
+
+R = TypeVar("R")
+
+_LOOK_UP: Final = 0.5
+"""Seconds after which a thread that waits for PDOs looks whether the connection is still open."""
+NMT_TIME: Final = 0.1
+"""Seconds that init_nmt gives the devices to get to Operational: nothing confirms an NMT command."""
+SYNC_INTERVAL: Final = 10
+"""Milliseconds; the manual's."""
+
+
+class Session:
+    """See this module's text. Node-IDs are 1..127; positions are integers as on the wire, millidegrees for the manual's arm.
+
+    incoming_pdos: what devices sent by PDO (bounded). chain_map: the chains of `init_chain_map`, by name. using_master_thread: to
+    be set to True before `init_master_thread`. As a context manager it closes its connection at the end.
+    """
+
+    def __init__(self, *, rpdo: str = "schunk_default_rPDO", tpdo: str = "schunk_default_tPDO") -> None:
+        """rpdo, tpdo: names of the PDOs in PDOs.csv that the drives come with. Opens nothing."""
+        self.using_master_thread = False
+        self.incoming_pdos = IncomingPdos()
+        self.chain_map: dict[str, ChainCalls] = {}
+        self._rpdo, self._tpdo = rpdo, tpdo
+        self._connection = Connection()
+        self._drives: dict[int, DirectDrive] = {}  # of the open connection; used in the master's thread
+        self._chain_file: str | Path = ""
+        self._chains: tuple[ChainDescription, ...] = ()
+        self._queues_pdos = True
+        self._sync_due = 0.0
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close_connection()
+
+    # ---- connection ----
+
+    def open_connection(
+        self,
+        bus: str,
+        *,
+        buses: Mapping[str, str] | None = None,
+        sdo_timeout: float = SDO_TIMEOUT,
+        dictionary: ObjectDictionary | None = None,
+    ) -> bool:
+        """Open a bus: "/dev/pcan32", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "virtual:demo". The first command of all.
+
+        False if that cannot be done (`last_error` says why, and what to try), also while a connection is open. bus: what node-IDs
+        refer to. buses: more buses by the names that a chain file has for them; a file's buses are opened by themselves where
+        `bus` is one of them. sdo_timeout: seconds for one answer of a device. dictionary: by default that of the data files.
+        """
+        named = dict.fromkeys(joint.bus for chain in self._chains for joint in chain.joints)
+        more = {name: name for name in named if name != bus} if bus in named else {}
+        return self._connection.open(bus, {**more, **(buses or {})}, sdo_timeout, dictionary, self._prepare)
+
+    def init_listener_thread(self) -> None:
+        """Nothing is left to do: `open_connection` has begun to listen. It stays for the manual's order of calls.
+
+        What devices send by PDO goes to `incoming_pdos`. Raises NotConnected.
+        """
+        self._call(_nothing)
+
+    def close_connection(self) -> None:
+        """Halt what moves, close the buses, end the thread. Without a connection it does nothing.
+
+        Raises HaltNotConfirmed where a drive did not confirm that it stands; BusError for a bus that failed unnoticed.
+        """
+        self._connection.close()
+
+    def last_error(self) -> Exception | None:
+        """Why the calling thread's last True-or-False call gave False; None after a True. `str` of it is a screen for people."""
+        return self._connection.last_error
+
+    def simulated(self, node_ids: Sequence[int], bus: str = "virtual") -> AbstractContextManager[None]:
+        """`with session.simulated([12], bus="virtual:demo"):` puts simulated joints on a bus that is opened in the block.
+
+        They are joints of the Schunk Powerball arm, in this very process. Leaving the block closes the connection.
+        """
+        return self._connection.simulated(node_ids, bus)
+
+    # ---- network management and SYNC ----
+
+    def init_nmt(self) -> None:
+        """NMT start to all devices: to Operational, where their PDOs live. Waits NMT_TIME, since nothing confirms it."""
+
+        async def start(master: Master) -> None:
+            await master.nmt(NmtCommand.START)
+            await trio.sleep(NMT_TIME)
+
+        self._call(start)
+
+    def send_nmt(self, command: str | NmtCommand, node: int = 0) -> None:
+        """Send an NMT command to one device, or to all of them (0).
+
+        command: a constant of the object NMT in constants.csv ("start_remote_node", "stop_remote_node", ...), or an NmtCommand.
+        """
+
+        async def send(master: Master) -> None:
+            value = master.dictionary.constant_value("NMT", command) if isinstance(command, str) else command
+            if value not in list(NmtCommand):
+                raise LocalProtocolError(f"{command!r} is no NMT command: 0x{value:02X}")
+            await master.nmt(NmtCommand(value), node, bus=self._connection.bus)
+
+        self._call(send)
+
+    def send_sync(self, milliseconds: float = 0) -> None:
+        """Send one SYNC, then wait. While the master's own SYNC runs (init_master_thread), none is sent, and it only waits.
+
+        Called in a row it keeps time: the wait ends `milliseconds` after the end of the last one, so that what the loop does
+        besides does not add to its period.
+        """
+
+        async def send(master: Master) -> None:
+            if not master.sync_period:
+                await master.send_sync()
+                for drive in self._drives.values():
+                    drive.on_sync()
+
+        self._call(send)
+        now, wait = time.monotonic(), milliseconds / 1000
+        due = self._sync_due + wait
+        self._sync_due = due = due if now <= due <= now + wait else now + wait
+        time.sleep(max(0.0, due - time.monotonic()))
+
+    # ---- objects ----
+
+    def send_sdo(self, node: int, key: Key, value: Value | None = None) -> Message:
+        """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`.
+
+        Returns what was read, or what was written, with the names of the constants that it bears, once the device has answered.
+        Raises SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and what is said of wrong calls in this module's text.
+        """
+
+        async def transfer(master: Master) -> Message:
+            device = master.node(node, bus=self._connection.bus)
+            if value is None:
+                return await device.read_message(key)
+            await device.write(key, value)
+            return device.dictionary.message(node, key, device.dictionary.value_from(key, value))
+
+        return self._call(transfer)
+
+    def define_pdo(self, node: int, name: str, *, number: int | None = None, transmission_type: int = 1) -> bool:
+        """Declare a PDO of PDOs.csv to a device, and use it: a tPDO comes to `incoming_pdos`, an rPDO with a set-point carries
+        those of `send_pos`. False if the device refuses; it has its old PDO again then.
+
+        number: by default that of its COB-ID in the predefined connection set. transmission_type: 1 for each SYNC. The device is
+        pre-operational meanwhile. Raises PdoNotFound.
+        """
+
+        async def define(master: Master) -> None:
+            drive = self._drive(master, node)
+            await drive.define(drive.node.dictionary.pdo(name), number, transmission_type)
+
+        return self._connection.attempt(define)
+
+    # ---- drives ----
+
+    def fault_reset(self, node: int) -> bool:
+        """Reset a fault; a drive without one is left as it is. False if the fault stays."""
+        return self._attempt(node, lambda drive: drive.reset_fault())
+
+    def init_device(self, node: int) -> bool:
+        """Lead the drive to Operation enabled, step by step. True when it reports that."""
+        return self._attempt(node, lambda drive: drive.change_state(State.OPERATION_ENABLED))
+
+    def homing(self, node: int) -> bool:
+        """Home the drive; returns when it has stopped. True if it is referenced. IT MOVES; an interrupt halts it."""
+        return self._attempt(node, lambda drive: drive.home())
+
+    def enable_ip_mode(self, node: int) -> bool:
+        """Make the drive follow the set-points of `send_pos`, beginning where it stands. False where it lacks the mode."""
+        return self._attempt(node, lambda drive: drive.follow())
+
+    def send_pos(self, node: int, position: int) -> None:
+        """Send the rPDO with this set-point; the drive takes it at the next SYNC and is there one interval later.
+
+        Absolute, in millidegrees (what the drive counts in). The rPDO also bears the controlword that was commanded last. Raises
+        LocalProtocolError before enable_ip_mode, DriveFault and ProcedureError for a drive that has left Operation enabled,
+        NodeSilent for one whose PDOs no longer come. Where the drive is a joint of a chain that follows set-points, the master's
+        next cycle sends it.
+        """
+
+        async def send(master: Master) -> None:
+            await self._drive(master, node).send_position(position)
+
+        self._call(send)
+
+    def get_pos(self, node: int) -> int:
+        """The actual position (0x6064), asked of the drive now. Raises ProcedureError."""
+
+        async def ask(master: Master) -> int:
+            return round(await master.run(read_position(self._drive(master, node).axis)))
+
+        return self._call(ask)
+
+    def drive_mode(self, node: int, mode: int | str) -> bool:
+        """Select a mode of operation: a number, or a constant of modes_of_operation. True when the drive shows it."""
+
+        async def select(master: Master) -> None:
+            drive = self._drive(master, node)
+            number = drive.node.dictionary.value_from("modes_of_operation", mode)
+            assert isinstance(number, int)
+            await drive.set_mode(number)
+
+        return self._connection.attempt(select)
+
+    def halt(self, node: int) -> bool:
+        """Stop the drive, whatever another thread is doing with it. It stays enabled; set-points need enable_ip_mode again."""
+        return self._attempt(node, lambda drive: drive.halt())
+
+    def enable_brake(self, node: int) -> bool:
+        """Lead the drive to Ready to switch on: no torque, the brake is engaged. The manual writes enableBreak."""
+        return self._attempt(node, lambda drive: drive.change_state(State.READY_TO_SWITCH_ON))
+
+    enable_break = enable_brake
+
+    def release_brake(self, node: int) -> bool:
+        """Lead the drive to Operation enabled again. The manual's library has it as releaseBreak."""
+        return self.init_device(node)
+
+    release_break = release_brake
+
+    def shutdown_device(self, node: int) -> bool:
+        """Take the drive's power away (Switch on disabled), then stop its communication (NMT stop), in any case."""
+
+        async def shut_down(master: Master) -> None:
+            drive = self._drive(master, node)
+            try:
+                await drive.shut_down()
+            finally:
+                with trio.CancelScope(shield=True):
+                    await drive.node.nmt(NmtCommand.STOP)
+
+        return self._connection.attempt(shut_down)
+
+    def set_sync_interval(self, node: int, milliseconds: int = SYNC_INTERVAL) -> bool:
+        """Tell the drive the time between two SYNCs (0x60C2), 1 to 255 ms; 10 ms where it is never told.
+
+        Its watch over the SYNC, where it has the manual's (0x200E), is switched off: here the user sends the SYNC.
+        """
+        return self._attempt(node, lambda drive: drive.set_interval(milliseconds))
+
+    def wait_for_status(self, node: int, constant: str, timeout: float = 1.0) -> bool:
+        """Wait until the statusword bears a constant, as "operation_enable"; at most `timeout` seconds, then False."""
+        return self._attempt(node, lambda drive: drive.wait_for(constant, round(timeout * SECOND)))
+
+    def set_motor_state(self, node: int, state: str) -> bool:
+        """Lead the drive to a state, up or down, by the shortest way: a constant of statusword, as "switched_on"."""
+
+        async def lead(master: Master) -> None:
+            drive = self._drive(master, node)
+            await drive.change_state(state_of(drive.node.dictionary.constant("statusword", state).value))
+
+        return self._connection.attempt(lead)
+
+    # ---- the master half ----
+
+    def init_chain_map(self, file: str | Path) -> None:
+        """Read a chain file (a row: `chain1 joint1 /dev/pcan32 12`) into `chain_map`: name -> ChainCalls.
+
+        file: a path, or the name of one of the data files. Raises ChainFileError with all that is wrong, DataError. Their
+        commands are taken after `init_master_thread`.
+        """
+        self._chains, self._chain_file = read_chains(file), file
+        self.chain_map.clear()
+        self.chain_map.update({chain.name: ChainCalls(self._connection, chain) for chain in self._chains})
+
+    def init_incoming_pdo_processor_thread(self, handler: Callable[[PdoReceived], object] | None = None) -> None:
+        """From now on the devices' PDOs are processed: they bring the chains' joints up to date.
+
+        Without a handler nothing more comes to `incoming_pdos`. A handler, the manual's `updateStatusWithIncomingPDO` of one's
+        own, is called with each PDO, in a thread of its own that takes them from there; what it raises is shown, and it goes on.
+        """
+        self._call(_nothing)
+        self._queues_pdos = handler is not None
+        if handler is not None:
+            threading.Thread(target=self._process, args=(handler,), name="canopen incoming PDOs", daemon=True).start()
+
+    def init_master_thread(self, sync_interval: int = SYNC_INTERVAL) -> None:
+        """Begin the master's cycle: SYNC, then the PDOs of the chains that follow set-points, then SDO in what is left.
+
+        sync_interval: milliseconds. From now on the chains of `chain_map` take commands. `using_master_thread` has to be True.
+        Raises ChainFileError where the chain file names buses that are not open.
+        """
+        if not self._uses_master_thread():
+            raise LocalProtocolError("init_master_thread() needs using_master_thread = True")
+        settings = ChainSettings(cycle_time=sync_interval / 1000, rpdo=self._rpdo, tpdo=self._tpdo)
+
+        async def begin(master: Master) -> None:
+            if master.chains:
+                raise LocalProtocolError("the master's cycle runs already")
+            if self._chains:
+                master.load_chains(self._chain_file, settings=settings, axes=MILLIDEGREES)
+            master.sync_start(settings.cycle_time)
+
+        self._call(begin)
+
+    # ---- inside ----
+
+    def _uses_master_thread(self) -> bool:
+        return self.using_master_thread
+
+    def _call(self, function: Callable[[Master], Awaitable[R]]) -> R:
+        return self._connection.call(function)
+
+    def _attempt(self, node: int, function: Callable[[DirectDrive], Awaitable[None]]) -> bool:
+        return self._connection.attempt(lambda master: function(self._drive(master, node)))
+
+    def _prepare(self, master: Master) -> None:
+        """A connection was opened; in the master's thread."""
+        self._drives = {}
+        self._queues_pdos = True
+        self.incoming_pdos.clear()
+        master.watch((PdoReceived,), self._on_pdo)
+
+    def _drive(self, master: Master, node_id: int) -> DirectDrive:
+        drive = self._drives.get(node_id)
+        if drive is None:
+            node = master.node(node_id, bus=self._connection.bus)
+            device = master.devices.get(node) or master.device(node, settings=MILLIDEGREES)
+            drive = self._drives[node_id] = DirectDrive(master, device, self._rpdo, self._tpdo)
+        return drive
+
+    def _on_pdo(self, report: PdoReceived) -> None:
+        if self._queues_pdos:
+            self.incoming_pdos.put(report)
+
+    def _process(self, handler: Callable[[PdoReceived], object]) -> None:
+        connection = self._connection
+        while connection.is_open:
+            pdo = self.incoming_pdos.get(_LOOK_UP)
+            if pdo is not None:
+                try:
+                    handler(pdo)
+                except Exception:  # noqa: BLE001 - the user's code; the next PDO may do better
+                    threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
+
+
+async def _nothing(master: Master) -> None:
+    master.check_open()
