@@ -50,6 +50,7 @@ class RemoteNode(Group):
     """Everything that we run for one other node. Made with a Network's `out`, then attached to it."""
 
     __slots__ = (
+        "_boot_listeners",
         "_commanded_at",
         "_listeners",
         "_wanted",
@@ -91,6 +92,7 @@ class RemoteNode(Group):
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
         self._listeners: list[Callable[[Collection[int], Time], None]] = []
+        self._boot_listeners: list[Callable[[], None]] = []
         for machine in (self.sdo, self.heartbeat, self.emcy):
             self._members.attach(machine)
         self._reactions.update(
@@ -228,9 +230,14 @@ class RemoteNode(Group):
                 return producer
         return None
 
-    def add_listener(self, listener: Callable[[Collection[int], Time], None]) -> None:
-        """For what is built upon this node (an Axis): called with the muxes of the values that were just brought up to date."""
+    def add_listener(self, listener: Callable[[Collection[int], Time], None], on_boot: Callable[[], None] | None = None) -> None:
+        """For what is built upon this node (an Axis): called with the muxes of the values that were just brought up to date.
+
+        on_boot: called when the node boots, which makes everything old that it said before.
+        """
         self._listeners.append(listener)
+        if on_boot is not None:
+            self._boot_listeners.append(on_boot)
 
     # ---- what the rest of the network does ----
 
@@ -254,6 +261,8 @@ class RemoteNode(Group):
         self.heard_at.clear()
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
+        for on_boot in self._boot_listeners:
+            on_boot()
         self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
     def _on_lost(self, report: HeartbeatLost, now: Time) -> None:

@@ -12,7 +12,8 @@ or the next RPDO would send a stale 0 and drop the drive.
 Units: positions outside are in the user's unit (radians for an arm), on the wire in counts (the Schunk arm's are millidegrees).
 counts = round(direction * unit * counts_per_unit) + offset.
 
-Events: `AxisStateChanged` whenever a statusword shows another state; the last EMCY stays in `last_emcy` for error messages.
+Events: `AxisStateChanged` whenever a statusword shows another state, or the node boots: then nothing is known of the drive, and
+it counts as not homed, since it may have lost its power.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
@@ -39,8 +40,8 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.cia402.states import State, StatusBit, state_of
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time, event
-from canopen_proto.remote_node import RemoteNode
+from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time, event
+from canopen_proto.remote_node import FRESH, RemoteNode
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 
@@ -83,7 +84,7 @@ SCHUNK_POWERBALL: Final = AxisSettings(homing=HomingStyle.SCHUNK)
 
 @event
 class AxisStateChanged(Event):
-    """The drive's statusword shows another state than before. statusword: 0..0xFFFF."""
+    """The drive's statusword shows another state than before (UNKNOWN: it has booted). statusword: as last heard."""
 
     previous: State
     state: State
@@ -103,7 +104,7 @@ class Axis:
         self.settings = settings
         self.state = State.UNKNOWN
         self.is_homed = False
-        node.add_listener(self._on_values)
+        node.add_listener(self._on_values, self._on_boot)
 
     # ---- what is known of the drive ----
 
@@ -153,9 +154,9 @@ class Axis:
         return bool(self.statusword & StatusBit.MANUFACTURER_8)
 
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
-        """0x6041 if it was heard at `not_before` or later and is not older than 100 ms, else None."""
+        """0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
         heard = self.node.heard_at.get(STATUSWORD)
-        if heard is None or heard < not_before or now - heard > 100 * MILLISECOND:
+        if heard is None or heard < not_before or now - heard > FRESH:
             return None
         return self._int(STATUSWORD)
 
@@ -183,7 +184,8 @@ class Axis:
     @property
     def set_point(self) -> float:
         """The position that the next RPDO commands, in the user's unit."""
-        return self.from_counts(self._int(INTERPOLATION_SET_POINT))
+        has_own = INTERPOLATION_SET_POINT in self.node.values.store
+        return self.from_counts(self._int(INTERPOLATION_SET_POINT if has_own else TARGET_POSITION))
 
     def set_position(self, position: float) -> None:
         """Give the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
@@ -216,8 +218,14 @@ class Axis:
 
     def _on_values(self, muxes: Collection[int], now: Time) -> None:
         if STATUSWORD in muxes:
-            statusword = self.statusword
-            state = state_of(statusword)
-            if state is not self.state:
-                previous, self.state = self.state, state
-                self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, statusword))
+            self._enter(state_of(self.statusword))
+
+    def _on_boot(self) -> None:
+        """Perhaps it lost its power, and so its reference."""
+        self.is_homed = False
+        self._enter(State.UNKNOWN)
+
+    def _enter(self, state: State) -> None:
+        if state is not self.state:
+            previous, self.state = self.state, state
+            self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, self.statusword))

@@ -54,6 +54,18 @@ START_TIME: Final = 1 * SECOND
 STANDSTILL_TIME: Final = 800 * MILLISECOND
 """How long a halt waits for the drive to report standstill; within CLEAN_UP_TIME."""
 
+STANDSTILL_LOOK: Final = 30 * MILLISECOND
+"""Between two looks at the position of a drive whose statusword does not tell that it stands."""
+
+_SHOWS_STANDSTILL: Final = (
+    Mode.PROFILE_POSITION,
+    Mode.PROFILE_VELOCITY,
+    Mode.TORQUE,
+    Mode.HOMING,
+    Mode.INTERPOLATED_POSITION,
+)
+"""Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Others reserve it."""
+
 SYNC_ALIVE: Final = 500 * MILLISECOND
 """SYNC counts as running when one was sent or heard within this time; it is also what a command waits for the next one."""
 
@@ -138,7 +150,10 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     last_sync = axis.node.last_sync
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
         yield from act(lambda now: axis.set_controlword(controlword, now))
-        if (yield Wait(SYNC_ALIVE, axis.node, lambda report: isinstance(report, SyncSent | SyncReceived))) is not None:
+        for _ in range(max(1, producer.transmission_type)):  # one of type n goes at every n-th SYNC
+            if (yield Wait(SYNC_ALIVE, axis.node, lambda report: isinstance(report, SyncSent | SyncReceived))) is None:
+                break
+        else:
             return
     yield from write(axis.node, "0x6040", controlword)
 
@@ -238,14 +253,31 @@ def halt(axis: Axis) -> Procedure[None]:
     controlword = axis.controlword if axis.controlword & 0x0F == Command.ENABLE_OPERATION else int(Command.ENABLE_OPERATION)
     yield from command(axis, controlword | ControlBit.HALT)
 
+    is_schunk = axis.settings.homing is HomingStyle.SCHUNK
+    if not is_schunk and axis.mode not in _SHOWS_STANDSTILL:
+        yield from _wait_for_same_position(axis)
+        return
+
     def stands(word: int) -> bool:
         if state_of(word) is not State.OPERATION_ENABLED:
             return True
-        if axis.settings.homing is HomingStyle.SCHUNK:
-            return not word & StatusBit.MANUFACTURER_8
-        return bool(word & StatusBit.TARGET_REACHED)  # with bit 8 set it means velocity 0
+        return not word & StatusBit.MANUFACTURER_8 if is_schunk else bool(word & StatusBit.TARGET_REACHED)
 
     yield from wait_for_statusword(axis, stands, STANDSTILL_TIME, "standstill after a halt", accept_fault=True)
+
+
+def _wait_for_same_position(axis: Axis) -> Procedure[None]:
+    """Standstill as the actual position shows it: the same after STANDSTILL_LOOK, but for the last digit."""
+    deadline = (yield from current_time()) + STANDSTILL_TIME
+    position = yield from read_int(axis.node, "0x6064")
+    while True:
+        yield from sleep(STANDSTILL_LOOK)
+        before, position = position, (yield from read_int(axis.node, "0x6064"))
+        if abs(position - before) <= 1:
+            return
+        if (yield from current_time()) >= deadline:
+            limit = f"{STANDSTILL_TIME / SECOND:g} s"
+            raise StepTimeout(f"{_name(axis)} did not reach standstill after a halt within {limit}: {axis.describe()}")
 
 
 def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:

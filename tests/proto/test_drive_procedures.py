@@ -315,6 +315,7 @@ def test_a_schunk_that_does_not_begin_to_home_has_failed() -> None:
 def test_a_halt_that_is_not_confirmed_is_told() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     schunk_whose_status_is(rig, 0x0237)  # operation enabled, and never at standstill
+    rig.remote.values.store[objects.MODES_OF_OPERATION_DISPLAY] = Mode.PROFILE_POSITION
     with pytest.raises(StepTimeout, match="standstill after a halt"):
         rig.run(drive.halt(rig.axis))
 

@@ -1,0 +1,94 @@
+"""What an Axis knows, and when it has to forget it."""
+
+from __future__ import annotations
+
+import pytest
+
+from canopen_proto.cia402.axis import Axis, AxisStateChanged
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.servo import Shape
+from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import MILLISECOND, SECOND, Outbox
+from canopen_proto.procedures import drive
+from canopen_proto.remote_node import RemoteNode
+from tests.proto.rig import CYCLE, Rig
+
+
+@pytest.mark.parametrize("shape", list(Shape))
+def test_a_drive_that_boots_is_not_homed_any_more_and_its_state_is_not_known(shape: Shape) -> None:
+    """It may have lost its power, and with it its reference: what it was before says nothing."""
+    rig = Rig(shape)
+    rig.run(drive.home(rig.axis))
+    assert rig.axis.is_homed
+    assert rig.axis.state is State.OPERATION_ENABLED
+    rig.bus.events.clear()
+    rig.nmt.reset_node(5, rig.bus.now)
+    rig.bus.run(10 * MILLISECOND)
+    assert not rig.axis.is_homed
+    assert rig.axis.state is State.UNKNOWN
+    changes = [event for event in rig.bus.events if isinstance(event, AxisStateChanged)]
+    assert [(change.previous, change.state) for change in changes] == [(State.OPERATION_ENABLED, State.UNKNOWN)]
+
+
+def test_the_set_point_of_a_drive_without_60c1_is_its_target_position() -> None:
+    objects = [each for index, each in drive_dictionary().objects.items() if index != 0x60C1]
+    axis = Axis(RemoteNode(Outbox(), 5, ObjectDictionary(objects)))
+    axis.set_position(0.25)
+    assert axis.set_point == pytest.approx(0.25, abs=1e-4)
+
+
+@pytest.mark.parametrize("enabled", [False, True])
+@pytest.mark.parametrize("mode", [0, 8])
+def test_a_halt_in_a_mode_whose_bit_10_says_nothing_of_it(mode: int, enabled: bool) -> None:
+    """Csp reserves bit 10, and "no mode" has none: the actual position tells that the axis stands."""
+    rig = Rig(Shape.STANDARD)
+    rig.start_sync()
+    if mode:
+        rig.run(drive.set_mode(rig.axis, mode))
+    if enabled:
+        rig.run(drive.enable(rig.axis))
+    rig.run(drive.halt(rig.axis))
+    assert bool(rig.axis.controlword & 0x100) is enabled
+
+
+def test_a_halt_of_a_moving_axis_in_csp_ends_when_it_stands() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.start_sync()
+    rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
+    position = rig.axis.position
+    for _ in range(20):
+        position += 0.002
+        rig.axis.set_position(position)
+        rig.node.values.store[0x607A00] = rig.axis.to_counts(position)  # as an RPDO of it would
+        rig.bus.run(CYCLE)
+    assert abs(rig.drive._servo.velocity) > 10_000
+    rig.run(drive.halt(rig.axis))
+    assert rig.drive._servo.velocity == 0
+
+
+def test_an_axis_that_does_not_stop_in_csp_is_told() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.node.values.store[0x608400] = rig.node.values.store[0x60C600] = 100  # a ramp of minutes
+    rig.start_sync()
+    rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
+    for step in range(20):
+        rig.node.values.store[0x607A00] = rig.axis.to_counts(rig.axis.position) + 200 * step
+        rig.bus.run(CYCLE)
+    with pytest.raises(drive.StepTimeout, match=r"did not reach standstill after a halt within 0.8 s"):
+        rig.run(drive.halt(rig.axis))
+
+
+def test_a_command_waits_for_the_sync_whose_pdo_takes_it_along() -> None:
+    """An RPDO of type 3 goes at every third SYNC: two words in a row have to be two PDOs, or an edge is none."""
+    rig = Rig(Shape.STANDARD)
+    rig.start_sync()
+    rig.run(drive.enable(rig.axis))
+    rig.remote.add_rpdo(4, 0x505, rig.remote.rpdos[4].mapping, 3)
+    rig.remote.enable_rpdo(4, rig.bus.now)
+    rig.bus.run(SECOND)
+    rig.bus.sent.clear()
+    for word in (0x0F, 0x10F, 0x0F):
+        rig.run(drive.command(rig.axis, word))
+    words = [frame.data[:2].hex() for _, frame in rig.bus.sent if frame.can_id == 0x505]
+    assert words == ["0f00", "0f01", "0f00"]
