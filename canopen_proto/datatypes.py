@@ -15,9 +15,9 @@ also the indices of the dummy entries of a PDO mapping). On the wire all are lit
     TIME_DIFFERENCE                    timedelta             milliseconds and days
 
 `decode` loses nothing: a value that it gave can be encoded again, and gives the same bytes (the four unused bits of the two
-times excepted). So a server may keep values instead of bytes. That is why a VISIBLE_STRING is read and written as Latin-1,
-although the standard allows 0x00 and 0x20..0x7E only (devices do send degree signs), and why padding NULs at its end stay:
-`text.rstrip("\\0")` takes them off for people.
+times and the quiet bit of a REAL32 that is no number excepted). So a server may keep values instead of bytes. That is why a
+VISIBLE_STRING is read and written as Latin-1, although the standard allows 0x00 and 0x20..0x7E only (devices do send degree
+signs), and why padding NULs at its end stay: `text.rstrip("\\0")` takes them off for people.
 
 Left out: the bit-wise types of PDO mapping parameters (INTEGERn with n below 8), which no object has, and the records of
 7.1.6 (PDO parameters and the like), which are objects with subindices and are read as such.
@@ -155,12 +155,10 @@ class _Codec(ABC):
         self.zero = zero
 
     @abstractmethod
-    def encode(self, value: Value, name: str) -> bytes:
-        ...
+    def encode(self, value: Value, name: str) -> bytes: ...
 
     @abstractmethod
-    def decode(self, data: bytes, name: str) -> Value:
-        ...
+    def decode(self, data: bytes, name: str) -> Value: ...
 
     def wrong_kind(self, value: object, name: str, expected: str) -> ValueRangeError:
         return ValueRangeError(f"{name}: {self.data_type.name} takes {expected}, not {_show(value)}")

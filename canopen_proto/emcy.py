@@ -1,8 +1,10 @@
 """Emergency: a device says what went wrong in it, and when that is over (CiA 301 v4.2.0, 7.2.7).
 
-Theory of operation ------------------- An emergency frame has 8 bytes: error code (16 bits), the error register 0x1001 as it
-is now, and 5 bytes that are the manufacturer's. It goes out once per error event, never again while the error lasts; CAN-ID
-0x80 + node-ID (0x1014). The codes' and bits' meanings are in error_codes.py.
+Theory of operation
+-------------------
+An emergency frame has 8 bytes: error code (16 bits), the error register 0x1001 as it is now, and 5 bytes that are the
+manufacturer's. It goes out once per error event, never again while the error lasts; CAN-ID 0x80 + node-ID (0x1014). The codes'
+and bits' meanings are in error_codes.py.
 
 `EmcyProducer` is the device's error memory. Several errors may be there at once; an error is known by its code and its additional
 information (the upper half of its entry in 0x1003: two nodes whose heartbeats are lost are two errors with one code).

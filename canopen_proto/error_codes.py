@@ -1,10 +1,11 @@
 """What the numbers of an emergency mean: error codes and the error register (CiA 301 v4.2.0, 7.2.7.1 and 7.5.2.2; CiA 402-2).
 
-Theory of operation ------------------- An error code is read from left to right: the first digit is the class, and each
-further one says more. So `error_text` takes the longest prefix that the table knows, and a code that no standard names still
-gets its class: 0x8613 is told as 0x8600, "positioning controller", not as "unknown". The table has the codes of CiA 301 and
-those that CiA 402 adds for drives. 0xFFxx is the manufacturer's.
-"""
+Theory of operation
+-------------------
+An error code is read from left to right: the first digit is the class, and each further one says more. So `error_text` takes
+the longest prefix that the table knows, and a code that no standard names still gets its class: 0x8613 is told as 0x8600,
+"positioning controller", not as "unknown". The table has the codes of CiA 301 and those that CiA 402 adds for drives. 0xFFxx is
+the manufacturer's."""
 
 from __future__ import annotations
 
