@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains when it flushes at the end
         return CLOSED_PIPE
     except (click.Abort, KeyboardInterrupt):
-        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO131", "by Ctrl-C"))
+        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "by Ctrl-C"))
     except click.exceptions.NoArgsIsHelpError as no_arguments:
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE

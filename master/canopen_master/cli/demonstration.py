@@ -23,6 +23,7 @@ from canopen_master.cli.fleet import Fleet, simulated_fleet
 from canopen_master.cli.path import Path
 from canopen_master.cli.problem import problem_of, usage
 from canopen_master.cli.recording import JointTrack, Recording
+from canopen_master.cli.running import notes_of
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.device import Device
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
@@ -82,7 +83,7 @@ class JointResult:
 
 
 COLUMNS: Final = (
-    "joint", "node", "state", "homed", "largest following error", "SYNC cycles", "missed cycles", "SDO round trips",
+    "joint", "node", "state", "homed", "largest\nfollowing error", "SYNC\ncycles", "missed\ncycles", "SDO\nround trips",
 )  # fmt: skip
 
 
@@ -97,7 +98,8 @@ class Demonstration:
         self.sync_cycles = 0
         self.missed_cycles = 0
         self.description = self._chosen_chain()
-        self._stage = "nothing had begun yet"
+        self._stage = "the drives were booting, and nothing had moved"
+        self._has_begun = False  # to move
         self._fleet: Fleet | None = None
         self._devices: tuple[Device, ...] = ()
         self._latest: list[tuple[float, float]] = []  # of each joint: actual and commanded position
@@ -137,7 +139,7 @@ class Demonstration:
                 await self._demonstrate(self._chain(master, locators))
         except Exception as error:
             problem = problem_of(error)
-            problem.more += self.story()
+            problem.more += self.story(not notes_of(error))
             if problem.code == CHAIN_FAULT:
                 problem.tries = self._after_fault(problem.node)
             raise problem from error
@@ -189,7 +191,6 @@ class Demonstration:
         ]
 
     async def _boot(self, arm: Chain, view: DemoView) -> None:
-        self._stage = "the drives were booting"
         count = len(arm.devices)
         view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
         step, start = view.begin("boot", "NMT, PDOs, fault reset, enable"), trio.current_time()
@@ -201,7 +202,7 @@ class Demonstration:
             step = view.begin("wait", f"the arm is going to move in {HARDWARE_DELAY} s; Ctrl-C stops it")
             await trio.sleep(HARDWARE_DELAY)
             view.done(step, "the arm moves now; Ctrl-C stops it")
-        self._stage = "the joints were homing"
+        self._stage, self._has_begun = "the joints were homing", True
         step, start = view.begin("home", "the joints look for their reference"), trio.current_time()
         await arm.home()
         view.done(step, f"{len(arm.devices)} joints homed after {trio.current_time() - start:.2f} s")
@@ -216,6 +217,7 @@ class Demonstration:
         self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
         path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds)
         fault = plan.fault
+        refresh = max(1, round(REFRESH * SECOND / plan.cycle))
         async for cycle in arm.cycles():
             self._record(cycle.time)
             self._stage = f"the arm had been moving for {cycle.time:.1f} s"
@@ -227,6 +229,8 @@ class Demonstration:
             arm.set_positions(path.at(cycle.time))
             if cycle.time > plan.seconds + SETTLING_TIME:
                 break
+            if cycle.number % refresh == 0:  # right behind a SYNC: drawing takes 3 ms, and must not delay the next one
+                self._redraw(view)
         missed = f"{arm.missed_cycles} missed" if arm.missed_cycles else "none missed"
         view.done(step, f"{plan.seconds:g} s along a smooth path, {arm.sync_cycles} SYNC cycles of {_ms(plan.cycle)}, {missed}")
 
@@ -246,12 +250,17 @@ class Demonstration:
         self._latest[number] = device.position, device.position + device.following_error
 
     async def _draw(self, view: DemoView) -> None:
+        """Keep the picture up to date, while no cycles run."""
         while True:
-            for joint, device in zip(view.joints, self._devices, strict=False):
-                joint.state = str(device.state)
-                joint.position = math.degrees(device.position)
-            view.refresh()
+            if not self.recording.joints:
+                self._redraw(view)
             await trio.sleep(REFRESH)
+
+    def _redraw(self, view: DemoView) -> None:
+        for joint, device in zip(view.joints, self._devices, strict=False):
+            joint.state = str(device.state)
+            joint.position = math.degrees(device.position)
+        view.refresh()
 
     # ---- what is told of it ----
 
@@ -263,15 +272,17 @@ class Demonstration:
         source = f"{self.description.name} of {self.description.source}"
         return title, f"{source}, {count} {where}, one SYNC each {_ms(self.plan.cycle)}"
 
-    def story(self) -> list[str]:
-        """What has happened to the drives, where it did not end as planned."""
+    def story(self, confirmed: bool) -> list[str]:
+        """What has happened to the drives, where it did not end as planned. confirmed: they have said that they stand."""
+        if not self._devices:
+            return []
         told = [self._stage]
         faulty = [device.name for device in self._devices if device.has_fault]
         others = [device.name for device in self._devices if not device.has_fault]
         if faulty:
             told.append(f"in fault, without power: {', '.join(faulty)}")
-        if others:
-            told.append(f"halted: {', '.join(others)}")
+        if others and self._has_begun:
+            told.append(f"{'halted' if confirmed else 'told to halt'}: {', '.join(others)}")
         if self._fleet is not None and self._fleet.moving:
             told.append(f"STILL MOVING: node {', '.join(map(str, self._fleet.moving))}")
         return told

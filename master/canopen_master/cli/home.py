@@ -61,7 +61,7 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
                 await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
             return [axes[node_id] for node_id in chosen]
 
-    axes = run(settings, screen, command, story=lambda: ["the drives were halted; what was not done by then is not homed"])
+    axes = run(settings, screen, command, story=_story)
     if settings.json:
         screen.json([_as_json(axis) for axis in axes])
         return
@@ -75,6 +75,10 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
         for axis in axes
     ]
     screen.table(("node", "homed", "statusword", "position in counts"), rows, right=("node", "position in counts"))
+
+
+def _story(confirmed: bool) -> list[str]:
+    return [f"the drives were {'halted' if confirmed else 'told to halt'}; what was not done by then is not homed"]
 
 
 def _as_json(axis: Axis) -> dict[str, Any]:

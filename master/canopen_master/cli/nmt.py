@@ -76,7 +76,7 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
     if not (screen.err.is_terminal and sys.stdin.isatty()):
         raise usage("CO122", f"{question}. This has to be confirmed", seen="nothing was sent", tries=("the same with --yes",))
     if not click.confirm(f"{question}. Go on?", err=True):
-        raise Problem(ExitCode.INTERRUPTED, "CO122", "nothing was sent")
+        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 
 
 async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id: int | None, wait: bool) -> NmtState | None:

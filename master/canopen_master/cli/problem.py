@@ -209,15 +209,22 @@ def _of_bus(code: str) -> ExitCode:
     return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
 
 
+_IN_COMMANDS = {"a longer sdo_timeout": "a longer --timeout"}
+"""What the library advises its callers -> what that is on the command line."""
+
+
 def _spoken(error: TransportError | errors.MasterError, exit_code: ExitCode) -> Problem:
     """The Problem of an error that brings its own words."""
+    tries = [_IN_COMMANDS.get(step, step) for step in error.tries if not step.startswith("await ")]
+    if exit_code is ExitCode.NO_ANSWER:
+        tries.append("canopen scan    (who is there?)")
     return Problem(
         exit_code,
         error.code,
         error.failed,
         seen=error.seen,
         cause=error.cause,
-        tries=error.tries,
+        tries=tries,
         node=getattr(error, "node_id", None),
         index=getattr(error, "index", None),
         subindex=getattr(error, "subindex", None),

@@ -8,8 +8,8 @@ status 130, which tells what was done.
 from __future__ import annotations
 
 import signal
-from collections.abc import Awaitable, Callable, Iterable
-from typing import TypeVar
+from collections.abc import Awaitable, Callable
+from typing import TypeAlias, TypeVar
 
 import trio
 
@@ -19,20 +19,21 @@ from canopen_master.cli.screen import Screen
 
 T = TypeVar("T")
 
+Story: TypeAlias = Callable[[bool], list[str]]
+"""What has happened to the drives, line by line. Its argument: whether all of them confirmed that they stand."""
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def run(
-    settings: Settings, screen: Screen, command: Callable[[], Awaitable[T]], *, story: Callable[[], Iterable[str]] = lambda: ()
-) -> T:
-    """What `command` returns. story: on interruption, what has happened to the drives, line by line.
+def run(settings: Settings, screen: Screen, command: Callable[[], Awaitable[T]], *, story: Story = lambda confirmed: []) -> T:
+    """What `command` returns. story: told on interruption.
 
     Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises.
     """
     return trio.run(_run, screen, command, story, clock=settings.clock)
 
 
-async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Callable[[], Iterable[str]]) -> T:
+async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story) -> T:
     results: list[T] = []
     failure: BaseException | None = None
     received: list[int] = []
@@ -45,7 +46,6 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Calla
                     screen.say("[yellow]already ending: the drives are halted first[/]")
                 else:
                     received.append(number)
-                    screen.say("")  # off the line on which the terminal shows ^C
                     scope.cancel()
 
     async with trio.open_nursery() as nursery:
@@ -53,32 +53,35 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Calla
             await nursery.start(watch, scope)
             try:
                 results.append(await command())
-            except trio.Cancelled:
-                raise
-            except BaseException as error:  # noqa: BLE001 - handed on below; here it would come out wrapped in a group
+            except BaseException as error:
                 failure = error
+                if not isinstance(error, Exception):
+                    raise
         nursery.cancel_scope.cancel()
-    if received:
-        raise _interrupted(received[0], story(), failure)
+    if received and not results:
+        raise _interrupted(received[0], story, failure)
     if failure is not None:
         raise failure
     return results[0]
 
 
-def _interrupted(number: int, story: Iterable[str], failure: BaseException | None) -> Problem:
-    problem = Problem(ExitCode.INTERRUPTED, "CO131", f"by {'Ctrl-C' if number == signal.SIGINT else signal.Signals(number).name}")
-    problem.more += story
-    errors = _without_cancelled(failure)
-    if errors is not None:
+def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
+    problem = Problem(ExitCode.INTERRUPTED, "CO132", f"by {'Ctrl-C' if number == signal.SIGINT else signal.Signals(number).name}")
+    unconfirmed = notes_of(failure)
+    problem.more = story(not unconfirmed) + unconfirmed
+    errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure
+    if errors is not None and not isinstance(errors, trio.Cancelled):
         reason = problem_of(errors)
-        problem.more += [f"{reason.code}: {reason.failed}", *reason.more]
-        problem.seen = reason.seen
-        problem.tries = reason.tries
+        problem.more += [f"{reason.code}: {reason.failed}", *(text for text in reason.more if text not in problem.more)]
+        problem.seen, problem.cause, problem.tries = reason.seen, reason.cause, reason.tries
         problem.__cause__ = errors
     return problem
 
 
-def _without_cancelled(failure: BaseException | None) -> BaseException | None:
-    if isinstance(failure, BaseExceptionGroup):
-        return failure.split(trio.Cancelled)[1]
-    return failure
+def notes_of(error: BaseException | None) -> list[str]:
+    """The notes on an exception, and on those in it if it is a group: which drives did not confirm that they stand."""
+    notes: list[str] = list(getattr(error, "__notes__", ()))
+    if isinstance(error, BaseExceptionGroup):
+        for each in error.exceptions:
+            notes += notes_of(each)
+    return notes

@@ -18,18 +18,9 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
 from canopen_proto.procedures.scan import scan as scan_procedure
 
-COLUMNS: Final = (
-    "node",
-    "hex",
-    "NMT state",
-    "device",
-    "name",
-    "vendor-ID",
-    "product code",
-    "revision",
-    "serial number",
-    "remark",
-)
+COLUMNS: Final = ("node", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark")
+DETAILS: Final = ("revision", "serial number")
+"""Columns that are shown with -v, and always in JSON: a row is to fit into a terminal."""
 
 
 @click.command()

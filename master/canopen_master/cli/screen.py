@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Iterable, Sequence
 from typing import IO, Any, Final
 
+from rich import box
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.table import Table
@@ -78,13 +79,13 @@ class Screen:
             self.err.out(json.dumps(problem.as_json(), ensure_ascii=False), highlight=False)
             return
         interrupted = problem.exit_code is ExitCode.INTERRUPTED
-        word = "[bold yellow]interrupted[/]" if interrupted else f"[bold red]error {problem.code}[/]"
+        head = "[bold yellow]interrupted[/]" if interrupted else f"[bold red]error {problem.code}:[/]"
         if not self.err.is_terminal:
-            self.err.print(f"{word}: {escape(problem.failed)}", highlight=False, soft_wrap=True)
+            self.err.print(f"{head} {escape(problem.failed)}", highlight=False, soft_wrap=True)
             for label, text in problem.details():
                 self.err.print(f"  {label} {escape(text)}", highlight=False, soft_wrap=True)
             return
-        self.err.print(f"{word}: {escape(problem.failed)}", highlight=False)
+        self.err.print(f"{head} {escape(problem.failed)}", highlight=False)
         grid = Table.grid(padding=(0, 1))
         grid.add_column(style="dim", no_wrap=True)
         grid.add_column()
@@ -96,9 +97,7 @@ class Screen:
 
 def plain_table(columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> Table:
     """The look of all our tables: no frame, a rule below the heads."""
-    from rich import box
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold", show_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold", show_edge=False)
     numbers = frozenset(right)
     for name in columns:
         table.add_column(name, justify="right" if name in numbers else "left", no_wrap=name in numbers)
