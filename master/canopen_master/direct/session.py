@@ -31,7 +31,7 @@ from typing import Final, TypeVar
 import trio
 
 from canopen_master.chain import ChainSettings
-from canopen_master.chain_file import ChainDescription, read_chains
+from canopen_master.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import MILLIDEGREES, DirectDrive
@@ -70,7 +70,7 @@ class Session:
         self._rpdo, self._tpdo = rpdo, tpdo
         self._connection = Connection()
         self._drives: dict[int, DirectDrive] = {}  # of the open connection; used in the master's thread
-        self._chain_file: str | Path = ""
+        self._chain_source: tuple[str | Path, str | None] = "", None
         self._chains: tuple[ChainDescription, ...] = ()
         self._queues_pdos = True
         self._sync_due = 0.0
@@ -304,13 +304,14 @@ class Session:
 
     # ---- the master half ----
 
-    def init_chain_map(self, file: str | Path) -> None:
+    def init_chain_map(self, file: str | Path = "", *, text: str | None = None) -> None:
         """Read a chain file (a row: `chain1 joint1 /dev/pcan32 12`) into `chain_map`: name -> ChainCalls.
 
-        file: a path, or the name of one of the data files. Raises ChainFileError with all that is wrong, DataError. Their
-        commands are taken after `init_master_thread`.
+        file: a path, or the name of one of the data files; or, in its place, the text of one. Raises ChainFileError with all that
+        is wrong, DataError where it cannot be read. The chains take commands after `init_master_thread`.
         """
-        self._chains, self._chain_file = read_chains(file), file
+        self._chains = read_chains(file) if text is None else parse_chains(text)
+        self._chain_source = file, text
         self.chain_map.clear()
         self.chain_map.update({chain.name: ChainCalls(self._connection, chain) for chain in self._chains})
 
@@ -339,7 +340,8 @@ class Session:
             if master.chains:
                 raise LocalProtocolError("the master's cycle runs already")
             if self._chains:
-                master.load_chains(self._chain_file, settings=settings, axes=MILLIDEGREES)
+                file, text = self._chain_source
+                master.load_chains(file, text=text, settings=settings, axes=MILLIDEGREES)
             master.sync_start(settings.cycle_time)
 
         self._call(begin)
