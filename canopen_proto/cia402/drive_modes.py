@@ -220,14 +220,13 @@ _INTERPOLATE: Final = ModeControl.ENABLE_INTERPOLATION
 class InterpolatedPosition(OperationMode):
     """Interpolated position mode (ip)."""
 
-    __slots__ = ("_active", "_buffer", "_queues", "_warning")
+    __slots__ = ("_active", "_buffer", "_warning")
 
     listens_to = frozenset((objects.INTERPOLATION_SET_POINT, objects.BUFFER_CLEAR))
 
     def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
         super().__init__(servo, out, node_id)
         self._buffer: deque[int] = deque()
-        self._queues = False
         self._active = False
         self._warning = False
 
@@ -252,8 +251,17 @@ class InterpolatedPosition(OperationMode):
 
     @property
     def is_full(self) -> bool:
-        """True if the FIFO takes no further set-point."""
-        return self._queues and len(self._buffer) >= self._size
+        """True if the FIFO takes no further set-point. (A ring takes each one.)"""
+        return self._queues and not self._is_ring and len(self._buffer) >= self._size
+
+    @property
+    def _queues(self) -> bool:
+        """Whether the buffer is enabled, perhaps long before this mode acts."""
+        return bool(self.servo.parameter(objects.BUFFER_CLEAR))
+
+    @property
+    def _is_ring(self) -> bool:
+        return self.servo.parameter(objects.BUFFER_ORGANISATION) == 1
 
     @property
     def _size(self) -> int:
@@ -262,21 +270,19 @@ class InterpolatedPosition(OperationMode):
     def written(self, key: int) -> None:
         if key == objects.INTERPOLATION_SET_POINT:
             self._push(self.servo.parameter(key))
-        elif key == objects.BUFFER_CLEAR:
-            self._queues = bool(self.servo.parameter(key))
-            if not self._queues:
-                self._buffer.clear()
+        elif not self._queues:
+            self._buffer.clear()
         self._show_size()
 
     def _push(self, set_point: int) -> None:
         buffer = self._buffer
         if len(buffer) >= self._size:
-            is_ring = self.servo.parameter(objects.BUFFER_ORGANISATION) == 1
-            lost = buffer.popleft() if is_ring or not self._queues else set_point
+            drives_out = self._is_ring or not self._queues
+            lost = buffer.popleft() if drives_out else set_point
             if self._queues:
                 self.out.events.append(SetPointLost(self.node_id, lost))
-                if not is_ring:
-                    return
+            if not drives_out:
+                return
         buffer.append(set_point)
 
     def _show_size(self) -> None:

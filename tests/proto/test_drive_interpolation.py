@@ -207,17 +207,39 @@ def test_enabled_the_buffer_is_a_fifo() -> None:
     assert bench.read(0x60C4, 2) == 0
 
 
-def test_a_ring_drives_out_the_oldest() -> None:
+@pytest.mark.parametrize("by_sdo", [False, True])
+def test_a_ring_drives_out_the_oldest(by_sdo: bool) -> None:
     bench = interpolating()
     bench.sync()
     bench.write(0x60C4, 1, 3)
     bench.write(0x60C4, 1, 6)
     for number in range(1, 18):
-        bench.put(0x60C1, 1_000 + 10 * number, 1)
+        (bench.write if by_sdo else bench.put)(0x60C1, 1_000 + 10 * number, 1)
     assert bench.reported(SetPointLost) == [SetPointLost(NODE_ID, 1_010)]
     bench.sync()
     bench.run(10)
     assert bench.position == 1_020
+
+
+def test_the_buffer_may_be_enabled_before_the_mode_acts() -> None:
+    bench = Bench()
+    bench.write(0x60C4, 1, 6)
+    bench.enable(7)
+    bench.write(0x60C1, 1_000, 1)
+    bench.write(0x60C1, 1_010, 1)
+    assert bench.read(0x60C4, 2) == 2
+
+
+def test_power_on_disables_the_buffer_again() -> None:
+    bench = Bench()
+    bench.enable(7)
+    bench.write(0x60C4, 1, 6)
+    bench.values.reset()  # as a node does for NMT reset node
+    bench.drive.reset(bench.now)
+    bench.enable(7)
+    bench.write(0x60C1, 1_000, 1)
+    bench.write(0x60C1, 1_010, 1)
+    assert bench.read(0x60C4, 2) == 1
 
 
 def test_software_limits_and_speed_limits_hold_in_interpolation() -> None:
