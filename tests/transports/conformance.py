@@ -12,9 +12,9 @@ from contextlib import AsyncExitStack
 import pytest
 import trio
 import trio.testing
-from canopen_transports import ReceiveOverrun, Transport, TransportError, open_transport
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_transports import ReceiveOverrun, Transport, TransportError, open_transport
 from tests.transports.support import run
 
 EVERY_KIND = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from canopen_transports import TransportError, parse_bitrate, parse_locator
 from canopen_transports.locator import bitrate_text
 

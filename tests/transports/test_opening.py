@@ -12,6 +12,7 @@ from pathlib import Path
 import can
 import pytest
 import trio
+
 from canopen_transports import TransportError, open_transport, parse_locator
 from canopen_transports.diagnosis import (
     bus_lost,
@@ -22,7 +23,6 @@ from canopen_transports.diagnosis import (
     is_can_device,
     not_a_can_interface,
 )
-
 from tests.transports.fake_bus import ScriptedBus
 from tests.transports.support import trio_test
 

@@ -12,10 +12,10 @@ import can
 import pytest
 import trio
 import trio.testing
-from canopen_transports import PythonCanTransport, ReceiveOverrun, TransportError, parse_locator
-from canopen_transports.python_can import ROOM_TIME
 
 from canopen_proto.frame import Frame
+from canopen_transports import PythonCanTransport, ReceiveOverrun, TransportError, parse_locator
+from canopen_transports.python_can import ROOM_TIME
 from tests.transports.fake_bus import ScriptedBus
 from tests.transports.support import trio_test
 

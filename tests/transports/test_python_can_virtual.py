@@ -8,9 +8,9 @@ import can
 import pytest
 import trio
 import trio.testing
-from canopen_transports import PythonCanTransport, ReceiveOverrun, Transport, open_transport
 
 from canopen_proto.frame import Frame
+from canopen_transports import PythonCanTransport, ReceiveOverrun, Transport, open_transport
 from tests.transports.conformance import TransportConformance, number_of, numbered
 from tests.transports.support import trio_test
 

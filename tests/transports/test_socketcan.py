@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import trio
 import trio.testing
-from canopen_transports import Transport, TransportError, open_transport
 
 from canopen_proto.frame import Frame
+from canopen_transports import Transport, TransportError, open_transport
 from tests.transports.conformance import END, TransportConformance
 from tests.transports.support import trio_test
 

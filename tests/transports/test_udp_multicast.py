@@ -8,9 +8,9 @@ import socket
 import can
 import pytest
 import trio
-from canopen_transports import PythonCanTransport, Transport, TransportError, open_transport
 
 from canopen_proto.frame import Frame
+from canopen_transports import PythonCanTransport, Transport, TransportError, open_transport
 from tests.transports.conformance import EVERY_KIND, TransportConformance
 from tests.transports.support import trio_test
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import trio
 import trio.testing
-from canopen_transports import ReceiveOverrun, Transport, VirtualTransport, open_transport
 
 from canopen_proto.frame import Frame
+from canopen_transports import ReceiveOverrun, Transport, VirtualTransport, open_transport
 from tests.transports.conformance import TransportConformance, number_of, numbered
 from tests.transports.support import run, trio_test
 
