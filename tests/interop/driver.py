@@ -32,6 +32,7 @@ class Driver:
         self.network = Network()
         self.events: list[Event] = []
         self.failure: BaseException | None = None
+        self.on_events: Callable[[], object] | None = None  # a host; called in the driver's thread when there is news
         self._bus = can.Bus(interface="virtual", channel=channel)
         self._changed = threading.Condition(threading.RLock())
         self._closing = False
@@ -118,6 +119,8 @@ class Driver:
         if events:
             self.events += events
             self._changed.notify_all()
+            if self.on_events is not None:
+                self.on_events()
 
 
 def _frame_of(message: can.Message) -> Frame:

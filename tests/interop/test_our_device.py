@@ -1,0 +1,350 @@
+"""The master's side of canopen 2.4.1 (`RemoteNode`, `BaseNode402`) against our device and our simulated drive."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import canopen
+import pytest
+from canopen.profiles.p402 import BaseNode402
+
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.servo import DriveSettings
+from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import Access
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import Outbox, Time
+from canopen_proto.nmt import NmtState
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.server import ObjectAccessPending
+from tests.interop.driver import LIMIT, Driver
+from tests.interop.peer import new_channel, peer_dictionary, peer_network
+from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
+
+NODE = 5
+
+
+class Rig:
+    """Our device, booted, and the peer's view of it, on one bus."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        peer: canopen.Network,
+        make: Callable[[Outbox], LocalNode],
+        view: Callable[[int, canopen.ObjectDictionary], canopen.RemoteNode],
+    ) -> None:
+        self.driver = driver
+        self.peer = peer
+        self.device = make(driver.network.out)
+        driver.network.attach(self.device)
+        self.remote = peer.add_node(view(NODE, peer_dictionary(self.device.dictionary, NODE)))
+        self.remote.sdo.RESPONSE_TIMEOUT = 20
+        driver.do(self.device.boot)
+        self.wait(lambda: self.remote.nmt.state == "PRE-OPERATIONAL")
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        """Wait until the condition holds. It may ask the device by SDO, so the driver is not held meanwhile."""
+        end = time.monotonic() + LIMIT
+        while not condition():
+            assert self.driver.failure is None
+            assert time.monotonic() < end, f"not within {LIMIT} s"
+            time.sleep(0.001)
+
+    def start(self) -> None:
+        self.remote.nmt.state = "OPERATIONAL"
+        self.wait(lambda: self.device.state is NmtState.OPERATIONAL)
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    channel = new_channel()
+    driver = Driver(channel)
+    with peer_network(channel) as peer, driver:
+        yield Rig(driver, peer, lambda out: LocalNode(out, NODE, io_device(NODE)), canopen.RemoteNode)
+
+
+# ---- SDO ----
+
+
+def test_every_readable_object_of_the_device(rig: Rig) -> None:
+    """What the peer reads is what the device holds; an empty history entry is refused as the standard says."""
+    for variable in rig.device.dictionary:
+        if variable.access is Access.WO:
+            continue
+        if variable.index == 0x1003 and variable.subindex:
+            with pytest.raises(canopen.SdoAbortedError) as caught:
+                rig.remote.sdo.upload(variable.index, variable.subindex)
+            assert caught.value.code == AbortCode.NO_DATA
+            continue
+        data = rig.remote.sdo.upload(variable.index, variable.subindex)
+        assert data == rig.device.values.raw(variable.index, variable.subindex)
+
+
+@pytest.mark.parametrize("text", ["", "a", "abcd", "abcde", "abcdefg", "x" * 8, "y" * 1000])
+def test_texts_down_and_up(rig: Rig, text: str) -> None:
+    if text:  # the peer cannot download nothing
+        rig.remote.sdo.download(TEXT, 0, text.encode())
+        assert rig.device.values.store[TEXT << 8] == text
+    else:
+        rig.device.values.store[TEXT << 8] = ""
+    assert rig.remote.sdo.upload(TEXT, 0) == text.encode()
+
+
+def test_numbers(rig: Rig) -> None:
+    rig.remote.sdo[OUTPUT].raw = -1234
+    assert rig.device.values.store[OUTPUT << 8] == -1234
+    assert rig.remote.sdo[OUTPUT].raw == -1234
+    rig.remote.sdo.download(OUTPUT, 0, b"\x01\x02", force_segment=True)
+    assert rig.remote.sdo[OUTPUT].raw == 0x0201
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "data", "abort_code"),
+    [
+        (0x2FFF, 0, None, AbortCode.NO_SUCH_OBJECT),
+        (0x1018, 9, None, AbortCode.NO_SUCH_SUBINDEX),
+        (INPUT, 0, b"\x00\x00", AbortCode.READ_ONLY),
+        (LIMITED, 0, b"\x00", AbortCode.VALUE_TOO_LOW),
+        (LIMITED, 0, b"\xff", AbortCode.VALUE_TOO_HIGH),
+        (LIMITED, 0, b"\x0c\x00", AbortCode.LENGTH_TOO_HIGH),
+        (0x1600, 0, b"\x00", AbortCode.DEVICE_STATE),
+        (0x1019, 0, b"\x01", AbortCode.INVALID_VALUE),
+    ],
+)
+def test_aborts(rig: Rig, index: int, subindex: int, data: bytes | None, abort_code: AbortCode) -> None:
+    sdo = rig.remote.sdo
+    with pytest.raises(canopen.SdoAbortedError) as caught:
+        sdo.upload(index, subindex) if data is None else sdo.download(index, subindex, data)
+    assert caught.value.code == abort_code
+
+
+def test_block_transfer_is_refused(rig: Rig) -> None:
+    with pytest.raises(canopen.SdoAbortedError) as caught:
+        rig.remote.sdo.open(TEXT, 0, "rb", block_transfer=True)
+    assert caught.value.code == AbortCode.INVALID_COMMAND
+    assert rig.remote.sdo[LIMITED].raw == 10  # and the server goes on
+
+
+def test_an_object_that_the_host_serves(rig: Rig) -> None:
+    rig.device.deferred.add(LIMITED)
+
+    def answer(now: Time) -> None:
+        for report in rig.driver.events:
+            if isinstance(report, ObjectAccessPending):
+                rig.device.complete(report.access_id, b"\x11", now)
+
+    rig.driver.on_events = lambda: rig.driver.do(answer)
+    assert rig.remote.sdo[LIMITED].raw == 0x11
+
+
+# ---- NMT, heartbeat, EMCY, SYNC ----
+
+
+@pytest.mark.parametrize(
+    ("name", "state"),
+    [
+        ("OPERATIONAL", NmtState.OPERATIONAL),
+        ("STOPPED", NmtState.STOPPED),
+        ("RESET", NmtState.PRE_OPERATIONAL),
+        ("RESET COMMUNICATION", NmtState.PRE_OPERATIONAL),
+    ],
+)
+def test_nmt_and_heartbeat(rig: Rig, name: str, state: NmtState) -> None:
+    rig.remote.sdo[LIMITED].raw = 15
+    rig.remote.sdo[0x1017].raw = 10
+    rig.wait(lambda: rig.device.communication.heartbeat.period > 0)
+    rig.remote.nmt.wait_for_heartbeat(timeout=20)
+    assert rig.remote.nmt.state == "PRE-OPERATIONAL"
+    rig.remote.nmt.state = name
+    if name.startswith("RESET"):
+        rig.wait(lambda: rig.device.communication.heartbeat.period == 0)
+        assert rig.device.values.store[LIMITED << 8] == (10 if name == "RESET" else 15)
+    rig.wait(lambda: rig.device.state is state)
+    wanted = state.name.replace("_", "-")
+    rig.wait(lambda: rig.remote.nmt.state == wanted)
+
+
+def test_emergencies(rig: Rig) -> None:
+    rig.driver.do(lambda now: rig.device.raise_error(0x2310, 0x02, b"\x01\x02", now))
+    rig.wait(lambda: len(rig.remote.emcy.log) == 1)
+    (error,) = rig.remote.emcy.active
+    assert (error.code, error.register, error.data) == (0x2310, 3, b"\x01\x02\x00\x00\x00")
+    assert rig.remote.sdo[0x1003][1].raw == 0x2310
+    rig.driver.do(lambda now: rig.device.clear_error(0x2310, now))
+    rig.wait(lambda: not rig.remote.emcy.active)
+
+
+def test_our_device_as_the_sync_producer(rig: Rig) -> None:
+    heard: list[bytes] = []
+    rig.peer.subscribe(0x80, lambda can_id, data, timestamp: heard.append(bytes(data)))
+    rig.remote.sdo[0x1019].raw = 4
+    rig.remote.sdo[0x1006].raw = 5000
+    rig.remote.sdo[0x1005].raw = 0x40000080
+    rig.wait(lambda: len(heard) >= 6)
+    assert heard[:6] == [b"\x01", b"\x02", b"\x03", b"\x04", b"\x01", b"\x02"]
+    rig.remote.sdo[0x1006].raw = 0
+
+
+# ---- PDO ----
+
+
+def test_pdos_as_the_device_has_them(rig: Rig) -> None:
+    remote = rig.remote
+    remote.tpdo.read()
+    remote.rpdo.read()
+    assert [entry.index for entry in remote.tpdo[1]] == [INPUT]
+    rig.start()
+    heard: list[int] = []
+    remote.tpdo[1].add_callback(lambda pdo: heard.append(pdo[INPUT].raw))
+    rig.driver.do(lambda now: rig.device.set_value(INPUT, 0, -77, now))
+    rig.wait(lambda: heard == [-77])
+    remote.rpdo[1][OUTPUT].raw = 99
+    remote.rpdo[1].transmit()
+    rig.wait(lambda: rig.device.values.store[OUTPUT << 8] == 99)
+
+
+def test_synchronous_pdos(rig: Rig) -> None:
+    remote = rig.remote
+    remote.tpdo.read()
+    remote.rpdo.read()
+    rig.start()
+    heard: list[int] = []
+    remote.tpdo[2].add_callback(lambda pdo: heard.append(pdo[INPUT].raw))
+    remote.rpdo[2][OUTPUT].raw = 7
+    remote.rpdo[2].transmit()
+    rig.driver.do(lambda now: rig.device.set_value(INPUT, 0, 5, now))
+    assert heard == []
+    rig.peer.sync.transmit()
+    rig.wait(lambda: heard == [5])
+    rig.wait(lambda: rig.device.values.store[OUTPUT << 8] == 7)
+
+
+def test_the_peers_way_of_remapping_is_ours_too(rig: Rig) -> None:
+    remote = rig.remote
+    remote.rpdo.read()
+    remote.tpdo.read()
+    pdo = remote.rpdo[1]
+    pdo.clear()
+    pdo.add_variable(LIMITED)
+    pdo.add_variable(OUTPUT)
+    pdo.trans_type = 254
+    pdo.save()
+    back = remote.tpdo[1]
+    back.clear()
+    back.add_variable(OUTPUT)
+    back.event_timer = 10
+    back.save()
+    assert rig.device.pdos.consumers[1].mapping.parameters == (LIMITED << 16 | 8, OUTPUT << 16 | 16)
+    heard: list[int] = []
+    back.add_callback(lambda mapped: heard.append(mapped[OUTPUT].raw))
+    rig.start()
+    pdo[LIMITED].raw, pdo[OUTPUT].raw = 13, -3
+    pdo.transmit()
+    rig.wait(lambda: rig.device.values.store[LIMITED << 8] == 13)
+    rig.wait(lambda: -3 in heard)
+
+
+def test_a_mapping_that_can_not_be_is_refused_to_the_peer(rig: Rig) -> None:
+    remote = rig.remote
+    remote.rpdo.read()
+    pdo = remote.rpdo[1]
+    pdo.clear()
+    pdo.add_variable(INPUT)  # an input cannot be received
+    with pytest.raises(canopen.SdoAbortedError) as caught:
+        pdo.save()
+    assert caught.value.code == AbortCode.CANNOT_BE_MAPPED
+
+
+# ---- the simulated drive ----
+
+
+class PatientNode402(BaseNode402):
+    """With time enough for a machine under load."""
+
+    TIMEOUT_RESET_FAULT = 0.5  # it always passes, by a fault of theirs
+    TIMEOUT_SWITCH_OP_MODE = 20
+    TIMEOUT_SWITCH_STATE_FINAL = 20
+    TIMEOUT_SWITCH_STATE_SINGLE = 20
+    TIMEOUT_CHECK_TPDO = 20
+
+
+@pytest.fixture
+def drive() -> Iterator[Rig]:
+    channel = new_channel()
+    driver = Driver(channel)
+    with peer_network(channel) as peer, driver:
+        rig = Rig(driver, peer, lambda out: DriveNode(out, NODE, DriveSettings()), PatientNode402)
+        for number in (1, 2):  # statusword, mode: by SYNC, since the peer knows only what a TPDO has told it
+            pdo = rig.remote.tpdo[number]
+            pdo.read()
+            pdo.trans_type = 1
+            pdo.save()
+        rig.remote.setup_402_state_machine()
+        rig.start()
+        peer.sync.start(0.005)
+        yield rig
+
+
+def drive_of(rig: Rig) -> DriveNode:
+    assert isinstance(rig.device, DriveNode)
+    return rig.device
+
+
+def test_the_peer_enables_and_disables_our_drive(drive: Rig) -> None:
+    remote = drive.remote
+    for state, ours in [
+        ("READY TO SWITCH ON", State.READY_TO_SWITCH_ON),
+        ("SWITCHED ON", State.SWITCHED_ON),
+        ("OPERATION ENABLED", State.OPERATION_ENABLED),
+        ("SWITCH ON DISABLED", State.SWITCH_ON_DISABLED),
+        ("OPERATION ENABLED", State.OPERATION_ENABLED),
+    ]:
+        remote.state = state
+        assert drive_of(drive).drive.state is ours
+        assert remote.state == state
+
+
+MODES = [("PROFILED POSITION", 1), ("HOMING", 6), ("INTERPOLATED POSITION", 7), ("CYCLIC SYNCHRONOUS POSITION", 8)]
+
+
+@pytest.mark.parametrize(("mode", "number"), MODES)
+def test_the_peer_selects_modes_of_our_drive(drive: Rig, mode: str, number: int) -> None:
+    drive.remote.op_mode = mode
+    assert drive_of(drive).drive.mode == number
+    assert drive.remote.op_mode == mode
+
+
+def test_the_peer_homes_our_drive(drive: Rig) -> None:
+    remote = drive.remote
+    remote.sdo[0x6098].raw = 35  # where it stands
+    assert remote.homing(timeout=20)
+    drive.wait(lambda: remote.sdo[0x6064].raw == 0)
+    assert remote.is_homed()
+
+
+def test_the_peer_moves_our_drive(drive: Rig) -> None:
+    remote = drive.remote
+    remote.op_mode = "PROFILED POSITION"
+    remote.state = "OPERATION ENABLED"
+    start = remote.sdo[0x6064].raw
+    remote.sdo[0x607A].raw = start + 500
+    remote.controlword = 0x1F
+    drive.wait(lambda: bool(remote.sdo[0x6041].raw & 0x1000))  # set-point acknowledged
+    remote.controlword = 0x0F
+    drive.wait(lambda: bool(remote.sdo[0x6041].raw & 0x0400))  # target reached
+    drive.wait(lambda: abs(remote.sdo[0x6064].raw - start - 500) <= 10)
+
+
+def test_a_fault_of_our_drive_reaches_the_peer_and_is_reset(drive: Rig) -> None:
+    remote, node = drive.remote, drive_of(drive)
+    remote.state = "OPERATION ENABLED"
+    drive.driver.do(lambda now: node.raise_fault(0x7320, now))
+    drive.wait(lambda: remote.state == "FAULT")
+    drive.wait(lambda: [error.code for error in remote.emcy.active] == [0x7320])
+    assert remote.is_faulted()
+    assert remote.sdo[0x603F].raw == 0x7320
+    remote.reset_from_fault()
+    assert remote.state == "OPERATION ENABLED"
+    drive.wait(lambda: not remote.emcy.active)
