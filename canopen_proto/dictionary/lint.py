@@ -36,6 +36,7 @@ _OTHER_SERVICES: Final = {
     range(0x001, 0x080): "NMT",
     range(0x080, 0x100): "SYNC and EMCY",
     range(0x100, 0x101): "TIME",
+    range(0x101, 0x181): "a reserved range",
     range(0x581, 0x600): "SDO",
     range(0x601, 0x680): "SDO",
     range(0x6E0, 0x700): "NMT, LSS and others",

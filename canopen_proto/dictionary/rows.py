@@ -44,7 +44,7 @@ PREDEFINED_PDOS: Final[Mapping[int, tuple[Direction, int]]] = {
     0x480: (Direction.TPDO, 4),
     0x500: (Direction.RPDO, 4),
 }
-"""Direction and number by COB-ID without node-ID: the predefined connection set (CiA 301 v4.2.0, 7.3.3, table 37)."""
+"""Direction and number by COB-ID without node-ID: the predefined connection set (CiA 301 v4.2.0, 7.3.3)."""
 
 ANY_LENGTH: Final = "-"
 MAX_COB_BASE: Final = 0x780

@@ -99,6 +99,8 @@ def test_sound_constants() -> None:
          "PDOs.csv:1:8: warning: 0x181 seems to have a node-ID in it; the node-ID is added to it [cob-id]"),
         ("x_tPDO 0x80 statusword pad16 pad32",
          "PDOs.csv:1:8: warning: 0x80 with a node-ID added meets the CAN-IDs of SYNC and EMCY [cob-id]"),
+        ("x_tPDO 0x100 statusword pad16 pad32",
+         "PDOs.csv:1:8: warning: 0x100 with a node-ID added meets the CAN-IDs of a reserved range [cob-id]"),
         ("x_tPDO 0x5F0 statusword pad16 pad32",
          "PDOs.csv:1:8: warning: 0x5F0 with a node-ID added meets the CAN-IDs of SDO [cob-id]"),
         ("x_tPDO 0x700 statusword pad16 pad32",
