@@ -221,7 +221,7 @@ def error_text(code: int) -> str:
 
 
 class ErrorRegister(IntFlag):
-    """The bits of the error register, 0x1001. Bit 6 is reserved. CiA 301 v4.2.0, 7.5.2.2, table 44"""
+    """The bits of the error register, 0x1001. Bit 6 is reserved. CiA 301 v4.2.0, 7.5.2.2"""
 
     GENERIC = 0x01
     CURRENT = 0x02

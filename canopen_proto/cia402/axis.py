@@ -39,7 +39,7 @@ from canopen_proto.cia402.objects import (
     TORQUE_ACTUAL_VALUE,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.cia402.states import State, StatusBit, state_of
+from canopen_proto.cia402.states import State, state_of
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time, event
 from canopen_proto.remote_node import FRESH, RemoteNode
 
@@ -147,11 +147,6 @@ class Axis:
     def has_fault(self) -> bool:
         """Whether the drive is in Fault or on its way there."""
         return self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
-
-    @property
-    def is_moving_schunk(self) -> bool:
-        """Bit 8, which Schunk drives set while they move."""
-        return bool(self.statusword & StatusBit.MANUFACTURER_8)
 
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
         """0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""

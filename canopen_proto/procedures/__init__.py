@@ -1,0 +1,11 @@
+"""Sequences over the machines, without I/O: what a procedure is, and those of the product.
+
+    steps.py           what a procedure is made of: upload, download, sleep, wait_for_event, all_of
+    runner.py          `Runner`, which runs them; `Network.run` is the usual way in
+    objects.py         read and write a node's objects by name and value
+    drive.py           the manual's sequences for a CiA 402 drive: homing, interpolation, halt ...
+    configure_pdo.py   `define_pdo` and what it is made of
+    scan.py            who is on the bus
+
+Import from these modules.
+"""
