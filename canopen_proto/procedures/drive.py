@@ -254,7 +254,7 @@ def halt(axis: Axis) -> Procedure[None]:
     yield from command(axis, controlword | ControlBit.HALT)
 
     is_schunk = axis.settings.homing is HomingStyle.SCHUNK
-    if not is_schunk and axis.mode not in _SHOWS_STANDSTILL:
+    if not is_schunk and axis.mode not in _SHOWS_STANDSTILL and "0x6064" in axis.node.dictionary:
         yield from _wait_for_same_position(axis)
         return
 

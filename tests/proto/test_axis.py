@@ -79,6 +79,18 @@ def test_an_axis_that_does_not_stop_in_csp_is_told() -> None:
         rig.run(drive.halt(rig.axis))
 
 
+def test_a_halt_of_a_drive_without_an_actual_position_goes_by_bit_10() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.run(drive.set_mode(rig.axis, 1))
+    rig.run(drive.enable(rig.axis))
+    objects = [each for index, each in rig.node.dictionary.objects.items() if index != 0x6064]
+    other = RemoteNode(rig.master.out, 5, ObjectDictionary(objects))
+    rig.master.detach(rig.remote)
+    rig.master.attach(other)
+    rig.run(drive.halt(Axis(other)))
+    assert rig.node.values.store[0x604000] == 0x10F
+
+
 def test_a_command_waits_for_the_sync_whose_pdo_takes_it_along() -> None:
     """An RPDO of type 3 goes at every third SYNC: two words in a row have to be two PDOs, or an edge is none."""
     rig = Rig(Shape.STANDARD)
