@@ -1,0 +1,46 @@
+"""Coverage-guided fuzzing with atheris, for long; the normal tests run the same bodies for a moment.
+
+    pip install atheris
+    python -m fuzz sdo_server [-max_total_time=3600 and whatever else libFuzzer takes]
+    python -m fuzz show crash-...
+
+New inputs go to fuzz/found/TARGET (not kept in the repository); what is worth keeping goes to fuzz/corpus/TARGET.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def main(arguments: list[str]) -> int:
+    """The exit status: 0, or 2 where it could not begin."""
+    from fuzz.steps import decode, text_of
+
+    if len(arguments) == 2 and arguments[0] == "show":
+        print(text_of(decode(Path(arguments[1]).read_bytes())))
+        return 0
+    names = sorted(path.name for path in (HERE / "corpus").iterdir())
+    if not arguments or arguments[0] not in names:
+        print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]\n       python -m fuzz show FILE")
+        return 2
+    try:
+        import atheris
+    except ImportError:
+        print("atheris is not installed: 'pip install atheris' (Linux); tests/proto/test_fuzz_corpus.py runs the same bodies")
+        return 2
+    with atheris.instrument_imports(include=["canopen_proto"]):
+        from fuzz.targets import TARGETS
+
+    name, *options = arguments
+    found = HERE / "found" / name
+    found.mkdir(parents=True, exist_ok=True)
+    atheris.Setup([sys.argv[0], *options, str(found), str(HERE / "corpus" / name)], TARGETS[name])
+    atheris.Fuzz()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,148 @@
+"""Bodies of the fuzz targets: ordinary functions of bytes, which the normal tests run too (tests/proto/test_fuzz_corpus.py).
+
+The oracle is one sentence of the core's contract: nothing but LocalProtocolError may be raised, and that only by a wrong call of
+our own side. Besides: each request has one outcome, served time does not want to be served again, memory is bounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from canopen_proto.dictionary import Values
+from canopen_proto.dictionary.csv import load_csv
+from canopen_proto.dictionary.findings import DictionaryError
+from canopen_proto.frame import Frame
+from canopen_proto.machine import Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.server import SdoServer
+from canopen_proto.sdo.store import ValuesStore
+from fuzz.steps import decode
+from tests.proto.devices import io_device
+from tests.proto.subjects import LocalSubject, RemoteSubject, held
+
+LARGEST_TRANSFER: Final = 64
+MOST_STEPS: Final = 2000
+_DICTIONARY: Final = io_device()
+
+
+def local_node(data: bytes) -> None:
+    """A device."""
+    _drive(LocalSubject(), data)
+
+
+def remote_node(data: bytes) -> None:
+    """A master's view of a device."""
+    _drive(RemoteSubject(), data)
+
+
+def _drive(subject: LocalSubject | RemoteSubject, data: bytes) -> None:
+    for count, step in enumerate(decode(data)):
+        if count >= MOST_STEPS:
+            break
+        if isinstance(step, Frame):
+            subject.receive(step)
+        elif step[0] == "wait":
+            subject.pass_time(step[1])
+        else:
+            subject.act(step[1])
+    subject.check()
+
+
+def sdo_client(data: bytes) -> None:
+    """An SDO client that stands alone; its own side uploads, downloads and cancels."""
+    client = SdoClient(Outbox(), 5, max_upload=LARGEST_TRANSFER, max_queue=1 << 16)
+    client.copy_guard = 50_000_000 if data[:1] > b"\x80" else 0
+    now: Time = 0
+    open_requests: set[RequestId] = set()
+
+    def settle() -> None:
+        for report in client.out.events:
+            if isinstance(report, Outcome):
+                assert isinstance(report, SdoUploaded | SdoDownloaded | SdoAborted)
+                open_requests.remove(report.request_id)
+                assert not isinstance(report, SdoUploaded) or len(report.data) <= LARGEST_TRANSFER
+        client.out.events.clear()
+        client.out.frames.clear()
+
+    for step in decode(data):
+        if isinstance(step, Frame):
+            client.receive(step, now)
+        elif step[0] == "wait":
+            now = _wake(client, now, now + step[1])
+        else:
+            choice, size = step[1] % 4, step[1] >> 2
+            if choice == 0:
+                open_requests.add(client.upload(0x2000 + size % 3, 0, now, urgent=size % 5 == 0))
+            elif choice == 1:
+                open_requests.add(client.download(0x2000, size % 3, bytes(size % 30), now))
+            elif choice == 2:
+                for request_id in sorted(open_requests)[: size % 3]:
+                    client.cancel(request_id, now)
+            else:
+                client.abort_all(0x08000000, now)
+        settle()
+    for _ in range(2 * len(open_requests)):  # nobody answers: each times out, or waits for its turn and then times out
+        now = _wake(client, now, max(now, client.deadline)) if client.busy else now
+        settle()
+    assert not client.busy
+    assert not open_requests
+    assert held(client) < 2000
+
+
+def sdo_server(data: bytes) -> None:
+    """An SDO server over a dictionary: whatever is written, its values stay such that they can be read."""
+    values = Values(_DICTIONARY, 5)
+    server = SdoServer(Outbox(), 5, ValuesStore(values), max_download=LARGEST_TRANSFER)
+    now: Time = 0
+    for step in decode(data):
+        if isinstance(step, Frame):
+            server.receive(step, now)
+        elif step[0] == "wait":
+            now = _wake(server, now, now + step[1])
+        elif step[1] % 3 == 0:
+            server.reset()
+        elif step[1] % 3 == 1:
+            server.disable()
+        else:
+            server.enable()
+        assert all(len(frame.data) == 8 for frame in server.out.frames)
+        server.out.frames.clear()
+        server.out.events.clear()
+    for variable in _DICTIONARY:
+        assert variable.decode(values.raw(variable.index, variable.subindex)) == values[variable.mux]
+    assert held(server) < 5000
+
+
+def _wake(machine: Machine, now: Time, end: Time) -> Time:
+    """Serve a machine's deadlines up to a time, which comes back: some when they are due, the rest late."""
+    for _ in range(40):
+        if machine.deadline > end:
+            return end
+        now = max(now, machine.deadline)
+        machine.handle_timeout(now)
+    for _ in range(MOST_STEPS):  # all that wait may be late
+        machine.handle_timeout(end)
+    assert machine.deadline > end
+    return end
+
+
+def csv_files(data: bytes) -> None:
+    """The readers of the three CSV files: one text, cut at NULs. An error is a DictionaryError with its place."""
+    texts = data.decode("utf-8", errors="replace").split("\x00")
+    indices, constants, pdos = (*texts, "", "")[:3] if len(texts) < 3 else texts[:3]
+    try:
+        dictionary, _ = load_csv(indices, constants, pdos)
+    except DictionaryError as error:
+        if not error.findings:
+            raise
+        return
+    for variable in dictionary:
+        assert dictionary.variable(variable.name).index == variable.index
+    for pdo in dictionary.pdos:
+        assert pdo.bit_length <= 64
+
+
+TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
+    target.__name__: target for target in (local_node, remote_node, sdo_client, sdo_server, csv_files)
+}
