@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 
 import trio
 
-from canopen_data import DataError
+from canopen_data import DataError, load_dictionary
 from canopen_master.direct.background import Background
 from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
@@ -92,6 +92,8 @@ class Connection:
                 if self.is_open:
                     raise AlreadyConnected(self.bus)
                 self._end()
+                if dictionary is None:
+                    dictionary, _ = load_dictionary()  # now, so that a fault in the files is told now
                 make = partial(_master, tuple(self._simulated), bus, dict(buses), sdo_timeout, dictionary, prepare)
                 background = Background(make, lambda master: master.failure)
                 background.start()
@@ -146,7 +148,7 @@ async def _master(
     bus: str,
     buses: Mapping[str, str],
     sdo_timeout: float,
-    dictionary: ObjectDictionary | None,
+    dictionary: ObjectDictionary,
     prepare: Callable[[Master], object],
 ) -> AsyncIterator[Master]:
     """The master, and around it the simulated drives, which have to outlive it: it halts them on its way out."""

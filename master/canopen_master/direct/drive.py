@@ -18,6 +18,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
+import trio
+
 from canopen_master.device import Device
 from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.master import Master
@@ -55,9 +57,10 @@ class DirectDrive:
         self.node = device.node
         self.interval = 10
         self._producer: PdoProducer | None = None
+        self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
         self._may_wait = False  # a set-point, in the drive, for a SYNC
-        self._unanswered = -1  # SYNCs since its last PDO; -1: it has sent none since it follows
+        self._unanswered = -1  # SYNCs since its last PDO; -1: it has sent none so far
         descriptions = {each.name: each for each in self.node.dictionary.pdos}
         if rpdo in descriptions:
             self._use(descriptions[rpdo], descriptions[rpdo].number)
@@ -69,25 +72,25 @@ class DirectDrive:
 
     async def reset_fault(self) -> None:
         """As procedures.drive.reset_fault."""
-        await self._master.run(drive.reset_fault(self.axis))
+        await self._run(drive.reset_fault(self.axis))
 
     async def change_state(self, state: State) -> None:
         """Lead it to a state, up or down. To another one than Operation enabled: it follows no set-points any more."""
         if state is not State.OPERATION_ENABLED:
             self._is_following = False
-        await self._master.run(drive.change_state(self.axis, state))
-        await self._master.run(self._replace_waiting())
+        await self._run(drive.change_state(self.axis, state))
+        await self._run(self._replace_waiting())
 
     async def home(self) -> None:
         """Home it, in the way that it has; see `find_homing_style`."""
         self._is_following = False
-        await self._master.run(find_homing_style(self._device))
-        await self._master.run(drive.home(self.axis))
+        await self._run(find_homing_style(self._device))
+        await self._run(drive.home(self.axis))
 
     async def set_mode(self, mode: int) -> None:
         """Select a mode of operation."""
         self._is_following = False
-        await self._master.run(drive.set_mode(self.axis, mode))
+        await self._run(drive.set_mode(self.axis, mode))
 
     async def follow(self) -> None:
         """Interpolated position mode, from where it stands."""
@@ -96,24 +99,26 @@ class DirectDrive:
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
             )
         self._is_following = False
-        await self._master.run(drive.start_interpolation(self.axis, self.interval * MILLISECOND))
-        self._is_following, self._unanswered = True, -1
+        await self._run(drive.start_interpolation(self.axis, self.interval * MILLISECOND))
+        self._is_following, self._unanswered = True, min(self._unanswered, 0)
 
     async def halt(self) -> None:
-        """Stop it; it stays enabled."""
+        """Stop it, and end what is being done with it; it stays enabled."""
         self._is_following = False
+        for scope in self._running:
+            scope.cancel()
         await self._master.run(drive.halt(self.axis))
         await self._master.run(self._replace_waiting())
 
     async def shut_down(self) -> None:
         """Take its power away."""
         self._is_following = False
-        await self._master.run(drive.shut_down(self.axis))
-        await self._master.run(self._replace_waiting())
+        await self._run(drive.shut_down(self.axis))
+        await self._run(self._replace_waiting())
 
     async def set_interval(self, milliseconds: int) -> None:
         """Tell the drive the time between two SYNCs, and that it shall not watch over it (Schunk's 0x200E = 0)."""
-        await self._master.run(self._set_interval(milliseconds))
+        await self._run(self._set_interval(milliseconds))
         self.interval = milliseconds
 
     async def wait_for(self, constant: str, timeout: Time) -> None:
@@ -121,7 +126,7 @@ class DirectDrive:
         wanted = self.node.dictionary.constant("statusword", constant)
         # A fault, too, may be what is waited for.
         waiting = drive.wait_for_statusword(self.axis, wanted.is_in, timeout, constant, accept_fault=True)
-        await self._master.run(waiting)
+        await self._run(waiting)
 
     async def define(self, description: PdoDescription, number: int | None, transmission_type: int) -> None:
         """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices ask."""
@@ -132,7 +137,7 @@ class DirectDrive:
         if state is NmtState.OPERATIONAL:
             await self._master.nmt_enter_pre_operational(self.node.node_id, bus=self.node.bus)
         try:
-            await self._master.run(define_pdo(self.node.remote, description, number=number, transmission_type=transmission_type))
+            await self._run(define_pdo(self.node.remote, description, number=number, transmission_type=transmission_type))
         finally:
             if state is NmtState.OPERATIONAL:
                 await self._master.nmt_start(self.node.node_id, bus=self.node.bus)
@@ -140,12 +145,26 @@ class DirectDrive:
                 self.node.remote.remove_pdo(Direction.RPDO, number)  # we send it, not the SYNC
         self._use(description, number)
 
+    async def _run(self, procedure: Procedure[object]) -> None:
+        """Run a sequence to its end; ProcedureError where `halt` ended it before."""
+        with trio.CancelScope() as scope:
+            self._running.add(scope)
+            try:
+                await self._master.run(procedure)
+            finally:
+                self._running.remove(scope)
+        if scope.cancelled_caught:
+            raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
+
     # ---- set-points ----
 
     async def send_position(self, position: int) -> None:
         """Send the rPDO with this set-point now. Raises where the drive would not follow it; see Session.send_pos."""
+        if self.node.remote.rpdo_of(0x60C1, 1) is not None:
+            self.axis.set_position_counts(position)  # a joint of a chain: the master's next cycle takes it along
+            return
         node_id = self.node.node_id
-        if not self._is_following or self._producer is None:
+        if not self._is_following:
             raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
         if self.axis.has_fault or self.axis.state is not State.OPERATION_ENABLED:
             self._is_following = False
@@ -156,8 +175,7 @@ class DirectDrive:
             cause = "its power is off, its cable is loose, or it was stopped"
             raise NodeSilent(NOT_HEARD, node_id, self.node.bus, failed, cause=cause, tries=("look at the drive and its cable",))
         self.axis.set_position_counts(position)
-        if self.node.remote.rpdo_of(0x60C1, 1) is None:
-            await self._master.run(self._send())  # else the master's cycle sends it: the drive is a chain's joint
+        await self._master.run(self._send())
 
     def on_sync(self) -> None:
         """A SYNC was sent."""

@@ -1,0 +1,105 @@
+"""Real drives, as far as the direct API can tell: simulated, but in a thread of their own, on a bus that the test listens to."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import time
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+
+import can
+import trio
+
+from canopen_master import Host, powerballs, simulate
+from canopen_master.direct import Background
+from canopen_master.simulation import DeviceMaker
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_transports import open_transport
+
+LIMIT = 20.0
+"""Seconds after which a test gives up."""
+
+_numbers = itertools.count()
+
+
+class Devices:
+    """Devices on a bus of python-can's `virtual` interface, and a listener to all of its frames. bus: its locator."""
+
+    def __init__(self, *node_ids: int, makers: Sequence[DeviceMaker] = ()) -> None:
+        channel = f"direct{next(_numbers)}"
+        self.bus = f"pythoncan:virtual:{channel}"
+        self._listener = can.Bus(channel, interface="virtual")
+        self._background = Background(lambda: _host(self.bus, [*powerballs(*node_ids), *makers]))
+        self.host = self._background.start()
+        self.power_cycle()
+
+    def node(self, node_id: int) -> DriveNode:
+        (node,) = (each for each in self.host.nodes if each.node_id == node_id)
+        assert isinstance(node, DriveNode)
+        return node
+
+    def power_cycle(self) -> None:
+        """Everything as at power-on; nothing of before is in `frames`."""
+        self.frames(0)
+        self.send(0x000, "8100")
+        self._wait_for(f"{0x700 + self.host.nodes[-1].node_id:03X}#00")
+
+    def is_moving(self, node_id: int) -> bool:
+        """As the drive's own bit 8 says."""
+        node = self.node(node_id)
+        self.do(lambda host: node.drive.refresh(host.now()))
+        return bool(int(node.values.read("statusword")) & 0x100)  # type: ignore[arg-type]
+
+    def do(self, function: Callable[[Host], object]) -> None:
+        """Do something to the devices, in their thread."""
+
+        async def act(host: Host) -> None:
+            function(host)
+            host.pump()
+
+        self._background.call(act)
+
+    def break_down(self, node_id: int, error_code: int = 0x8611) -> None:
+        self.do(lambda host: self.node(node_id).raise_fault(error_code, host.now()))
+
+    def send(self, can_id: int, data: str) -> None:
+        """Somebody else sends a frame."""
+        self._listener.send(can.Message(arbitration_id=can_id, data=bytes.fromhex(data), is_extended_id=False))
+
+    def frames(self, quiet: float = 0.03) -> list[str]:
+        """What was on the bus since the last look, as candump writes it; until it is quiet."""
+        frames = []
+        while (message := self._listener.recv(quiet)) is not None:
+            frames.append(f"{message.arbitration_id:03X}#{bytes(message.data).hex().upper()}")
+        return frames
+
+    def _wait_for(self, frame: str) -> None:
+        until(lambda: frame in self.frames(0))
+
+    def close(self) -> None:
+        self._background.stop()
+        self._listener.shutdown()
+
+
+@contextlib.asynccontextmanager
+async def _host(bus: str, devices: Sequence[DeviceMaker]) -> AsyncIterator[Host]:
+    async with trio.open_nursery() as nursery:
+        yield await nursery.start(simulate, await open_transport(bus), devices)
+        nursery.cancel_scope.cancel()
+
+
+@contextlib.contextmanager
+def devices(*node_ids: int, makers: Sequence[DeviceMaker] = ()) -> Iterator[Devices]:
+    made = Devices(*node_ids, makers=makers)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait until it holds."""
+    deadline = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)

@@ -1,0 +1,246 @@
+"""A trio context in a thread of its own, and calls into it. Nothing here is about CANopen."""
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+import trio
+
+from canopen_master.direct.background import Background
+from canopen_master.errors import MasterClosed
+from canopen_proto.machine import LocalProtocolError
+
+LIMIT = 20.0
+"""Seconds after which a test gives up."""
+
+
+class Place:
+    """What the contexts of these tests give. log: what happened in them; failure: why they came to an end."""
+
+    def __init__(self) -> None:
+        self.log: list[str] = []
+        self.failure: Exception | None = None
+        self.scope = trio.CancelScope()
+
+    async def answer(self) -> int:
+        await trio.sleep(0)
+        return 42
+
+    async def wait(self) -> None:
+        self.log.append("waiting")
+        try:
+            await trio.sleep_forever()
+        except trio.Cancelled:
+            with trio.CancelScope(shield=True):
+                await trio.sleep(0.05)
+            self.log.append("cleaned up")
+            raise
+
+
+@contextlib.asynccontextmanager
+async def context(place: Place, leaving: Exception | None = None) -> AsyncIterator[Place]:
+    with place.scope:
+        yield place
+    place.log.append("left")
+    if leaving is not None:
+        raise leaving
+
+
+@pytest.fixture
+def place() -> Place:
+    return Place()
+
+
+@pytest.fixture
+def background(place: Place) -> Iterator[Background[Place]]:
+    background = Background(lambda: context(place), lambda place: place.failure)
+    background.start()
+    yield background
+    background.stop()
+
+
+def until(condition: object) -> None:
+    deadline = time.monotonic() + LIMIT
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def interrupt_when(condition: object) -> threading.Thread:
+    """Press Ctrl-C when something has happened."""
+
+    def press() -> None:
+        until(condition)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    return thread
+
+
+def test_a_call_gives_the_result(background: Background[Place]) -> None:
+    assert background.is_running
+    assert background.call(Place.answer) == 42
+
+
+def test_a_call_raises_what_the_function_raises(background: Background[Place]) -> None:
+    async def fail(place: Place) -> None:
+        raise KeyError("k")
+
+    with pytest.raises(KeyError):
+        background.call(fail)
+    assert background.call(Place.answer) == 42
+
+
+def test_even_a_system_exit_of_the_function_only_ends_the_call(background: Background[Place]) -> None:
+    async def leave(place: Place) -> None:
+        raise SystemExit(3)
+
+    with pytest.raises(SystemExit):
+        background.call(leave)
+    assert background.call(Place.answer) == 42
+
+
+def test_many_threads_call_at_the_same_time(background: Background[Place]) -> None:
+    inside = 0
+    most = 0
+
+    async def meet(place: Place) -> None:
+        nonlocal inside, most
+        inside += 1
+        most = max(most, inside)
+        with trio.move_on_after(LIMIT):
+            while most < 8:
+                await trio.sleep(0.001)
+        inside -= 1
+
+    threads = [threading.Thread(target=background.call, args=(meet,)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LIMIT)
+    assert most == 8
+
+
+def test_stop_ends_the_calls_that_wait(background: Background[Place], place: Place) -> None:
+    errors: list[BaseException] = []
+
+    def wait() -> None:
+        try:
+            background.call(Place.wait)
+        except MasterClosed as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    until(lambda: place.log)
+    assert background.stop() is None
+    thread.join(LIMIT)
+    assert len(errors) == 1
+    assert place.log == ["waiting", "cleaned up", "left"]
+    assert not background.is_running
+
+
+def test_after_stop_nothing_is_called(background: Background[Place]) -> None:
+    background.stop()
+    with pytest.raises(MasterClosed):
+        background.call(Place.answer)
+    assert background.stop() is None
+
+
+def test_a_call_before_start_is_refused(place: Place) -> None:
+    with pytest.raises(MasterClosed):
+        Background(lambda: context(place)).call(Place.answer)
+
+
+def test_a_call_while_the_context_is_left_is_refused(place: Place) -> None:
+    leaving = threading.Event()
+
+    @contextlib.asynccontextmanager
+    async def slow() -> AsyncIterator[Place]:
+        yield place
+        leaving.set()
+        await trio.sleep(0.2)
+
+    background = Background(slow)
+    background.start()
+    stopper = threading.Thread(target=background.stop)
+    stopper.start()
+    assert leaving.wait(LIMIT)
+    with pytest.raises(MasterClosed):
+        background.call(Place.answer)
+    stopper.join(LIMIT)
+
+
+def test_entering_that_fails_raises_from_start() -> None:
+    @contextlib.asynccontextmanager
+    async def closed() -> AsyncIterator[Place]:
+        raise OSError("no such bus")
+        yield Place()
+
+    background = Background(closed)
+    with pytest.raises(OSError, match="no such bus"):
+        background.start()
+    assert not background.is_running
+    assert background.stop() is None  # it was told
+
+
+def test_what_leaving_raises_is_given_by_stop(place: Place) -> None:
+    error = OSError("not halted")
+    background = Background(lambda: context(place, error))
+    background.start()
+    assert background.stop() is error
+    assert background.stop() is None  # once
+
+
+def test_a_context_that_ends_by_itself_ends_the_calls_with_its_reason(background: Background[Place], place: Place) -> None:
+    async def end(place: Place) -> None:
+        place.failure = OSError("cable")
+        place.scope.cancel()
+        await trio.sleep_forever()
+
+    with pytest.raises(OSError, match="cable"):
+        background.call(end)
+    until(lambda: "left" in place.log)
+    with pytest.raises(OSError, match="cable"):
+        background.call(Place.answer)
+
+
+def test_a_call_in_the_thread_itself_is_refused(background: Background[Place]) -> None:
+    async def call_again(place: Place) -> None:
+        background.call(Place.answer)
+
+    with pytest.raises(LocalProtocolError, match="own thread"):
+        background.call(call_again)
+
+
+def test_an_interrupt_takes_the_call_back_and_waits_for_its_clean_up(background: Background[Place], place: Place) -> None:
+    thread = interrupt_when(lambda: place.log)
+    with pytest.raises(KeyboardInterrupt):
+        background.call(Place.wait)
+    assert place.log == ["waiting", "cleaned up"]
+    thread.join(LIMIT)
+    assert background.call(Place.answer) == 42
+
+
+def test_an_interrupt_of_start_leaves_no_thread(place: Place) -> None:
+    entering = threading.Event()
+
+    @contextlib.asynccontextmanager
+    async def slow() -> AsyncIterator[Place]:
+        entering.set()
+        await trio.sleep(0.2)
+        yield place
+        place.log.append("left")
+
+    background = Background(slow)
+    thread = interrupt_when(entering.is_set)
+    with pytest.raises(KeyboardInterrupt):
+        background.start()
+    thread.join(LIMIT)
+    assert place.log == ["left"]
+    assert not any(each.name == "canopen master" for each in threading.enumerate())
