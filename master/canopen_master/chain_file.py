@@ -121,13 +121,6 @@ def _joints(
             return  # what follows would be read as the wrong columns
         node_id = int(text, 16) if text[:2] in ("0x", "0X") else int(text)
         if not 1 <= node_id <= MAX_NODE_ID:
-            problems.append((line, id_column, f"node-ID {text} is outside 1..{MAX_NODE_ID}{_meant(text)}"))
+            problems.append((line, id_column, f"node-ID {text} is outside 1..{MAX_NODE_ID}"))
             continue
         yield JointDescription(name, bus, node_id, line, column)
-
-
-def _meant(text: str) -> str:
-    """A node-ID that is too large was perhaps written in hexadecimal."""
-    if text.isdecimal() and 1 <= int(text, 16) <= MAX_NODE_ID:
-        return f"; was 0x{text} ({int(text, 16)}) meant?"
-    return ""

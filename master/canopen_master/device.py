@@ -126,6 +126,11 @@ class Device:
         return self.state is State.OPERATION_ENABLED or (self.node.was_enabled and not self.has_fault)
 
     @property
+    def may_be_enabled(self) -> bool:
+        """Whether it is a drive that was heard and that still answers: a command under way may yet enable it."""
+        return self.state is not State.UNKNOWN and self.nmt_state is not NmtState.STOPPED
+
+    @property
     def where(self) -> str:
         """It, for people: "joint1 (node 3 on can0)"."""
         return f"{self.name} (node {self.node.node_id} on {self.node.bus})"

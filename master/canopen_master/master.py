@@ -40,6 +40,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
+from canopen_proto.procedures.objects import read
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of
 from canopen_proto.remote_node import RemoteNode
@@ -456,11 +457,11 @@ class Master:
                 self.device(node)  # it was enabled by hand, and is a drive therefore
         halts = []
         for node, device in self.devices.items():
+            failed = self.buses[node.bus].failed
             if device.may_move:
-                failed = self.buses[node.bus].failed
                 self.unconfirmed[device] = "its bus has failed" if failed else "it has not answered yet"
-                if not failed:
-                    halts.append(self._halt(device))
+            if not failed and (device.may_move or device.may_be_enabled):
+                halts.append(self._halt(device))
         self.launch(all_of(*halts))
         while self._procedures:
             await self._procedure_ended.park()
@@ -468,11 +469,14 @@ class Master:
 
     def _halt(self, device: Device) -> Procedure[None]:
         try:
+            # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.
+            yield from read(device.node.remote, "0x6041")
             yield from stop(device)
         except ProcedureError as error:
-            self.unconfirmed[device] = str(error)
+            if device.may_move:
+                self.unconfirmed[device] = str(error)
         else:
-            del self.unconfirmed[device]
+            self.unconfirmed.pop(device, None)
 
 
 def nanoseconds(seconds: float) -> Time:

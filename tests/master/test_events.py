@@ -1,0 +1,243 @@
+"""Subscriptions, network management, SYNC, heartbeat supervision."""
+
+import pytest
+import trio
+
+from canopen_master import BusError, MasterClosed, NodeSilent, Subscription, open_master, powerballs
+from canopen_master.subscription import QUEUE_SIZE
+from canopen_proto.emcy import EmcyReceived
+from canopen_proto.frame import Frame
+from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
+from canopen_proto.machine import Event, LocalProtocolError
+from canopen_proto.nmt import NmtState
+from canopen_proto.sync import SyncReceived, SyncSent
+from canopen_transports import VirtualTransport, open_transport
+from tests.master.world import BUS, Breakable, simulated, virtual_time
+
+
+@virtual_time
+async def test_events_are_there_from_the_call_on() -> None:
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        node = master.node(3)
+        master.node(4)
+        async with master.events(EmcyReceived, NodeBooted) as events, node.events(EmcyReceived) as of_one:
+            for device in host.nodes:
+                device.raise_error(0x3220, 0x04, b"\x01", host.now())
+            host.pump()
+            await node.reset()  # whatever came before is still there
+            first, second = await events.receive(), await events.receive()
+            assert isinstance(first, EmcyReceived)
+            assert (first.node_id, first.code, second.node_id) == (3, 0x3220, 4)
+            async for event in events:
+                assert isinstance(event, NodeBooted)
+                break
+            assert [event.node_id for event in of_one.take()] == [3]
+        assert len(master._subscriptions) == 0
+
+
+@virtual_time
+async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many() -> None:
+    async with open_master(BUS) as master:
+        with master.events(SyncSent) as events:
+            master.sync_start(0.001)
+            await trio.sleep((QUEUE_SIZE + 9) * 0.001 + 0.0005)
+            assert events.dropped == 10
+            assert len(events.take()) == QUEUE_SIZE
+
+
+@virtual_time
+async def test_a_subscription_that_was_closed_gets_nothing() -> None:
+    async with open_master(BUS) as master:
+        events = master.events(SyncSent)
+        events.close()
+        events.close()
+        await master.send_sync()
+        assert events.take() == []
+        with pytest.raises(LocalProtocolError, match="Event means all"):
+            master.events()
+
+
+@virtual_time
+async def test_waiting_for_events_can_be_cancelled() -> None:
+    async with open_master(BUS) as master:
+        with master.events(SyncSent) as events:
+            with trio.move_on_after(1) as scope:
+                await events.receive()
+            assert scope.cancelled_caught
+            await master.send_sync()
+            assert await events.receive() == SyncSent(0, None, 0)
+
+
+@virtual_time
+async def test_subscriptions_end_with_the_master() -> None:
+    async with open_master(BUS) as master:
+        events = master.events(SyncSent, bus=BUS)
+        await master.send_sync()
+    assert await events.receive() == SyncSent(0, None, 0)
+    with pytest.raises(MasterClosed):
+        await events.receive()
+
+
+@virtual_time
+async def test_subscriptions_end_with_the_bus() -> None:
+    cable = Breakable()
+    ended: list[BaseException] = []
+
+    async def listen(events: Subscription[Event]) -> None:
+        with trio.CancelScope(shield=True):
+            try:
+                await events.receive()
+            except BusError as error:
+                ended.append(error)
+
+    with pytest.raises(BusError) as caught:
+        async with open_master(cable) as master, trio.open_nursery() as nursery:
+            nursery.start_soon(listen, master.events(Event))
+            await trio.testing.wait_all_tasks_blocked()
+            cable.cut()
+    assert ended == [caught.value]
+
+
+# ---- network management ----
+
+
+@virtual_time
+async def test_nmt_commands_to_all_and_to_one() -> None:
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        first, second = master.node(3), master.node(4)
+
+        def states() -> list[str]:
+            assert [first.nmt_state, second.nmt_state] == [node.state for node in host.nodes]
+            return [node.state.name for node in host.nodes]
+
+        await master.nmt_start()
+        await trio.sleep(0.001)
+        assert states() == ["OPERATIONAL", "OPERATIONAL"]
+        await master.nmt_stop(3)
+        await trio.sleep(0.001)
+        assert states() == ["STOPPED", "OPERATIONAL"]
+        await master.nmt_enter_pre_operational(4, bus=BUS)
+        await trio.sleep(0.001)
+        assert states() == ["STOPPED", "PRE_OPERATIONAL"]
+        with master.events(NodeBooted) as boots:
+            await master.nmt_reset_node()
+            await master.nmt_reset_communication(4)
+            await trio.sleep(0.001)
+            assert [boot.node_id for boot in boots.take()] == [3, 4, 4]
+        await first.reset(communication_only=True)
+        await trio.sleep(0.001)
+        assert states() == ["PRE_OPERATIONAL", "PRE_OPERATIONAL"]
+
+
+@virtual_time
+async def test_waiting_for_a_boot_up_or_a_heartbeat() -> None:
+    async with simulated(3), open_master(BUS) as master:
+        node = master.node(3)
+        with pytest.raises(NodeSilent, match="node 3 did not boot within 2 s") as caught:
+            await node.wait_for_boot(2)
+        assert isinstance(caught.value, TimeoutError)
+        with pytest.raises(NodeSilent, match="sent no heartbeat within 1 s"):
+            await node.wait_for_heartbeat(1)
+        with pytest.raises(NodeSilent, match="did not boot after a reset"):
+            await master.node(9).reset(1)
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(node.wait_for_boot)
+            await trio.testing.wait_all_tasks_blocked()
+            await master.nmt_reset_node()
+        await node.write("producer_heartbeat_time", 200)
+        assert await node.wait_for_heartbeat(1) is NmtState.PRE_OPERATIONAL
+        with trio.move_on_after(0.05) as scope:
+            await node.wait_for_heartbeat(1)
+        assert scope.cancelled_caught
+
+
+@virtual_time
+async def test_a_lost_heartbeat_is_reported() -> None:
+    async with simulated(3) as host, open_master(BUS, heartbeat_timeout=0.5) as master:
+        node = master.node(3)
+        await node.write("producer_heartbeat_time", 100)
+        await node.wait_for_heartbeat(1)
+        with node.events(HeartbeatLost) as lost:
+            await trio.sleep(10)
+            assert lost.take() == []
+            host.nodes[0].communication.heartbeat.set_period(0, host.now())
+            host.pump()
+            stopped = trio.current_time()
+            assert (await lost.receive()).timeout == 500_000_000
+            assert 0.4 <= trio.current_time() - stopped <= 0.5
+
+
+@virtual_time
+async def test_heartbeats_of_one_node_can_be_supervised_later() -> None:
+    async with simulated(3) as host, open_master(BUS) as master:
+        node = master.node(3)
+        await node.write("producer_heartbeat_time", 100)
+        await node.wait_for_heartbeat(1)
+        node.supervise_heartbeat(0.3)
+        with node.events(HeartbeatLost) as lost:
+            host.nodes[0].communication.heartbeat.set_period(0, host.now())
+            await lost.receive()
+
+
+@virtual_time
+async def test_a_stalled_process_finds_the_heartbeats_that_came_meanwhile() -> None:
+    """Frames that are there already are taken before a due timeout, however late both are."""
+    peer = VirtualTransport("test")
+    async with open_master(BUS) as master:
+        node = master.node(3)
+        node.supervise_heartbeat(0.1)
+        with master.events(HeartbeatReceived, HeartbeatLost) as events:
+            for _ in range(5):
+                await peer.send(Frame(0x703, b"\x05"))
+                await trio.sleep(0.09)
+            # The process stalls: the clock goes on, and so does the node, but none of our tasks runs.
+            clock = trio.lowlevel.current_clock()
+            assert isinstance(clock, trio.testing.MockClock)
+            for _ in range(20):
+                for member in peer._members:
+                    if member is not peer:
+                        member._queue.put((Frame(0x703, b"\x05"), None))
+                        member._queue.wake()
+                clock.jump(0.09)
+            await trio.sleep(0.05)
+            assert {type(event) for event in events.take()} == {HeartbeatReceived}
+            assert isinstance(await events.receive(), HeartbeatLost)
+    await peer.aclose()
+
+
+# ---- SYNC ----
+
+
+@virtual_time
+async def test_sync_runs_by_the_clock_and_stops() -> None:
+    async with open_master(BUS) as master, await open_transport(BUS) as spy:
+        assert master.sync_period == 0
+        master.sync_start(0.02)
+        assert master.sync_period == 20_000_000
+        stamps = []
+        for _ in range(4):
+            frame, stamp = await spy.receive()
+            assert str(frame) == "080#"
+            assert stamp is not None
+            stamps.append(stamp)
+        assert [later - earlier for earlier, later in zip(stamps, stamps[1:], strict=False)] == [20_000_000] * 3
+        master.sync_stop()
+        with trio.move_on_after(1) as scope:
+            await spy.receive()
+        assert scope.cancelled_caught
+        await master.send_sync()
+        assert str((await spy.receive())[0]) == "080#"
+
+
+@virtual_time
+async def test_a_foreign_sync_is_reported() -> None:
+    async with open_master(BUS) as master, await open_transport(BUS) as other:
+        with master.events(SyncReceived) as events:
+            await other.send(Frame(0x80, b""))
+            assert (await events.receive()).counter is None
+
+
+@virtual_time
+async def test_powerballs_are_made_by_node_id() -> None:
+    async with simulated(makers=powerballs(5)) as host:
+        assert [node.node_id for node in host.nodes] == [5]

@@ -1,0 +1,339 @@
+"""How a master comes and goes: the block's own exception, cancels, Ctrl-C; drives stand in each case."""
+
+import signal
+from collections.abc import Awaitable, Callable
+
+import pytest
+import trio
+
+from canopen_master import BusError, Chain, HaltNotConfirmed, Master, MasterClosed, open_master
+from canopen_master.session import SHUTDOWN_TIME
+from canopen_proto.cia402.states import State
+from canopen_transports import VirtualTransport
+from tests.master.world import (
+    BUS,
+    Breakable,
+    arm_of,
+    assert_all_halted,
+    assert_all_stand,
+    drives,
+    simulated,
+    virtual_time,
+)
+
+
+class OurError(Exception):
+    pass
+
+
+@virtual_time
+async def test_the_blocks_own_exception_comes_out_as_it_is() -> None:
+    error = OurError()
+    with pytest.raises(OurError) as caught:
+        async with open_master(BUS):
+            raise error
+    assert caught.value is error
+    assert not hasattr(error, "__notes__")
+
+
+@virtual_time
+async def test_a_group_of_the_blocks_own_nursery_stays_a_group() -> None:
+    async def fail() -> None:
+        raise OurError
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with open_master(BUS), trio.open_nursery() as nursery:
+            nursery.start_soon(fail)
+    assert [type(error) for error in caught.value.exceptions] == [OurError]
+
+
+@virtual_time
+async def test_a_bus_error_in_a_nursery_of_the_block_comes_out_plain() -> None:
+    cable = Breakable()
+    with pytest.raises(BusError):
+        async with open_master(cable) as master, trio.open_nursery() as outer, trio.open_nursery() as nursery:
+            nursery.start_soon(master.node(3).read, "statusword")
+            outer.start_soon(master.node(4).read, "statusword")
+            await trio.testing.wait_all_tasks_blocked()
+            cable.cut()
+
+
+@virtual_time
+async def test_other_errors_in_a_nursery_are_not_lost_when_the_bus_fails() -> None:
+    cable = Breakable()
+
+    async def fail_in_the_end() -> None:
+        try:
+            await trio.sleep_forever()
+        finally:
+            raise OurError
+
+    with pytest.raises(BaseExceptionGroup) as caught:
+        async with open_master(cable), trio.open_nursery() as nursery:
+            nursery.start_soon(fail_in_the_end)
+            await trio.testing.wait_all_tasks_blocked()
+            cable.cut()
+    assert caught.group_contains(OurError)
+
+
+@virtual_time
+async def test_a_failed_bus_does_not_hide_the_blocks_own_exception() -> None:
+    cable = Breakable()
+    with pytest.raises(OurError):
+        async with open_master(cable):
+            cable.cut()
+            with trio.CancelScope(shield=True):
+                await trio.sleep(0.1)
+            raise OurError
+
+
+@virtual_time
+async def test_an_outer_cancel_is_the_outer_scopes_business() -> None:
+    with trio.move_on_after(1) as scope:
+        async with open_master(BUS):
+            await trio.sleep_forever()
+    assert scope.cancelled_caught
+    assert trio.current_time() == 1
+
+
+@virtual_time
+async def test_a_bus_that_cannot_be_opened_closes_those_that_were() -> None:
+    cable = Breakable()
+    with pytest.raises(BusError, match="nonsense"):
+        async with open_master(cable, "nonsense:x"):
+            pytest.fail("opened")
+    assert cable.closed == 1
+
+
+@virtual_time
+async def test_tasks_that_outlive_the_block_are_told() -> None:
+    async with simulated(3) as host, trio.open_nursery() as nursery:
+        host.nodes[0].sdo.disable()
+
+        async def read(master: Master) -> None:
+            with pytest.raises(MasterClosed):
+                await master.node(3).read("statusword")
+
+        async with open_master(BUS) as master:
+            nursery.start_soon(read, master)
+            await trio.testing.wait_all_tasks_blocked()
+
+
+# ---- the way out while drives move ----
+
+
+async def _home(master: Master, arm: Chain) -> None:
+    await arm.initialise()
+    await arm.home()
+    await trio.sleep_forever()
+
+
+async def _follow(master: Master, arm: Chain) -> None:
+    await arm.initialise()
+    await arm.enable_interpolated_position()
+    start = arm.positions
+    async for cycle in arm.cycles():
+        arm.set_positions([position + 0.002 * cycle.number for position in start])
+
+
+async def _by_hand(master: Master, arm: Chain) -> None:
+    node = master.node(5)
+    await node.write("modes_of_operation", 6)
+    for word in (6, 7, 15, 31):
+        await node.write("controlword", word)
+    await trio.sleep_forever()
+
+
+async def _shut_down(master: Master, arm: Chain) -> None:
+    await arm.initialise()
+    await arm.enable_interpolated_position()
+    await arm.shut_down()
+
+
+Scenario = Callable[[Master, Chain], Awaitable[None]]
+
+
+async def _leave(scenario: Scenario, scope: trio.CancelScope) -> None:
+    """Run a scenario until it is cancelled; then no drive may move, whatever was under way."""
+    async with simulated(3, 4, 5) as host:
+        with scope:
+            async with open_master(BUS) as master:
+                await scenario(master, arm_of(master, 3, 4))
+        assert_all_halted(host)
+        await assert_all_stand(host)
+        # the master has left the bus, the devices are still there
+        async with open_master(BUS) as again:
+            await again.nmt_enter_pre_operational()
+            assert isinstance(await again.node(3).read("device_type"), int)
+
+
+@pytest.mark.parametrize("milliseconds", [*range(0, 100, 7), 150, 333, 640, 1000, 1300, 1640, 1670, 1700, 2500])
+@pytest.mark.parametrize("scenario", [_home, _follow, _by_hand])
+def test_cancelled_at_any_time_the_drives_stand(scenario: Scenario, milliseconds: int) -> None:
+    @virtual_time
+    async def test() -> None:
+        scope = trio.CancelScope(deadline=milliseconds / 1000)
+        await _leave(scenario, scope)
+        assert scope.cancelled_caught
+        assert trio.current_time() <= milliseconds / 1000 + SHUTDOWN_TIME + 1
+
+    test()
+
+
+class CancelAtStep(trio.abc.Instrument):
+    """Cancels a scope when the main task goes on for the n-th time: at each await in turn."""
+
+    def __init__(self, step: int, scope: trio.CancelScope) -> None:
+        self.left = step
+        self.scope = scope
+
+    def before_task_step(self, task: trio.lowlevel.Task) -> None:
+        if task is trio.lowlevel.current_root_task() or not task.name.endswith("limited"):
+            return
+        self.left -= 1
+        if self.left == 0:
+            self.scope.cancel()
+
+
+@pytest.mark.parametrize("scenario", [_home, _follow, _shut_down])
+def test_cancelled_at_each_await_the_drives_stand(scenario: Scenario) -> None:
+    tested = 0
+
+    def all_steps_were_tested() -> bool:
+        left: list[int] = []
+
+        @virtual_time
+        async def test() -> None:
+            scope = trio.CancelScope(deadline=4)
+            instrument = CancelAtStep(tested, scope)
+            trio.lowlevel.add_instrument(instrument)
+            try:
+                await _leave(scenario, scope)
+            finally:
+                trio.lowlevel.remove_instrument(instrument)
+            left.append(instrument.left)
+
+        test()
+        return left[0] > 0
+
+    while tested < 60:
+        tested += 1
+        if all_steps_were_tested():
+            break
+    assert tested > 10
+
+
+def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
+    hosts = []
+
+    async def press() -> None:
+        await trio.sleep(0.5)
+        signal.raise_signal(signal.SIGINT)
+
+    @virtual_time
+    async def test() -> None:
+        async with simulated(3, 4) as host:
+            hosts.append(host)
+            try:
+                async with open_master(BUS) as master, trio.open_nursery() as nursery:
+                    nursery.start_soon(press)
+                    await _home(master, arm_of(master, 3, 4))
+            except* KeyboardInterrupt:
+                assert_all_halted(host)
+                await assert_all_stand(host)
+                raise
+
+    with pytest.raises(BaseExceptionGroup) as caught:
+        test()
+    assert caught.group_contains(KeyboardInterrupt)
+    assert all(node.drive.state is State.OPERATION_ENABLED for node in drives(hosts[0]))
+
+
+def test_ctrl_c_in_the_users_own_code_halts_the_drives() -> None:
+    @virtual_time
+    async def test() -> None:
+        async with simulated(3) as host:
+            try:
+                async with open_master(BUS) as master:
+                    arm = arm_of(master, 3)
+                    await arm.initialise()
+                    await arm.enable_interpolated_position()
+                    async for cycle in arm.cycles():
+                        arm.set_positions([0.001 * cycle.number])
+                        if cycle.number == 20:
+                            signal.raise_signal(signal.SIGINT)
+            finally:
+                assert_all_halted(host)
+
+    with pytest.raises(KeyboardInterrupt):
+        test()
+
+
+@virtual_time
+async def test_a_drive_that_does_not_answer_is_told_and_holds_up_nobody() -> None:
+    async with simulated(3, 4) as host:
+        with pytest.raises(HaltNotConfirmed, match="joint1 .node 3 on virtual:test.: node 3 did not answer") as caught:
+            async with open_master(BUS) as master:
+                await arm_of(master, 3, 4).initialise()
+                master.sync_stop()
+                await trio.sleep(1)  # what the PDOs told is old now
+                host.nodes[0].sdo.disable()
+                started = trio.current_time()
+        assert trio.current_time() - started <= SHUTDOWN_TIME
+        assert caught.value.code == "CO131"
+        assert "emergency stop" in str(caught.value)
+        assert drives(host)[1].values.store[0x6040_00] == 0x10F
+
+
+@virtual_time
+async def test_an_exception_that_is_under_way_gets_a_note_of_such_drives() -> None:
+    async with simulated(3) as host:
+        with pytest.raises(OurError) as caught:
+            async with open_master(BUS) as master:
+                await arm_of(master, 3).initialise()
+                master.sync_stop()
+                await trio.sleep(1)
+                host.nodes[0].sdo.disable()
+                raise OurError
+        assert "not confirmed to stand: joint1" in caught.value.__notes__[0]
+
+
+@virtual_time
+async def test_drives_of_a_failed_bus_are_told_and_those_of_another_are_halted() -> None:
+    async with simulated(3, bus="virtual:one"), simulated(3, bus="virtual:two") as other:
+        cable = Breakable("one")
+        with pytest.raises(BusError) as caught:
+            async with open_master(buses={"can0": cable, "can1": "virtual:two"}) as master:
+                arm = master.load_chains(text="arm j1 can0 3 j2 can1 3")["arm"]
+                await arm.initialise()
+                await arm.enable_interpolated_position()
+                async for cycle in arm.cycles():
+                    arm.set_positions([0.001 * cycle.number] * 2)
+                    if cycle.number == 50:
+                        cable.cut()
+        assert caught.value.bus == "can0"
+        assert caught.value.__notes__ == ["not confirmed to stand: j1 (node 3 on can0): its bus has failed"]
+        assert_all_halted(other)
+        await assert_all_stand(other)
+
+
+@virtual_time
+async def test_the_way_out_ends_in_time_when_the_bus_takes_no_frames() -> None:
+    async with simulated(3):
+        cable = Breakable()
+        with pytest.raises(HaltNotConfirmed):
+            async with open_master(cable) as master:
+                await arm_of(master, 3).initialise()
+                cable.is_stuck = True
+                started = trio.current_time()
+        assert trio.current_time() - started == pytest.approx(SHUTDOWN_TIME)
+
+
+@virtual_time
+async def test_transports_are_closed_in_any_case() -> None:
+    cable, given = Breakable(), VirtualTransport("given")
+    async with open_master(cable, given):
+        pass
+    assert cable.closed == 1
+    with pytest.raises(trio.ClosedResourceError):
+        await given.receive()
