@@ -226,6 +226,10 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
         if isinstance(modes, int) and not supported(modes, mode):
             has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
             raise ModeUnsupported(f"{_name(axis)} does not support {mode_name(mode)}: 0x6502 = 0x{modes:08X}, which is {has}")
+    # Bit 4 means something else in each mode: what interpolates must not begin to home because it still stands.
+    bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
+    if bears_bit_4 and state_of((yield from read_statusword(axis))) is State.OPERATION_ENABLED:
+        yield from command(axis, int(Command.ENABLE_OPERATION))
     yield from write(axis.node, "0x6060", mode)
     deadline = (yield from current_time()) + axis.settings.state_timeout
     while True:

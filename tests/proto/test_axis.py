@@ -91,6 +91,22 @@ def test_a_halt_of_a_drive_without_an_actual_position_goes_by_bit_10() -> None:
     assert rig.node.values.store[0x604000] == 0x10F
 
 
+@pytest.mark.parametrize("shape", list(Shape))
+def test_bit_4_is_clear_before_the_mode_changes(shape: Shape) -> None:
+    """A drive that goes by the level of bit 4 would begin to home while it still bears "enable interpolation"."""
+    rig = Rig(shape)
+    rig.start_sync()
+    rig.run(drive.start_interpolation(rig.axis, CYCLE))
+    assert rig.axis.controlword == 0x1F
+    rig.bus.run(5 * CYCLE)
+    rig.bus.sent.clear()
+    rig.run(drive.home(rig.axis))
+    frames = [str(frame) for _, frame in rig.bus.sent]
+    change = frames.index("605#2F60600006000000")
+    words = [frame[4:8] for frame in frames[:change] if frame.startswith(("205#", "505#"))]
+    assert words[-1] == "0F00"
+
+
 def test_a_command_waits_for_the_sync_whose_pdo_takes_it_along() -> None:
     """An RPDO of type 3 goes at every third SYNC: two words in a row have to be two PDOs, or an edge is none."""
     rig = Rig(Shape.STANDARD)
