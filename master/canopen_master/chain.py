@@ -53,7 +53,6 @@ from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault, start_interpolation
-from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sync import SyncSent
@@ -369,11 +368,8 @@ class Chain:
         if self._stopping is None:
             return []
         await self._stopping.done.wait()
-        match self._stopping.result():
-            case ProcedureFinished(result=failures):
-                return list(failures)
-            case _:
-                return []  # the master is being left
+        failures: list[JointFailed | None] = self._master.result_of(self._stopping)
+        return failures
 
     async def _why_stopped(self) -> ChainError | None:
         """Why no set-points are followed (any more), once the joints stand; None while they are."""

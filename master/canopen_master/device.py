@@ -48,6 +48,7 @@ class Device:
         self._commanded: deque[float] = deque(maxlen=FOLLOWING_LAG + 1)
         self._position: tuple[Time, float] | None = None
         self._velocity = 0.0
+        self._following_error = 0.0
         bus = master.bus(node.bus)
         master.watch((SdoUploaded, SdoDownloaded), self._on_round_trip, bus, node.node_id)
         master.watch((EmcyReceived,), self._on_emcy, bus, node.node_id)
@@ -118,7 +119,7 @@ class Device:
     @property
     def following_error(self) -> float:
         """Commanded minus actual position, both of the same instant; 0 while no set-points are sent."""
-        return self._commanded[0] - self.position if len(self._commanded) > FOLLOWING_LAG else 0.0
+        return self._following_error
 
     @property
     def may_move(self) -> bool:
@@ -160,6 +161,7 @@ class Device:
     def forget_commands(self) -> None:
         """No set-points are followed any more."""
         self._commanded.clear()
+        self._following_error = 0.0
 
     # ---- what the bus tells it ----
 
@@ -177,4 +179,6 @@ class Device:
         if self._position is not None and now > self._position[0]:
             self._velocity = (position - self._position[1]) * SECOND / (now - self._position[0])
         self._position = now, position
-        self.largest_following_error = max(self.largest_following_error, math.fabs(self.following_error))
+        if len(self._commanded) > FOLLOWING_LAG:
+            self._following_error = self._commanded[0] - position
+            self.largest_following_error = max(self.largest_following_error, math.fabs(self._following_error))

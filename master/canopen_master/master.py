@@ -357,6 +357,10 @@ class Master:
             with trio.CancelScope(shield=True):
                 await waiter.done.wait()
             raise
+        return self.result_of(waiter)
+
+    def result_of(self, waiter: Waiter) -> Any:
+        """The result of a procedure that has ended; raises what it raised, or ProcedureTakenBack."""
         match waiter.result():
             case ProcedureFinished(result=result):
                 return result

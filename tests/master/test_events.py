@@ -1,5 +1,7 @@
 """Subscriptions, network management, SYNC, heartbeat supervision."""
 
+from itertools import pairwise
+
 import pytest
 import trio
 
@@ -220,7 +222,7 @@ async def test_sync_runs_by_the_clock_and_stops() -> None:
             assert str(frame) == "080#"
             assert stamp is not None
             stamps.append(stamp)
-        assert [later - earlier for earlier, later in zip(stamps, stamps[1:], strict=False)] == [20_000_000] * 3
+        assert [later - earlier for earlier, later in pairwise(stamps)] == [20_000_000] * 3
         master.sync_stop()
         with trio.move_on_after(1) as scope:
             await spy.receive()

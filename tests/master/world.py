@@ -45,8 +45,8 @@ async def simulated(*node_ids: int, bus: str = BUS, makers: Sequence[Any] = ()) 
         host: Host = await nursery.start(simulate, await open_transport(bus), [*powerballs(*node_ids), *makers])
         try:
             yield host
-        except BaseException as raised:
-            error = raised  # not through the nursery, which would make a group of it
+        except BaseException as raised:  # noqa: BLE001 - raised below: not through the nursery, which would make a group of it
+            error = raised
         nursery.cancel_scope.cancel()
     if error is not None:
         raise error

@@ -1,0 +1,48 @@
+"""Simulated devices as a participant of a bus."""
+
+import pytest
+import trio
+
+from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.heartbeat import NodeBooted
+from canopen_proto.machine import Event
+from canopen_proto.sdo.server import ObjectWritten
+from canopen_transports import open_transport
+from tests.master.world import BUS, Breakable, virtual_time
+
+
+@virtual_time
+async def test_devices_boot_and_are_served_until_cancelled() -> None:
+    events: list[Event] = []
+    async with open_master(BUS) as master, trio.open_nursery() as nursery:
+        with master.node(3).events(NodeBooted) as boots:
+            host: Host = await nursery.start(simulate, await open_transport(BUS), powerballs(3))
+            assert (await boots.receive()).node_id == 3
+        nursery.cancel_scope.cancel()
+        assert [node.node_id for node in host.nodes] == [3]
+    transport = await open_transport(BUS)
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(_simulate, transport, events)
+        async with open_master(BUS) as master:
+            await trio.sleep(0.01)
+            await master.node(5).write("controlword", 6)
+        nursery.cancel_scope.cancel()
+    assert any(isinstance(event, ObjectWritten) and event.index == 0x6040 for event in events)
+    with pytest.raises(trio.ClosedResourceError):
+        await transport.receive()
+
+
+async def _simulate(transport, events: list[Event]) -> None:  # type: ignore[no-untyped-def]
+    settings = DriveSettings(shape=Shape.STANDARD, position=0)
+    await simulate(transport, standard_drives(5, settings=settings), on_event=events.append)
+
+
+@virtual_time
+async def test_a_failing_bus_ends_the_simulation() -> None:
+    cable = Breakable()
+    with pytest.RaisesGroup(pytest.RaisesExc(BusError, match="cable was cut")):
+        async with trio.open_nursery() as nursery:
+            await nursery.start(simulate, cable, powerballs(3))
+            cable.cut()
+    assert cable.closed == 1
