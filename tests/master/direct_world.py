@@ -10,16 +10,23 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 import can
 import trio
 
-from canopen_master import Host, powerballs, simulate
-from canopen_master.direct import Background
+from canopen_master import Host, powerballs, simulate, standard_drives
+from canopen_master.direct.background import Background
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.servo import DriveSettings, Shape, Track
 from canopen_transports import open_transport
 
 LIMIT = 20.0
 """Seconds after which a test gives up."""
 
 _numbers = itertools.count()
+
+
+def near_home(*node_ids: int) -> list[DeviceMaker]:
+    """Powerball joints that are homed in a blink: the edge of their home switch is near."""
+    settings = DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=Track(home_switch=(1_500, 10_000)))
+    return standard_drives(*node_ids, settings=settings)
 
 
 class Devices:

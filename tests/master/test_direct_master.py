@@ -2,7 +2,7 @@
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -20,21 +20,28 @@ from canopen_master import (
     MasterClosed,
     SetPointRefused,
     direct,
+    powerballs,
 )
 from canopen_master.direct import NotConnected, Session
+from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports import TransportError
-from tests.master.direct_world import LIMIT, Devices, devices, until
+from tests.master.direct_world import LIMIT, Devices, devices, near_home, until
 
 CHAINS = "arm joint1 can0 3 joint2 can0 12"
 
 
 @pytest.fixture
-def arm() -> Iterator[Devices]:
-    with devices(3, 12) as arm:
+def joints() -> Callable[..., list[DeviceMaker]]:
+    return powerballs
+
+
+@pytest.fixture
+def arm(joints: Callable[..., list[DeviceMaker]]) -> Iterator[Devices]:
+    with devices(makers=joints(3, 12)) as arm:
         yield arm
 
 
@@ -49,6 +56,7 @@ def session(arm: Devices) -> Iterator[Session]:
         yield session
 
 
+@pytest.mark.parametrize("joints", [near_home])
 def test_a_chain_is_led_from_a_clients_thread(session: Session, arm: Devices) -> None:
     session.init_incoming_pdo_processor_thread()
     session.init_master_thread()

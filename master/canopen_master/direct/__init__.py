@@ -24,7 +24,6 @@ With the master's thread: set `using_master_thread = True` in this module, `init
 then `init_master_thread()`; the chains in `chain_map` then take commands from any thread: `chain_map["chain1"].init()`.
 """
 
-from canopen_master.direct.background import Background
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import AlreadyConnected, NotConnected
 from canopen_master.direct.incoming import IncomingPdos
@@ -81,7 +80,6 @@ init_master_thread = _session.init_master_thread
 
 __all__ = [
     "AlreadyConnected",
-    "Background",
     "ChainCalls",
     "IncomingPdos",
     "NotConnected",

@@ -1,0 +1,176 @@
+"""The manual's demos, each run as a user runs it: a real process, on a virtual bus with simulated drives."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+
+import pytest
+
+from canopen_master import direct
+from canopen_master.cli.problem import ExitCode
+from canopen_master.demos import canopenmaster_single_device, homing, multiple_devices, single_device
+from canopen_master.direct import connection
+from tests.master.direct_world import devices, near_home
+from tests.master.test_direct_script import environment
+
+LIMIT = 40.0
+
+RUNS = {
+    "homing 12 --bus virtual": ["homing device 12", "device 12 is referenced, at 0 mdeg"],
+    "single_device 12 --bus virtual --cycles 1 --steps 10": [
+        "homing device 12",
+        "device 12 is referenced, at 0 mdeg",
+        "cycle 1: sent to 1000 mdeg",
+        "cycle 1: sent to 0 mdeg",
+        "device 12 ends at 0 mdeg",
+    ],
+    "multiple_devices 3 4 --bus virtual:arm --cycles 1 --steps 10": [
+        "homing device 3",
+        "homing device 4",
+        "cycle 1: sent to 35, 35 mdeg",
+        "device 3 ends at 35 mdeg",
+        "device 4 ends at 35 mdeg",
+    ],
+    "canopenmaster_single_device --bus virtual --pause 0 --steps 10": [
+        "homing joint1",
+        "referenced, at [0] mdeg",
+        "sent to [1000] mdeg, ends at [1000] mdeg",
+    ],
+}
+
+
+def start(command: str) -> subprocess.Popen[str]:
+    demo, *arguments = command.split()
+    return subprocess.Popen(
+        [sys.executable, "-m", f"canopen_master.demos.{demo}", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+    )
+
+
+@pytest.fixture(scope="module")
+def processes() -> dict[str, subprocess.Popen[str]]:
+    """All of them at the same time: most of it is waiting."""
+    return {command: start(command) for command in RUNS}
+
+
+@pytest.mark.parametrize("command", RUNS)
+def test_a_demo_does_what_the_manual_says(processes: dict[str, subprocess.Popen[str]], command: str) -> None:
+    output, errors = processes[command].communicate(timeout=LIMIT)
+    assert (processes[command].returncode, errors) == (0, "")
+    assert output.splitlines() == RUNS[command]
+
+
+def test_ctrl_c_halts_and_says_so() -> None:
+    with start("homing 12 --bus virtual") as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "homing device 12\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(LIMIT) == 130
+        assert process.stdout.read() == ""
+        assert process.stderr.read() == "interrupted; the drives are halted\n"
+
+
+def test_sigterm_ends_a_demo_in_order() -> None:
+    with start("canopenmaster_single_device --bus virtual") as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "homing joint1\n"
+        process.terminate()
+        assert process.wait(LIMIT) == 128 + signal.SIGTERM
+
+
+# ---- in this process ----
+
+
+@pytest.fixture(autouse=True)
+def _own_signals() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+    direct.using_master_thread = False
+
+
+def test_without_arguments_the_manuals_line_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert homing.main([]) == ExitCode.USAGE
+    assert capsys.readouterr().out == "Please call the program with the CAN deviceID, e.g. './homing 12'\n"
+    assert single_device.main([]) == ExitCode.USAGE
+    assert capsys.readouterr().out == "Please call the program with the CAN deviceID, e.g. './single_device 12'\n"
+    assert multiple_devices.main([]) == ExitCode.USAGE
+    assert capsys.readouterr().out == "Please call the program with the CAN deviceIDs, e.g. './multiple_devices 3 4 5 6 7 8'\n"
+    assert single_device.main(["3", "4"]) == ExitCode.USAGE
+    assert canopenmaster_single_device.main(["3", "4"]) == ExitCode.USAGE
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [("200", "outside 1..127"), ("0", "outside 1..127"), ("abc", "'abc' is not a node-ID")]
+)
+def test_a_wrong_id_is_told(capsys: pytest.CaptureFixture[str], given: str, said: str) -> None:
+    assert single_device.main([given, "--bus", "virtual"]) == ExitCode.USAGE
+    assert said in capsys.readouterr().err
+
+
+def test_an_unknown_option_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        homing.main(["12", "--steps", "3"])
+    assert "--steps" in capsys.readouterr().err
+
+
+def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert single_device.main(["12", "--bus", "socketcan:none0"]) == ExitCode.CANNOT_OPEN
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "Cannot open CAN device; aborting."
+    assert lines[1].startswith("CO101: cannot open socketcan:none0")
+
+
+def test_a_device_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert homing.main(["12", "--bus", "pythoncan:virtual:empty"]) == ExitCode.NO_ANSWER
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "The fault of device 12 could not be reset; aborting."
+    assert "node 12 did not answer" in lines[1]
+
+
+def test_another_device_of_the_masters_demo(capsys: pytest.CaptureFixture[str]) -> None:
+    assert canopenmaster_single_device.main(["7", "--bus", "pythoncan:virtual:empty"]) == ExitCode.NO_ANSWER
+    assert "node 7" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("demo", [homing, single_device, multiple_devices, canopenmaster_single_device])
+def test_a_demo_runs_here_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, demo: ModuleType) -> None:
+    monkeypatch.setattr(connection, "powerballs", near_home)
+    short = ["--cycles", "1", "--steps", "2"]
+    arguments = {homing: [], canopenmaster_single_device: ["--steps", "2", "--pause", "0"]}.get(demo, short)
+    assert demo.main(["12", "--bus", "virtual", *arguments]) == ExitCode.OK
+    output = capsys.readouterr().out
+    assert output.startswith("homing")
+    assert "mdeg" in output
+
+
+def test_an_interrupt_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(node: int) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(direct, "homing", interrupted)
+    assert homing.main(["12", "--bus", "virtual"]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == "interrupted; the drives are halted\n"
+
+
+def test_a_fault_in_the_middle_of_a_move(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(direct, "homing", lambda node: True)
+    with devices(12) as arm:
+        steps = iter(range(1000))
+
+        def send_sync(milliseconds: float) -> None:
+            if next(steps) == 5:
+                arm.break_down(12, 0x8611)
+            sync(milliseconds)
+
+        sync = direct.send_sync
+        monkeypatch.setattr(direct, "send_sync", send_sync)
+        assert single_device.main(["12", "--bus", arm.bus]) == ExitCode.DRIVE_FAULT
+        assert "0x8611" in capsys.readouterr().err

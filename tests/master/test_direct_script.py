@@ -1,0 +1,88 @@
+"""Scripts that end without closing their connection: a real interpreter each, and its drive must be halted before it is gone."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+LIMIT = 30.0
+
+SCRIPT = """
+import os, signal, sys, threading, time
+import can
+from canopen_master import direct as canopen
+
+BUS = "pythoncan:virtual:script"
+
+def listen(bus=can.Bus("script", interface="virtual")):
+    while True:
+        message = bus.recv()
+        print(f"{message.arbitration_id:03X}#{message.data.hex().upper()}", flush=True)
+
+threading.Thread(target=listen, daemon=True).start()
+drives = canopen.simulated([12], bus=BUS)
+drives.__enter__()
+assert canopen.open_connection(BUS), canopen.last_error()
+canopen.init_nmt()
+assert canopen.init_device(12) and canopen.enable_ip_mode(12)
+for step in range(5):
+    canopen.send_pos(12, 3000 + 100 * step)
+    canopen.send_sync(10)
+print("moving", flush=True)
+"""
+
+ENDS = {
+    "last line": ("", 0),
+    "exception": ("raise RuntimeError('a mistake')", 1),
+    "exit": ("sys.exit(7)", 7),
+    "interrupt": ("os.kill(os.getpid(), signal.SIGINT); time.sleep(30)", -2),
+    "interrupt of a call": ("threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start(); canopen.homing(12)", -2),
+    "terminated": (
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143)); os.kill(os.getpid(), signal.SIGTERM); time.sleep(30)",
+        143,
+    ),
+    "thread left": ("threading.Thread(target=canopen.homing, args=(12,)).start(); time.sleep(0.3)", 0),
+}
+
+HALTS = ("60C#2B4060000F01", "60C#2B4060001F01")
+"""SDO writes of the controlword with bit 8."""
+
+
+def environment() -> dict[str, str]:
+    root = Path(__file__).parents[2]
+    paths = [str(root / each) for each in (".", "transports", "master", "data")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([*paths, os.environ.get("PYTHONPATH", "")]), "PYTHONUNBUFFERED": "1"}
+
+
+@pytest.fixture(scope="module")
+def endings() -> dict[str, tuple[int, str, str]]:
+    """Exit status, output and errors of each script; they run side by side."""
+    scripts = {
+        name: subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(SCRIPT) + end],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+        for name, (end, _) in ENDS.items()
+    }
+    results = {}
+    for name, script in scripts.items():
+        output, errors = script.communicate(timeout=LIMIT)
+        results[name] = script.returncode, output, errors
+    return results
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_a_script_that_ends_anyhow_leaves_its_drive_halted(endings: dict[str, tuple[int, str, str]], name: str) -> None:
+    status, output, errors = endings[name]
+    assert status == ENDS[name][1], errors
+    _, moving, after = output.partition("moving\n")
+    assert moving, errors
+    commands = [line for line in after.splitlines() if line.startswith("60C#2B406000")]
+    assert commands[-1].startswith(HALTS), output
+    assert "a mistake" in errors if name == "exception" else True
