@@ -16,7 +16,7 @@ from canopen_proto.network import Network
 
 
 class Copper:
-    """See this module's text. sent: every frame with the time of its arrival. events: those of `listener`, one of the networks."""
+    """See this module's text. sent: each frame, with the time of its arrival. events: those of `listener`, a network."""
 
     def __init__(self, seed: int, *, frame_time: Time = 130 * MICROSECOND, jitter: Time = 70 * MICROSECOND) -> None:
         self.now: Time = 0
