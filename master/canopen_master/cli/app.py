@@ -67,6 +67,10 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         return ExitCode.USAGE
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
         return _show(settings, problem_of(error))
+    except BaseExceptionGroup as group:  # a Ctrl-C before anything was begun comes out of trio like this
+        if group.subgroup(KeyboardInterrupt) is None:
+            raise
+        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "by Ctrl-C"))
     return result if isinstance(result, int) else ExitCode.OK
 
 

@@ -98,6 +98,7 @@ class Demonstration:
         self.sync_cycles = 0
         self.missed_cycles = 0
         self.description = self._chosen_chain()
+        self._check_fault()
         self._stage = "the drives were booting, and nothing had moved"
         self._has_begun = False  # to move
         self._fleet: Fleet | None = None
@@ -118,6 +119,16 @@ class Demonstration:
             seen=f"its chains are: {names}",
             tries=(f"--chain {chains[0].name}",),
         )
+
+    def _check_fault(self) -> None:
+        nodes = [joint.node_id for joint in self.description.joints]
+        if self.plan.fault is not None and self.plan.fault[0] not in nodes:
+            raise usage(
+                "CO123",
+                f"--fault: {self.description.name} has no node {self.plan.fault[0]}",
+                seen=f"its nodes are {', '.join(map(str, nodes))}",
+                tries=(f"--fault {nodes[0]}@{self.plan.fault[1]:g}",),
+            )
 
     def _locators(self) -> dict[str, str]:
         """Bus by its name in the chain file."""

@@ -8,7 +8,7 @@ status 130, which tells what was done.
 from __future__ import annotations
 
 import signal
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import TypeAlias, TypeVar
 
 import trio
@@ -38,26 +38,25 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
     failure: BaseException | None = None
     received: list[int] = []
 
-    async def watch(scope: trio.CancelScope, task_status: trio.TaskStatus[None]) -> None:
-        with trio.open_signal_receiver(*SIGNALS) as signals:
-            task_status.started()
-            async for number in signals:
-                if received:
-                    screen.say("[yellow]already ending: the drives are halted first[/]")
-                else:
-                    received.append(number)
-                    scope.cancel()
+    async def watch(signals: AsyncIterator[int], scope: trio.CancelScope) -> None:
+        async for number in signals:
+            if received:
+                screen.say("[yellow]already ending: the drives are halted first[/]")
+            else:
+                received.append(number)
+                scope.cancel()
 
-    async with trio.open_nursery() as nursery:
-        with trio.CancelScope() as scope:
-            await nursery.start(watch, scope)
-            try:
-                results.append(await command())
-            except BaseException as error:
-                failure = error
-                if not isinstance(error, Exception):
-                    raise
-        nursery.cancel_scope.cancel()
+    with trio.open_signal_receiver(*SIGNALS) as signals:
+        async with trio.open_nursery() as nursery:
+            with trio.CancelScope() as scope:
+                nursery.start_soon(watch, signals, scope)
+                try:
+                    results.append(await command())
+                except BaseException as error:  # an Exception is raised below: here it would come out wrapped in a group
+                    failure = error
+                    if not isinstance(error, Exception):
+                        raise
+            nursery.cancel_scope.cancel()
     if received and not results:
         raise _interrupted(received[0], story, failure)
     if failure is not None:

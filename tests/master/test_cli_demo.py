@@ -1,0 +1,247 @@
+"""`canopen demo`: six joints boot, home and move; and whatever goes wrong leaves every drive halted. In virtual time."""
+
+from __future__ import annotations
+
+import builtins
+import signal
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canopen_master.cli.fleet import Fleet
+from canopen_master.cli.problem import ExitCode
+from canopen_proto.cia402.states import State
+from tests.master.cli_support import Alarm, Run, runner, stands, watched_fleets
+
+SHORT = ("--seconds", "0.5", "--cycle", "20ms")
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
+    return runner(capsys, monkeypatch)
+
+
+@pytest.fixture
+def alarm() -> Alarm:
+    return Alarm()
+
+
+@pytest.fixture
+def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+    return watched_fleets(monkeypatch, alarm)
+
+
+def assert_all_stand(fleets: list[Fleet]) -> None:
+    (fleet,) = fleets
+    assert all(stands(drive) for drive in fleet.drives.values())
+
+
+def test_six_joints_home_and_move(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("demo", *SHORT)
+    assert outcome.status == 0
+    lines = [line.split() for line in outcome.out.splitlines() if line.startswith("joint")]
+    assert [line[:4] for line in lines[1:]] == [[f"joint{n}", "node", f"{n + 2}", f"(0x0{n + 2})"] for n in range(1, 7)]
+    assert all("yes" in line for line in lines[1:])
+    assert [word in outcome.err for word in ("✔ boot", "✔ home", "✔ move", "none missed", "canopen scan -b demo")] == [True] * 5
+    assert [drive.drive.state for drive in fleets[0].drives.values()] == [State.SWITCH_ON_DISABLED] * 6
+    assert_all_stand(fleets)
+
+
+def test_the_result_as_json(run: Run) -> None:
+    document = run("demo", *SHORT, "--json", "-q").json
+    assert (document["chain"], document["simulated"], document["cycle_ms"]) == ("arm1", True, 20)
+    assert document["missed_cycles"] == 0
+    assert document["sync_cycles"] >= 25
+    assert [joint["node"] for joint in document["joints"]] == [3, 4, 5, 6, 7, 8]
+    for joint in document["joints"]:
+        assert joint["homed"]
+        assert 0 < joint["largest_following_error_degrees"] < 2
+        assert joint["sdo_round_trips"] > 10
+
+
+def test_quiet_says_nothing_but_the_result(run: Run) -> None:
+    assert run("demo", *SHORT, "-q").err == ""
+
+
+def test_on_a_terminal_it_draws(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    outcome = run("demo", *SHORT)
+    assert outcome.status == 0
+    assert "●" in outcome.err
+    assert "\x1b[32m" in outcome.out  # green
+    assert "\x1b[32m" not in run("demo", *SHORT, "--no-color").out
+
+
+def test_the_bus_variable_does_not_make_it_move_real_drives(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CANOPEN_BUS", "socketcan:can0")
+    assert run("demo", *SHORT).status == 0
+
+
+@pytest.mark.parametrize("at", [0.0, 0.01, 0.02, 0.5, 1.3, 2.0, 2.45, 2.5, 2.52, 2.6, 2.9, 3.05, 3.1])
+def test_ctrl_c_leaves_every_drive_halted(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
+    alarm.set((at, signal.SIGINT))
+    outcome = run("demo", *SHORT)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "interrupted by Ctrl-C" in outcome.err
+    assert "STILL MOVING" not in outcome.err
+    assert_all_stand(fleets)
+    if 0.5 <= at <= 2.9:
+        assert "halted: joint1, joint2, joint3, joint4, joint5, joint6" in outcome.err
+
+
+def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    alarm.set((1.0, signal.SIGINT), (0.001, signal.SIGINT))
+    outcome = run("demo", *SHORT)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "already ending" in outcome.err
+    assert_all_stand(fleets)
+
+
+def test_sigterm_is_as_good(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    alarm.set((2.7, signal.SIGTERM))
+    outcome = run("demo", *SHORT)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "interrupted by SIGTERM" in outcome.err
+    assert_all_stand(fleets)
+
+
+def test_a_fault_in_the_middle_of_a_move(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("demo", *SHORT, "--fault", "5@0.2")
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert len(outcome.err.splitlines()) <= 16
+    for word in ("CO402", "joint3 (node 5", "0x2310", "over-current", "in fault, without power: joint3", "try:", "✘ move"):
+        assert word in outcome.err
+    assert "halted: joint1, joint2, joint4, joint5, joint6" in outcome.err
+    assert "await" not in outcome.err  # the library's advice would be of no use here
+    assert_all_stand(fleets)
+
+
+def test_the_fault_as_json(run: Run) -> None:
+    error = run("demo", *SHORT, "--fault", "5@0.2", "--json").error
+    assert (error["code"], error["kind"], error["node"]) == ("CO402", "drive_fault", 5)
+    assert error["try"]
+
+
+def test_a_fault_wants_a_simulated_drive_of_the_chain(run: Run) -> None:
+    assert run("demo", "--fault", "5@1", "-b", "can0").status == ExitCode.USAGE
+    outcome = run("demo", "--fault", "99@1")
+    assert outcome.status == ExitCode.USAGE
+    assert "3, 4, 5, 6, 7, 8" in outcome.err
+
+
+# ---- bad input ----
+
+
+def chain_file(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "my.csv"
+    path.write_text(text)
+    return str(path)
+
+
+def test_another_chain_file_is_simulated_as_it_stands(run: Run, tmp_path: Path) -> None:
+    chains = chain_file(tmp_path, "one j1 can0 12\ntwo left can0 0x10 right can1 16\n")
+    outcome = run("demo", *SHORT, "--chains", chains, "--chain", "two", "--json")
+    assert outcome.status == 0
+    assert [joint["node"] for joint in outcome.json["joints"]] == [16, 16]
+    assert run("demo", *SHORT, "--chains", chains, "--json").json["chain"] == "one"
+
+
+def test_a_chain_that_the_file_does_not_have(run: Run) -> None:
+    outcome = run("demo", "--chain", "arm2")
+    assert outcome.status == ExitCode.USAGE
+    assert "has no chain 'arm2'" in outcome.err
+    assert "arm1" in outcome.err
+
+
+def test_a_chain_file_that_is_not_there(run: Run) -> None:
+    outcome = run("demo", "--chains", "nowhere.csv")
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "multiple_devices.csv" in outcome.err
+
+
+def test_a_malformed_chain_file_is_told_by_line_and_column(run: Run, tmp_path: Path) -> None:
+    outcome = run("demo", "--chains", chain_file(tmp_path, "arm joint1 can0 3 joint2 can0 200\n"))
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "my.csv:1:" in outcome.err
+    assert "200" in outcome.err
+
+
+def test_a_malformed_dictionary_is_told_by_line_and_column(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "indices.csv").write_text("controlword 0x6040 0x00 2 rw\nstatusword 0xZZ 0x00 2 ro\n")
+    monkeypatch.setenv("CANOPEN_DATA", str(tmp_path))
+    outcome = run("demo")
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "indices.csv:2:" in outcome.err
+
+
+def test_two_joints_of_one_node_are_refused(run: Run, tmp_path: Path) -> None:
+    outcome = run("demo", "--chains", chain_file(tmp_path, "arm j1 can0 3 j2 can1 3"), "-b", "virtual:x")
+    assert outcome.status == ExitCode.BAD_FILE
+
+
+def test_a_bus_that_is_not_there(run: Run) -> None:
+    outcome = run("demo", "-b", "socketcan:can77")
+    assert outcome.status == ExitCode.CANNOT_OPEN
+    assert "try:" in outcome.err
+    assert run("demo", "-b", "nonsense:1").status == ExitCode.CANNOT_OPEN
+
+
+def test_nobody_answers(run: Run) -> None:
+    outcome = run("demo", "-b", "virtual:empty")
+    assert outcome.status == ExitCode.NO_ANSWER
+    assert "joint1 (node 3" in outcome.err
+    assert "nothing had moved" in outcome.err
+    assert "try:" in outcome.err
+
+
+def test_a_cycle_that_the_drive_cannot_have(run: Run) -> None:
+    assert run("demo", "--cycle", "1s").status == ExitCode.USAGE
+    outcome = run("demo", "--cycle", "1.05ms")
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "0x60C2" in outcome.err
+
+
+# ---- the picture ----
+
+
+def test_the_plot(run: Run, tmp_path: Path) -> None:
+    picture = tmp_path / "arm.png"
+    outcome = run("demo", *SHORT, "--plot", str(picture))
+    assert outcome.status == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert str(picture) in outcome.err.replace("\n", "")
+
+
+def test_a_plot_that_cannot_be_written_is_told_before_anything_moves(run: Run, tmp_path: Path) -> None:
+    outcome = run("demo", "--plot", str(tmp_path / "no" / "arm.png"))
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "boot" not in outcome.err
+    outcome = run("demo", "--plot", str(tmp_path / "arm.docx"))
+    assert outcome.status == ExitCode.USAGE
+    assert ".png" in outcome.err
+
+
+def test_a_plot_onto_a_full_or_forbidden_place(run: Run) -> None:
+    outcome = run("demo", *SHORT, "--plot", "/proc/arm.png")
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "cannot write /proc/arm.png" in outcome.err
+
+
+def test_without_matplotlib_it_says_what_to_install(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(
+        name: str, globals: Mapping[str, Any] | None = None, locals: Mapping[str, Any] | None = None,
+        fromlist: Sequence[str] = (), level: int = 0,
+    ) -> Any:  # fmt: skip
+        if name.startswith("matplotlib"):
+            raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+        return real(name, globals, locals, fromlist, level)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    outcome = run("demo", "--plot", "arm.png")
+    assert outcome.status == ExitCode.USAGE
+    assert "canopen-proto[plot]" in outcome.err
