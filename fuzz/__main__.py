@@ -17,9 +17,9 @@ HERE = Path(__file__).parent
 
 def main(arguments: list[str]) -> int:
     """The exit status: 0, or 2 where it could not begin."""
-    from fuzz.steps import decode, text_of
-
     if len(arguments) == 2 and arguments[0] == "show":
+        from fuzz.steps import decode, text_of
+
         print(text_of(decode(Path(arguments[1]).read_bytes())))
         return 0
     names = sorted(path.name for path in (HERE / "corpus").iterdir())

@@ -59,6 +59,7 @@ class OperationMode:
         self.out = out
         self.node_id = node_id
         self.controlword = 0
+        self.enter()  # chosen while the drive is on a ramp down, a mode is asked for its status before it begins to act
 
     def enter(self) -> None:
         """The mode begins to act: operation was enabled, or the mode was chosen while it was. A word follows by `control`."""

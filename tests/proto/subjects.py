@@ -1,4 +1,4 @@
-"""A LocalNode and a RemoteNode that anything at all may be done to: what is checked after each step is the oracle.
+"""A device, a drive and a master's view of one that anything may be done to: what is checked after each step is the oracle.
 
 Nothing that a peer sends, and no time that passes, may raise, spin, or make a participant grow without bound.
 """
@@ -9,6 +9,8 @@ from collections import deque
 from enum import Enum
 from typing import Final
 
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.dictionary import Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -75,8 +77,13 @@ class Subject:
         self.drain()
 
     def pass_time(self, duration: Time) -> None:
-        """Serve deadlines on time, some of them; then oversleep. A negative duration is a clock that runs back."""
+        """Serve deadlines on time, some of them; then oversleep. A negative duration: the clock ran back, for once."""
         end = self.now + duration
+        if duration < 0:
+            self.network.handle_timeout(end)
+            self.network.receive(Frame(0x705, b"\x05"), end)
+            self.drain()
+            return
         for _ in range(WAKES):
             deadline = self.network.next_deadline()
             if deadline > end:
@@ -85,10 +92,12 @@ class Subject:
             self.network.handle_timeout(self.now)
             self.drain()
         self.now = end
-        for _ in range(4):
+        for _ in range(WAKES):  # more than one: an EMCY queue whose inhibit time was taken away goes out one by one
             self.network.handle_timeout(end)
             self.drain()
-        assert duration < 0 or self.network.next_deadline() > end, "its time was served, and it wants to be woken all the same"
+            if self.network.next_deadline() > end:
+                break
+        assert self.network.next_deadline() > end, "its time was served, and it wants to be woken all the same"
 
     def drain(self) -> list[Event]:
         frames, events = self.network.drain(self.now)
@@ -148,6 +157,31 @@ class LocalSubject(Subject):
                     kept = None if access.data is not None else bytes(more % 9)
                     self.node.complete(access.access_id, AbortCode.LOCAL_CONTROL if more % 3 == 0 else kept, self.now)
                 self.pending.clear()
+        self.drain()
+
+
+class DriveSubject(Subject):
+    """A simulated drive that has things happen to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.node = DriveNode(self.network.out, NODE, DriveSettings())
+        self.node.sdo.max_download = LARGEST_TRANSFER
+        self.network.attach(self.node)
+        self.node.boot(0)
+        self.node.execute(NmtCommand.START, 0)
+        self.drain()
+
+    def act(self, choice: int) -> None:
+        """The world around the drive does something."""
+        more, what = divmod(choice, 8)
+        match what:
+            case 0:
+                self.node.raise_fault((0x2310, 0x7320, 0x8611)[more % 3], self.now)
+            case 1:
+                self.node.block(more % 4 == 0, self.now)
+            case _:
+                self.node.execute(NmtCommand.START, self.now)
         self.drain()
 
 
