@@ -1,5 +1,6 @@
 """The manual's demos, each run as a user runs it: a real process, on a virtual bus with simulated drives."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -41,6 +42,14 @@ RUNS = {
 }
 
 
+def numbers(text: str) -> list[int]:
+    return [int(number) for number in re.findall(r"-?\d+", text)]
+
+
+def without_numbers(text: str) -> str:
+    return re.sub(r"-?\d+", "#", text)
+
+
 def start(command: str) -> subprocess.Popen[str]:
     demo, *arguments = command.split()
     return subprocess.Popen(
@@ -62,7 +71,8 @@ def processes() -> dict[str, subprocess.Popen[str]]:
 def test_a_demo_does_what_the_manual_says(processes: dict[str, subprocess.Popen[str]], command: str) -> None:
     output, errors = processes[command].communicate(timeout=LIMIT)
     assert (processes[command].returncode, errors) == (0, "")
-    assert output.splitlines() == RUNS[command]
+    assert without_numbers(output) == without_numbers("\n".join([*RUNS[command], ""]))
+    assert numbers(output) == pytest.approx(numbers("\n".join(RUNS[command])), abs=5)  # the axis follows with a lag
 
 
 def test_ctrl_c_halts_and_says_so() -> None:

@@ -56,7 +56,7 @@ def command(options: Options) -> None:
         positions = [position + STEP for position in positions]
         chain.set_pos(positions)
         time.sleep(INTERVAL)
-    time.sleep(5 * INTERVAL)  # the last set-points are reached two cycles later
+    time.sleep(10 * INTERVAL)  # the last set-points are reached two cycles later
     print(f"sent to {positions} mdeg, ends at {chain.get_current_pos()} mdeg")
     check(chain.shut_down(), "The chain could not be shut down.")
 
