@@ -11,9 +11,11 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.emcy import EmcySent
+from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
+from canopen_proto.network import Network
 from canopen_proto.nmt import SERVICES, NmtCommand, NmtState, NmtStateChanged, Service
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten, SdoServerAborted
@@ -685,3 +687,24 @@ def test_bytes_that_are_no_value_are_refused_by_sdo_and_ignored_by_pdo() -> None
     bench.tell(START, "305#FFFFFF0F0100", SYNC)
     assert [event.reason for event in bench.seen(FrameIgnored)] != []
     assert bench.node.values.store[0x210000] == noon
+
+
+def test_two_devices_in_one_process_on_one_network() -> None:
+    network = Network()
+    nodes = [LocalNode(network.out, node_id, io_device(node_id)) for node_id in (5, 6)]
+    for node in nodes:
+        network.attach(node)
+        node.boot(0)
+    for frame in ("000#0100", "206#0700", "605#4001200000000000", "606#4001200000000000", "080#", "000#8106"):
+        network.receive(Frame.parse(frame), 0)
+    frames, _ = network.drain(0)
+    assert [str(frame) for frame in frames] == [
+        "705#00",
+        "706#00",
+        "585#4B01200000000000",
+        "586#4B01200007000000",
+        "285#0000",
+        "286#0000",
+        "706#00",
+    ]
+    assert [node.state for node in nodes] == [NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL]
