@@ -10,6 +10,8 @@ producer's own, and are copied into the values when they are read (`refresh`).
              beyond the number of errors has no data to read (0x08000024)                             7.5.2.4
     0x1005   COB-ID SYNC: bit 30 makes us the producer; the CAN-ID may not change while it is set     7.5.2.5
     0x1006   communication cycle period in us, 0 stops the producer                                   7.5.2.6
+    0x100C   guard time in ms, and 0x100D life time factor: their product is the node life time. A
+             device that has both answers guarding requests while it has no heartbeat               7.5.2.11, .12
     0x1014   COB-ID EMCY: the CAN-ID may not change while it is valid                                 7.5.2.17
     0x1015   EMCY inhibit time in 100 us                                                              7.5.2.18
     0x1016   heartbeat consumers: node-ID << 16 | ms, one entry for each node at most                 7.5.2.19
@@ -18,7 +20,7 @@ producer's own, and are copied into the values when they are read (`refresh`).
 
 A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40).
 
-Left out: 0x1007 (window) and 0x1012 (TIME) have no effect yet; 0x100C and 0x100D (guarding) are not served.
+Left out: 0x1007 (window) and 0x1012 (TIME) have no effect yet.
 
 Source: CiA 301 v4.2.0, the clause at each row.
 """
@@ -32,6 +34,7 @@ from canopen_proto.dictionary import Values, mux
 from canopen_proto.emcy import EmcyProducer
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID, key_of_cob_id
 from canopen_proto.group import Members
+from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
 from canopen_proto.pdo.parameters import RESTRICTED_CAN_IDS
@@ -45,6 +48,8 @@ ERROR_REGISTER: Final = mux(0x1001)
 ERROR_HISTORY: Final = mux(0x1003)
 COB_ID_SYNC: Final = mux(0x1005)
 CYCLE_PERIOD: Final = mux(0x1006)
+GUARD_TIME: Final = mux(0x100C)
+LIFE_TIME_FACTOR: Final = mux(0x100D)
 COB_ID_EMCY: Final = mux(0x1014)
 EMCY_INHIBIT_TIME: Final = mux(0x1015)
 CONSUMER_HEARTBEAT: Final = mux(0x1016)
@@ -63,6 +68,7 @@ class CommunicationObjects:
         "_out",
         "_sync_lives",
         "emcy",
+        "guarding",
         "heartbeat",
         "monitors",
         "node_id",
@@ -82,10 +88,11 @@ class CommunicationObjects:
         length = DEFAULT_HISTORY_LENGTH if history is None else max(1, len(history.variables) - 1)
         self.emcy = EmcyProducer(out, node_id, history_length=length)
         self.heartbeat = HeartbeatProducer(out, node_id)
+        self.guarding = GuardingSlave(out, node_id)
         self.monitors: dict[int, HeartbeatConsumer] = {}
         self.sync_producer = SyncProducer(out)
         self.sync_consumer = SyncConsumer(out)
-        for machine in (self.emcy, self.heartbeat, self.sync_producer, self.sync_consumer):
+        for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer):
             members.attach(machine)
 
     def _int(self, key: int, default: int = 0) -> int:
@@ -100,6 +107,7 @@ class CommunicationObjects:
         self.emcy.set_cob_id(self._int(COB_ID_EMCY, 0x80 + self.node_id), now)
         self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
         self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
+        self._set_guarding(now)
         self._set_monitors(now)
         self._set_sync(now)
 
@@ -154,6 +162,8 @@ class CommunicationObjects:
                         self.values.store[key] = 0
             case 0x1005 | 0x1006 | 0x1019:
                 self._set_sync(now)
+            case 0x100C | 0x100D:
+                self._set_guarding(now)
             case 0x1014:
                 self.emcy.set_cob_id(self._int(COB_ID_EMCY), now)
             case 0x1015:
@@ -162,6 +172,7 @@ class CommunicationObjects:
                 self._set_monitors(now)
             case 0x1017:
                 self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
+                self._set_guarding(now)
 
     # ---- rules ----
 
@@ -197,6 +208,14 @@ class CommunicationObjects:
                 self._members.attach(monitor)
             if monitor.timeout != timeout:
                 monitor.set_timeout(timeout, now)
+
+    def _set_guarding(self, now: Time) -> None:
+        store = self.values.store
+        has_heartbeat = self._int(PRODUCER_HEARTBEAT) != 0  # a device has one or the other: 7.2.8.3.2
+        self.guarding.set_enabled(GUARD_TIME in store and LIFE_TIME_FACTOR in store and not has_heartbeat)
+        life_time = self._int(GUARD_TIME) * self._int(LIFE_TIME_FACTOR) * MILLISECOND
+        if life_time != self.guarding.life_time:
+            self.guarding.set_life_time(life_time, now)
 
     def _set_sync(self, now: Time) -> None:
         cob_id, overflow = self._int(COB_ID_SYNC, 0x80), self._int(SYNC_OVERFLOW)

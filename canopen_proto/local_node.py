@@ -1,7 +1,7 @@
 """`LocalNode`: a device. A dictionary, values of its own, and every service that they describe.
 
-A group of machines, set up by the dictionary: NMT slave, SDO server, heartbeat producer and consumers, SYNC, EMCY, PDOs, and,
-where there is one, an `application` (a simulated drive). `values` is the one memory that all of them share.
+A group of machines, set up by the dictionary: NMT slave, SDO server, heartbeat producer and consumers or guarding, SYNC, EMCY,
+PDOs, and, where there is one, an `application` (a simulated drive). `values` is the one memory that all of them share.
 
 **A write is asked, stored, obeyed.** `check_write` and `write` are the doors through which the SDO server comes in. After type,
 access and limits are found right, whoever the object belongs to is asked, and may refuse with an abort code: the
@@ -15,6 +15,7 @@ What follows from what:
     SYNC heard or sent         TPDOs are sampled, RPDOs held for it take effect, the application makes its step: in this order
     PDO received               the application is told of each value
     heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); 0x1029's behaviour, by default pre-operational
+    life guarding: not asked   the same, for no node
     PDO too short, or overdue  EMCY 0x8210, 0x8250, until one of the right length comes (a PDO that is too long is used: no EMCY)
     drive fault                EMCY, 0x1001 and 0x1003
 
@@ -25,10 +26,12 @@ from __future__ import annotations
 
 from typing import Final, Protocol
 
+from canopen_proto.communication_errors import CommunicationErrors
 from canopen_proto.communication_objects import CommunicationObjects
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.group import Group
+from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
@@ -43,10 +46,6 @@ from canopen_proto.sync import SyncReceived, SyncSent
 COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 """The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
 
-EMCY_HEARTBEAT: Final = 0x8130
-"""Life guard error or heartbeat error. CiA 301 v4.2.0, 7.2.7.1, table 26."""
-COMMUNICATION_ERROR_BIT: Final = 0x10
-"""Of the error register: communication error (overrun, error state). CiA 301 v4.2.0, 7.5.2.2."""
 ERROR_BEHAVIOUR: Final = 0x1029_01
 
 
@@ -69,7 +68,7 @@ class Application(Protocol):
         """A SYNC came; synchronous RPDOs were taken."""
 
     def connection_lost(self, now: Time) -> None:
-        """A heartbeat that the node monitors was lost, or the node was stopped while Operational."""
+        """A heartbeat that the node monitors was lost, nobody guards it any more, or it was stopped while Operational."""
 
     def reset(self, now: Time) -> None:
         """Power-on: the values are back at their defaults."""
@@ -79,8 +78,7 @@ class LocalNode(Group):
     """A device on the bus; see this module's text. It is mute until `boot`."""
 
     __slots__ = (
-        "_lost",
-        "_pdo_errors",
+        "_errors",
         "_store",
         "application",
         "communication",
@@ -104,11 +102,10 @@ class LocalNode(Group):
         self.pdos = DevicePdos(self.inner, node_id, self.values)
         self.deferred: set[int] = set()
         """Indices that only the host can serve: ObjectAccessPending is reported, and it answers by `complete`."""
-        self._lost: set[int] = set()
-        self._pdo_errors: dict[int, set[int]] = {}  # EMCY codes by the RPDO's number
         self._members.attach(self.nmt)
         self._members.attach(self.sdo)
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
+        self._errors = CommunicationErrors(self.communication.emcy)
         self.sdo.disable()  # mute until the boot-up frame is out
         self.communication.emcy.set_enabled(False, 0)
         for machine in self.pdos.machines:
@@ -124,6 +121,8 @@ class LocalNode(Group):
                 PdoOverdue: self._on_pdo_error,
                 HeartbeatLost: self._on_heartbeat_lost,
                 HeartbeatRecovered: self._on_heartbeat_recovered,
+                LifeGuardingLost: self._on_life_guarding_lost,
+                LifeGuardingRecovered: self._on_life_guarding_recovered,
             }
         )
 
@@ -242,12 +241,14 @@ class LocalNode(Group):
         place = place_of(index)
         if place is not None:
             self.pdos.apply(index, subindex, now)
-            if place.number in self._pdo_errors and place.direction is Direction.RPDO:
-                self._clear_pdo_errors(place.number, now)  # it is another PDO from now on
+            if place.direction is Direction.RPDO:
+                self._errors.rpdo_good(place.number, now)  # it is another PDO from now on
             return
         self.communication.apply(index, subindex, now)
-        for node_id in self._lost.difference(self.communication.monitors):
-            self._clear_lost(node_id, now)  # it is monitored no more
+        for node_id in self._errors.lost_nodes.difference(self.communication.monitors):
+            self._errors.node_back(node_id, now)  # it is monitored no more
+        if not self.communication.guarding.lost:
+            self._errors.life_guarding_back(now)
 
     # ---- inputs ----
 
@@ -277,10 +278,7 @@ class LocalNode(Group):
         else:
             self.values.reset(COMMUNICATION_OBJECTS.start, COMMUNICATION_OBJECTS.stop - 1)
             emcy.clear_history()
-        for node_id in tuple(self._lost):
-            self._clear_lost(node_id, now)
-        for number in tuple(self._pdo_errors):
-            self._clear_pdo_errors(number, now)
+        self._errors.clear(now)
         self._start(now)
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
@@ -295,6 +293,7 @@ class LocalNode(Group):
             self.application.refresh(now)
         self.pdos.set_enabled(allows(Service.PDO), now)
         self.communication.heartbeat.set_state(change.state, now)
+        self.communication.guarding.set_state(change.state)
         left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
         if left_operational and self.application is not None:
             self.application.connection_lost(now)
@@ -318,8 +317,8 @@ class LocalNode(Group):
             self._on_values(report, now)
 
     def _on_values(self, report: PdoReceived, now: Time) -> None:
-        if report.number in self._pdo_errors:
-            self._clear_pdo_errors(report.number, now)
+        if report.number in self._errors.rpdos:
+            self._errors.rpdo_good(report.number, now)
         for entry in report.mapping.components:
             if self.application is not None:
                 self.application.written(entry.index, entry.subindex, now)
@@ -330,18 +329,23 @@ class LocalNode(Group):
             self._on_pdo_error(report, now)
 
     def _on_pdo_error(self, report: PdoLengthError | PdoOverdue, now: Time) -> None:
-        self._pdo_errors.setdefault(report.number, set()).add(report.emcy_code)
-        # The number tells errors of several PDOs apart. CiA 301 v4.2.0, 7.5.2.4 (additional information)
-        self.communication.emcy.raise_error(report.emcy_code, COMMUNICATION_ERROR_BIT, b"", now, report.number)
-
-    def _clear_pdo_errors(self, number: int, now: Time) -> None:
-        for code in sorted(self._pdo_errors.pop(number)):
-            self.communication.emcy.clear(code, now, number)
+        self._errors.rpdo_failed(report.number, report.emcy_code, now)
 
     def _on_heartbeat_lost(self, report: HeartbeatLost, now: Time) -> None:
-        node_id = report.node_id
-        self._lost.add(node_id)
-        self.communication.emcy.raise_error(EMCY_HEARTBEAT, COMMUNICATION_ERROR_BIT, bytes((node_id,)), now, node_id)
+        self._errors.node_lost(report.node_id, now)
+        self._on_connection_lost(now)
+
+    def _on_heartbeat_recovered(self, report: HeartbeatRecovered, now: Time) -> None:
+        self._errors.node_back(report.node_id, now)
+
+    def _on_life_guarding_lost(self, report: LifeGuardingLost, now: Time) -> None:
+        self._errors.life_guarding_lost(now)
+        self._on_connection_lost(now)
+
+    def _on_life_guarding_recovered(self, report: LifeGuardingRecovered, now: Time) -> None:
+        self._errors.life_guarding_back(now)
+
+    def _on_connection_lost(self, now: Time) -> None:
         if self.application is not None:
             self.application.connection_lost(now)
         # 0x1029:01: 0 pre-operational (only from operational), 1 no change, 2 stopped. CiA 301 v4.2.0, 7.5.2.32
@@ -350,10 +354,3 @@ class LocalNode(Group):
             self.nmt.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now)
         elif behaviour == 2:
             self.nmt.execute(NmtCommand.STOP, now)
-
-    def _on_heartbeat_recovered(self, report: HeartbeatRecovered, now: Time) -> None:
-        self._clear_lost(report.node_id, now)
-
-    def _clear_lost(self, node_id: int, now: Time) -> None:
-        self._lost.discard(node_id)
-        self.communication.emcy.clear(EMCY_HEARTBEAT, now, node_id)

@@ -10,7 +10,7 @@ us. It holds
 
 What follows from what (CiA 301 v4.2.0, 7.3.2.2, table 37):
 
-    node boots, heartbeat lost      open SDO requests are aborted: their answers will not come
+    node boots, or is lost          open SDO requests are aborted: their answers will not come
     node boots                      what it said is old; its RPDOs have to be enabled anew: its mappings are the defaults again
     node Operational / not          its PDOs live / don't: RPDOs are not sent to a node that would ignore them
     SYNC sent or heard              synchronous RPDOs go out
@@ -29,6 +29,7 @@ from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, 
 from canopen_proto.emcy import EmcyConsumer
 from canopen_proto.frame import KEY_EXTENDED
 from canopen_proto.group import Group
+from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
@@ -56,6 +57,7 @@ class RemoteNode(Group):
         "_wanted",
         "_writes",
         "emcy",
+        "guarding",
         "heard_at",
         "heartbeat",
         "last_sync",
@@ -87,6 +89,7 @@ class RemoteNode(Group):
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
         self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
         self.emcy = EmcyConsumer(self.inner, node_id)
+        self.guarding = GuardingMaster(self.inner, node_id)
         self.rpdos: dict[int, PdoProducer] = {}
         self.tpdos: dict[int, PdoConsumer] = {}
         self._wanted: set[int] = set()
@@ -99,6 +102,7 @@ class RemoteNode(Group):
             {
                 NodeBooted: self._on_boot,
                 HeartbeatLost: self._on_lost,
+                NodeGuardingLost: self._on_lost,
                 HeartbeatReceived: self._on_heartbeat,
                 PdoReceived: self._on_pdo,
                 SdoUploaded: self._on_uploaded,
@@ -239,6 +243,21 @@ class RemoteNode(Group):
         if on_boot is not None:
             self._boot_listeners.append(on_boot)
 
+    # ---- node guarding ----
+
+    def start_guarding(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
+        """Ask the node once per guard time whether it lives: for a node without a heartbeat. See GuardingMaster.start.
+
+        Its answers are heard like heartbeats too (HeartbeatReceived, `nmt_state`). NodeGuardingLost ends open SDO requests.
+        """
+        self.guarding.start(guard_time, life_time_factor, now)
+        self._members.attach(self.guarding)
+
+    def stop_guarding(self) -> None:
+        """Ask no more."""
+        self.guarding.stop()
+        self._members.detach(self.guarding)
+
     # ---- what the rest of the network does ----
 
     def on_sync(self, counter: int | None, now: Time) -> None:
@@ -265,7 +284,7 @@ class RemoteNode(Group):
             on_boot()
         self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
-    def _on_lost(self, report: HeartbeatLost, now: Time) -> None:
+    def _on_lost(self, report: HeartbeatLost | NodeGuardingLost, now: Time) -> None:
         self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
     def _on_heartbeat(self, report: HeartbeatReceived, now: Time) -> None:

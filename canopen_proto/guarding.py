@@ -1,0 +1,318 @@
+"""Node guarding and life guarding: the NMT master asks each node whether it lives, and each node notices when nobody asks any
+more (CiA 301 v4.2.0, 7.2.8.3.2.1).
+
+Theory of operation
+-------------------
+Once per guard time the master sends a remote frame on 0x700 + node-ID. The node answers on that CAN-ID with one byte: its NMT
+state in bits 0 to 6, and in bit 7 a toggle bit, 0 in the first answer and then the other one each time. Both sides reckon with
+the node life time, which is guard time * life time factor:
+
+    master   `GuardingMaster`   a request that is not answered within the node life time: NodeGuardingLost
+    slave    `GuardingSlave`    no request for that long: LifeGuardingLost. It begins with the first request; without a guard
+                                time (0x100C) or life time factor (0x100D) the slave answers, and doesn't watch
+
+    not begun --request--> watched --life time over: LifeGuardingLost--> lost --request: LifeGuardingRecovered--> watched
+
+An answer whose toggle bit is that of the one before is handled as if it had not come (`GuardingToggleRepeated` tells of it). One
+answer that got lost therefore costs two: the next one looks like a repeated one. The first answer that a master hears may have
+either toggle bit, as somebody else may have asked before; after a boot-up frame it has to be 0, since only that resets it.
+
+A node either has guarding or a heartbeat: while its producer heartbeat time (0x1017) is not 0, it does not answer. Its owner says
+so by `set_enabled`. Heartbeats are supervised without remote frames and are the better choice (CiA 301 recommends them); guarding
+is here for devices that have nothing else, and for masters that insist on it.
+
+Answers and heartbeats share a CAN-ID: a `HeartbeatConsumer` beside a `GuardingMaster` hears the answers as signs of life too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.frame import ERROR_CONTROL, KEY_REMOTE, REMOTE, Frame
+from canopen_proto.machine import (
+    MILLISECOND,
+    NEVER,
+    Event,
+    FrameIgnored,
+    LocalProtocolError,
+    Machine,
+    Outbox,
+    Time,
+    check_node_id,
+    event,
+)
+from canopen_proto.nmt import STATE_OF_BYTE, NmtState
+
+TOGGLE: Final = 0x80
+MIN_GUARD_TIME: Final = MILLISECOND
+"""The unit of 0x100C."""
+MAX_LIFE_TIME_FACTOR: Final = 255
+"""0x100D is an UNSIGNED8."""
+
+
+@event
+class GuardingAnswered(Event):
+    """A node answered a guarding request. timestamp: the transport's, if it has one."""
+
+    state: NmtState
+    timestamp: int | None
+
+
+@event
+class GuardingToggleRepeated(FrameIgnored):
+    """An answer with the toggle bit of the one before; it counts as not received."""
+
+
+@event
+class GuardingRequestsSkipped(Event):
+    """The master was woken so late that it left out requests. skipped: how many, 1 or more."""
+
+    skipped: int
+
+
+@event
+class GuardingStateUnexpected(Event):
+    """A node answered with another NMT state than it is expected to have. Once for each state that it shows instead.
+
+    Together with NodeGuardingLost this is the "node guarding event". CiA 301 v4.2.0, 7.2.8.2.2.1
+    """
+
+    state: NmtState
+    expected: NmtState
+
+
+@event
+class NodeGuardingLost(Event):
+    """A node did not answer within the node life time. Once; NodeGuardingRecovered follows with its next answer.
+
+    state: what it answered last, None if it never did. life_time: ns.
+    """
+
+    state: NmtState | None
+    life_time: Time
+
+
+@event
+class NodeGuardingRecovered(Event):
+    """A lost node answered (the GuardingAnswered before this one)."""
+
+    state: NmtState
+
+
+@event
+class LifeGuardingLost(Event):
+    """Nobody asked our own slave for its node life time (ns). Once; LifeGuardingRecovered follows with the next request."""
+
+    life_time: Time
+
+
+@event
+class LifeGuardingRecovered(Event):
+    """Our own slave is being asked again."""
+
+
+class GuardingMaster(Machine):
+    """Asks one node whether it lives.
+
+    guard_time, life_time: ns, 0 while stopped. state: what the node answered last, or None. expected: the NMT state that it is
+    expected to have, None for any. lost: NodeGuardingLost was reported and no answer came since. All read-only outside.
+    """
+
+    __slots__ = (
+        "_next_request",
+        "_toggle",
+        "_unanswered_since",
+        "expected",
+        "guard_time",
+        "life_time",
+        "lost",
+        "node_id",
+        "state",
+    )
+
+    def __init__(self, out: Outbox, node_id: int) -> None:
+        """node_id: 1..127, else LocalProtocolError. It asks nothing before `start`."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.guard_time: Time = 0
+        self.life_time: Time = 0
+        self.state: NmtState | None = None
+        self.expected: NmtState | None = None
+        self.lost = False
+        self._toggle: int | None = None  # that of the answer to come; None: either
+        self._next_request: Time = NEVER
+        self._unanswered_since: Time = NEVER  # when the oldest request was sent that waits for an answer
+
+    def can_ids(self) -> Iterable[int]:
+        return (ERROR_CONTROL + self.node_id,)
+
+    def start(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
+        """Ask now, and then once per guard time (ns, 1 ms or more); a master that asks already begins anew.
+
+        life_time_factor: 1..255. Events: GuardingAnswered with each answer; NodeGuardingLost, NodeGuardingRecovered. Raises
+        LocalProtocolError for other values. CiA 301 v4.2.0, 7.2.8.3.2.1
+        """
+        if guard_time < MIN_GUARD_TIME:
+            raise LocalProtocolError(f"a guard time is 1 ms or more, not {guard_time} ns; stop() ends guarding")
+        if not 1 <= life_time_factor <= MAX_LIFE_TIME_FACTOR:
+            raise LocalProtocolError(f"a life time factor is 1 to {MAX_LIFE_TIME_FACTOR}, not {life_time_factor}")
+        self.guard_time = guard_time
+        self.life_time = guard_time * life_time_factor
+        self.lost = False
+        self._toggle = None
+        self._unanswered_since = NEVER
+        self._request(now)
+        self._next_request = now + guard_time
+        self._rearm()
+
+    def stop(self) -> None:
+        """Ask no more."""
+        self.guard_time = self.life_time = 0
+        self.lost = False
+        self._next_request = self._unanswered_since = NEVER
+        self._rearm()
+
+    def expect(self, state: NmtState | None) -> None:
+        """Say which NMT state the node should have, None for any. Another one is reported: GuardingStateUnexpected."""
+        self.expected = state
+        self.state = None  # whatever it shows next is news
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take an answer. Events, in this order: GuardingAnswered; NodeGuardingRecovered; GuardingStateUnexpected.
+
+        GuardingToggleRepeated, or FrameIgnored for what is no answer. A boot-up frame is none: the toggle bit begins anew, and
+        requests that went to the node before it no longer count. While stopped nothing is taken. CiA 301 v4.2.0, 7.2.8.3.2.1
+        """
+        if not self.guard_time:
+            return
+        data, out = frame.data, self.out
+        if len(data) != 1:
+            out.events.append(FrameIgnored(self.node_id, frame, f"a guarding answer has 1 byte, not {len(data)}"))
+            return
+        if data[0] == 0:
+            self._toggle = 0
+            self._unanswered_since = NEVER
+            self._rearm()
+            return
+        state, toggle = STATE_OF_BYTE[data[0]], data[0] & TOGGLE
+        if not state:
+            out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT state"))
+            return
+        if self._toggle is not None and toggle != self._toggle:
+            out.events.append(GuardingToggleRepeated(self.node_id, frame, "the toggle bit of the answer before"))
+            return
+        self._toggle = toggle ^ TOGGLE
+        self._unanswered_since = NEVER
+        self._rearm()
+        out.events.append(GuardingAnswered(self.node_id, state, out.timestamp))
+        if self.lost:
+            self.lost = False
+            out.events.append(NodeGuardingRecovered(self.node_id, state))
+        previous, self.state = self.state, state
+        if self.expected is not None and state is not self.expected and state is not previous:
+            out.events.append(GuardingStateUnexpected(self.node_id, state, self.expected))
+
+    def handle_timeout(self, now: Time) -> None:
+        """Report NodeGuardingLost, once, and send the due request: one, however late (GuardingRequestsSkipped)."""
+        if now < self.deadline:
+            return
+        if now >= self._unanswered_since + self.life_time:
+            self._unanswered_since = NEVER
+            if not self.lost:
+                self.lost = True
+                self.out.events.append(NodeGuardingLost(self.node_id, self.state, self.life_time))
+        if now >= self._next_request:
+            skipped = (now - self._next_request) // self.guard_time
+            self._request(now)
+            self._next_request += (skipped + 1) * self.guard_time
+            if skipped:
+                self.out.events.append(GuardingRequestsSkipped(self.node_id, skipped))
+        self._rearm()
+
+    def _request(self, now: Time) -> None:
+        self.out.frames.append(Frame(ERROR_CONTROL + self.node_id, b"", REMOTE, 1))
+        if not self.lost:
+            self._unanswered_since = min(self._unanswered_since, now)
+
+    def _rearm(self) -> None:
+        self._arm(min(self._next_request, self._unanswered_since + self.life_time, NEVER))
+
+
+class GuardingSlave(Machine):
+    """Answers a master's guarding requests for our own node, and notices when they stop.
+
+    life_time: ns, 0 does not watch. state: what an answer says. lost: LifeGuardingLost was reported and no request came since.
+    enabled: guarding is used at all. All read-only outside.
+    """
+
+    __slots__ = ("_begun", "_toggle", "enabled", "life_time", "lost", "node_id", "state")
+
+    def __init__(self, out: Outbox, node_id: int) -> None:
+        """node_id: 1..127, else LocalProtocolError. The state is INITIALISING, the life time 0, and it is not enabled."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.enabled = False
+        self.life_time: Time = 0
+        self.state = NmtState.INITIALISING
+        self.lost = False
+        self._begun = False  # a request came: life guarding has begun
+        self._toggle = 0
+
+    def can_ids(self) -> Iterable[int]:
+        return (ERROR_CONTROL + self.node_id | KEY_REMOTE,) if self.enabled else ()
+
+    def set_enabled(self, enabled: bool) -> None:
+        """Whether the node uses guarding: it may not while it has a producer heartbeat time. CiA 301 v4.2.0, 7.2.8.3.2"""
+        if enabled != self.enabled:
+            self.enabled = enabled
+            self._forget()
+            self._reroute()
+
+    def set_life_time(self, life_time: Time, now: Time) -> None:
+        """Set the node life time: guard time * life time factor, in ns; 0 does not watch. LocalProtocolError if it is negative.
+
+        A slave that was asked before watches from now on, another from its first request on; one that is lost stays lost until
+        it is asked, or until 0 is set. CiA 301 v4.2.0, 7.5.2.11 and 7.5.2.12
+        """
+        if life_time < 0:
+            raise LocalProtocolError(f"the node life time is {life_time} ns, less than 0")
+        self.life_time = life_time
+        if life_time == 0:
+            self.lost = False
+            self._arm(NEVER)
+        elif self._begun and not self.lost:
+            self._arm(now + life_time)
+
+    def set_state(self, state: NmtState) -> None:
+        """Say what state the node is in now. In INITIALISING it is mute, and toggle bit and life guarding begin anew."""
+        self.state = state
+        if state is NmtState.INITIALISING:
+            self._forget()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Answer a request. Event: LifeGuardingRecovered if it was lost. CiA 301 v4.2.0, 7.2.8.3.2.1"""
+        if not self.enabled or self.state is NmtState.INITIALISING:
+            return
+        self.out.frames.append(Frame(ERROR_CONTROL + self.node_id, bytes((self.state | self._toggle,))))
+        self._toggle ^= TOGGLE
+        self._begun = True
+        if self.life_time:
+            self._arm(now + self.life_time)
+        if self.lost:
+            self.lost = False
+            self.out.events.append(LifeGuardingRecovered(self.node_id))
+
+    def handle_timeout(self, now: Time) -> None:
+        """Report LifeGuardingLost, once, when the node life time is over."""
+        if now < self.deadline:
+            return
+        self._arm(NEVER)
+        self.lost = True
+        self.out.events.append(LifeGuardingLost(self.node_id, self.life_time))
+
+    def _forget(self) -> None:
+        self._toggle = 0
+        self._begun = False
+        self.lost = False
+        self._arm(NEVER)
