@@ -1,7 +1,7 @@
 """`DriveNode`: a simulated drive on the bus, which is a `LocalNode` with a `Drive` as its application.
 
 What follows from what the drive reports: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, a fault reset takes it
-back, and a statusword that changes sends the event-driven TPDOs that carry it.
+back, and a statusword that changes sends the event-driven TPDOs that carry it; so does entering Operational.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
+from canopen_proto.nmt import NmtState, NmtStateChanged
 
 
 class DriveNode(LocalNode):
@@ -31,11 +32,13 @@ class DriveNode(LocalNode):
                 DriveFault: self._on_fault,
                 DriveFaultCleared: self._on_fault_cleared,
                 StatuswordChanged: self._on_statusword,
+                NmtStateChanged: self._on_drive_state,
             }
         )
 
     def boot(self, now: Time) -> None:
-        self.drive.reset(now)
+        if self.state is NmtState.INITIALISING:  # else boot refuses, and the drive stays as it is
+            self.drive.reset(now)
         super().boot(now)
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
@@ -58,6 +61,11 @@ class DriveNode(LocalNode):
 
     def _on_statusword(self, change: StatuswordChanged, now: Time) -> None:
         self.pdos.trigger(STATUSWORD, now)
+
+    def _on_drive_state(self, change: NmtStateChanged, now: Time) -> None:
+        self._on_state(change, now)
+        if change.state is NmtState.OPERATIONAL:
+            self.pdos.trigger(STATUSWORD, now)  # a master that goes by event-driven TPDOs must not stay blind until it changes
 
 
 def powerball(out: Outbox, node_id: int) -> DriveNode:

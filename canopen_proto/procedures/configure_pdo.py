@@ -13,7 +13,7 @@ from typing import Final
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping
+from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.settings import PdoSettings, RemapStep, objects_to_read
 from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, act, download, upload
@@ -22,6 +22,10 @@ from canopen_proto.sdo.abort import AbortOrigin
 
 _FAILURES: Final = (SdoFailed, LocalProtocolError)
 """How a step can fail: the transfer, or before that the client whose queue is full."""
+
+
+class StrangePdo(ProcedureError):
+    """What a device says of a PDO cannot be: more entries than there are, objects that our dictionary of it lacks."""
 
 
 class PdoRefused(ProcedureError):
@@ -37,7 +41,7 @@ class PdoRefused(ProcedureError):
 def read_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
     """How a PDO of the device is set up now.
 
-    Raises SdoFailed where the device has no such PDO, MappingError and UnexpectedLength for nonsense.
+    Raises SdoFailed where the device has no such PDO, StrangePdo and UnexpectedLength for nonsense.
     """
     answers: dict[tuple[int, int], bytes] = {}
     fixed = objects_to_read(number, direction)
@@ -48,7 +52,10 @@ def read_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[P
     if count <= MAX_ENTRIES:
         for index, subindex in objects_to_read(number, direction, count)[len(fixed) :]:
             answers[index, subindex] = yield from _upload(node, index, subindex, 4)
-    return PdoSettings.from_read(number, direction, answers)
+    try:
+        return PdoSettings.from_read(number, direction, answers)
+    except MappingError as error:
+        raise StrangePdo(f"node {node.node_id}: {error}") from error
 
 
 def _upload(node: RemoteNode, index: int, subindex: int, size: int) -> Procedure[bytes]:
@@ -117,12 +124,16 @@ def define_pdo(
 def use_device_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[Mapping | None]:
     """Exchange a PDO as the device has it set up: its mapping, or None where that PDO is not valid or carries nothing.
 
-    Raises SdoFailed, and MappingError where our dictionary of the device lacks what it maps.
+    Raises SdoFailed, and StrangePdo where it makes no sense, or our dictionary of the device lacks what it maps.
     """
     settings = yield from read_pdo(node, direction, number)
     if settings.cob_id & COB_ID_INVALID or not settings.entries:
         return None
-    mapping, key = Mapping.from_parameters(settings.entries, node.dictionary), key_of_cob_id(settings.cob_id)
+    try:
+        mapping = Mapping.from_parameters(settings.entries, node.dictionary)
+    except MappingError as error:
+        raise StrangePdo(f"{direction} {number} of node {node.node_id}: {error}") from error
+    key = key_of_cob_id(settings.cob_id)
     if direction is Direction.TPDO:
         yield from act(lambda now: node.add_tpdo(number, key, mapping, now))
     else:

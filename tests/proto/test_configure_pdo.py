@@ -14,9 +14,8 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.pdo.mapping import MappingError
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.configure_pdo import PdoRefused, configure_pdo, define_pdo, read_pdo, use_device_pdo
+from canopen_proto.procedures.configure_pdo import PdoRefused, StrangePdo, configure_pdo, define_pdo, read_pdo, use_device_pdo
 from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, SdoFailed
@@ -214,7 +213,7 @@ def test_use_device_pdo_that_maps_what_our_dictionary_lacks() -> None:
     bench.master.detach(bench.remote)
     bench.master.attach(remote)
     error = bench.error(use_device_pdo(remote, Direction.RPDO, 1))
-    assert isinstance(error, MappingError)
+    assert isinstance(error, StrangePdo)
     assert "0x2001:00 is not in the dictionary" in str(error)
 
 
@@ -334,7 +333,7 @@ def test_a_length_that_is_not_the_objects(dictionary: ObjectDictionary, text: st
 def test_more_entries_than_a_pdo_has_are_not_read() -> None:
     bench = Bench(with_variable(0x1600, 0, DataType.UNSIGNED8, 0xFE))  # an MPDO
     error = bench.error(configure_pdo(bench.remote, NEW))
-    assert isinstance(error, MappingError)
+    assert isinstance(error, StrangePdo)
     assert len(bench.bus.trace()) == 6
     assert bench.downloads() == []
 

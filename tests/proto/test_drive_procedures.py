@@ -340,6 +340,23 @@ def test_a_mechanical_block_becomes_a_following_error() -> None:
         rig.run(drive.move_to(rig.axis, 1.0, timeout=20 * SECOND))
 
 
+def test_entering_operational_tells_the_statusword_to_whoever_waits_for_events() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.bus.sent.clear()
+    rig.nmt.enter_pre_operational(5, rig.bus.now)
+    rig.nmt.start(5, rig.bus.now)
+    rig.bus.run(MILLISECOND)
+    assert "185#4002" in rig.bus.trace()
+
+
+def test_a_second_boot_is_refused_and_changes_nothing() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.run(drive.enable(rig.axis))
+    with pytest.raises(LocalProtocolError):
+        rig.node.boot(rig.bus.now)
+    assert rig.drive.state is State.OPERATION_ENABLED
+
+
 def test_a_failing_halt_is_noted_at_its_cause() -> None:
     rig = Rig(Shape.STANDARD)
     rig.axis = Axis(rig.remote, AxisSettings(homing_method=17))
