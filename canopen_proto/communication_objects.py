@@ -1,4 +1,4 @@
-"""The communication objects of a device that have an effect: 0x1001 to 0x1019, and the machines that they set.
+"""The communication objects of a device that have an effect, besides its PDOs', and the machines that they set.
 
 Theory of operation
 -------------------
@@ -12,6 +12,8 @@ producer's own, and are copied into the values when they are read (`refresh`).
     0x1006   communication cycle period in us, 0 stops the producer                                   7.5.2.6
     0x100C   guard time in ms, and 0x100D life time factor: their product is the node life time. A
              device that has both answers guarding requests while it has no heartbeat               7.5.2.11, .12
+    0x1012   COB-ID TIME: bit 31 makes us hear it, bit 30 lets us send it; the CAN-ID may not change
+             while one of them is set                                                               7.5.2.15
     0x1014   COB-ID EMCY: the CAN-ID may not change while it is valid                                 7.5.2.17
     0x1015   EMCY inhibit time in 100 us                                                              7.5.2.18
     0x1016   heartbeat consumers: node-ID << 16 | ms, one entry for each node at most                 7.5.2.19
@@ -20,7 +22,7 @@ producer's own, and are copied into the values when they are read (`refresh`).
 
 A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40).
 
-Left out: 0x1007 (window) and 0x1012 (TIME) have no effect yet.
+Left out: 0x1007 (window) has no effect yet.
 
 Source: CiA 301 v4.2.0, the clause at each row.
 """
@@ -37,11 +39,16 @@ from canopen_proto.group import Members
 from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
+from canopen_proto.nmt import SERVICES, NmtState, Service
 from canopen_proto.pdo.parameters import RESTRICTED_CAN_IDS
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
+from canopen_proto.time_stamp import TimeConsumer, TimeProducer
 
 SYNC_PRODUCER_BIT: Final = 1 << 30
+TIME_PRODUCER_BIT: Final = 1 << 30
+TIME_CONSUMER_BIT: Final = 1 << 31
+_TIME_BITS: Final = TIME_PRODUCER_BIT | TIME_CONSUMER_BIT
 _CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF  # bits 0..29
 
 ERROR_REGISTER: Final = mux(0x1001)
@@ -50,6 +57,7 @@ COB_ID_SYNC: Final = mux(0x1005)
 CYCLE_PERIOD: Final = mux(0x1006)
 GUARD_TIME: Final = mux(0x100C)
 LIFE_TIME_FACTOR: Final = mux(0x100D)
+COB_ID_TIME: Final = mux(0x1012)
 COB_ID_EMCY: Final = mux(0x1014)
 EMCY_INHIBIT_TIME: Final = mux(0x1015)
 CONSUMER_HEARTBEAT: Final = mux(0x1016)
@@ -66,7 +74,7 @@ class CommunicationObjects:
     __slots__ = (
         "_members",
         "_out",
-        "_sync_lives",
+        "_state",
         "emcy",
         "guarding",
         "heartbeat",
@@ -74,13 +82,15 @@ class CommunicationObjects:
         "node_id",
         "sync_consumer",
         "sync_producer",
+        "time_consumer",
+        "time_producer",
         "values",
     )
 
     def __init__(self, out: Outbox, node_id: int, values: Values, members: Members) -> None:
         """Makes the machines and attaches them to `members`; `reload` sets them by the values."""
         self._out = out
-        self._sync_lives = False
+        self._state = NmtState.INITIALISING
         self._members = members
         self.node_id = node_id
         self.values = values
@@ -92,7 +102,10 @@ class CommunicationObjects:
         self.monitors: dict[int, HeartbeatConsumer] = {}
         self.sync_producer = SyncProducer(out)
         self.sync_consumer = SyncConsumer(out)
-        for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer):
+        self.time_producer = TimeProducer(out)
+        self.time_consumer = TimeConsumer(out, None)
+        self.emcy.set_enabled(False, 0)  # until the boot-up frame is out
+        for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer, self.time_consumer):
             members.attach(machine)
 
     def _int(self, key: int, default: int = 0) -> int:
@@ -110,11 +123,24 @@ class CommunicationObjects:
         self._set_guarding(now)
         self._set_monitors(now)
         self._set_sync(now)
+        self._set_time()
 
-    def set_sync_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether SYNC lives in the node's NMT state: a producer starts and stops with that."""
-        self._sync_lives = enabled
+    def set_state(self, state: NmtState, now: Time) -> None:
+        """The node's NMT state is another: services live or don't, and its heartbeat or guarding answers bear it."""
+        self._state = state
+        self.emcy.set_enabled(self._lives(Service.EMCY), now)
         self._set_sync(now)
+        self._set_time()
+        self.heartbeat.set_state(state, now)
+        self.guarding.set_state(state)
+
+    @property
+    def may_send_time(self) -> bool:
+        """Whether the device is a TIME producer (0x1012), and TIME lives in its NMT state."""
+        return bool(self._int(COB_ID_TIME) & TIME_PRODUCER_BIT) and self._lives(Service.TIME)
+
+    def _lives(self, service: Service) -> bool:
+        return service in SERVICES[self._state]
 
     def refresh(self, index: int, subindex: int) -> AbortCode | None:
         """Bring 0x1001 or 0x1003 into the values, before they are read; or why there is nothing to read."""
@@ -142,6 +168,8 @@ class CommunicationObjects:
         match index:
             case 0x1005:
                 return _check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
+            case 0x1012:
+                return _check_cob_id(value, standing, in_use=bool(standing & _TIME_BITS and value & _TIME_BITS))
             case 0x1014 if not value & COB_ID_INVALID:
                 return _check_cob_id(value, standing, in_use=not standing & COB_ID_INVALID)
             case 0x1016:
@@ -164,6 +192,8 @@ class CommunicationObjects:
                 self._set_sync(now)
             case 0x100C | 0x100D:
                 self._set_guarding(now)
+            case 0x1012:
+                self._set_time()
             case 0x1014:
                 self.emcy.set_cob_id(self._int(COB_ID_EMCY), now)
             case 0x1015:
@@ -221,7 +251,7 @@ class CommunicationObjects:
         cob_id, overflow = self._int(COB_ID_SYNC, 0x80), self._int(SYNC_OVERFLOW)
         if not _is_overflow(overflow):
             overflow = 0  # a device's description may hold what no client could write
-        produces = self._sync_lives and bool(cob_id & SYNC_PRODUCER_BIT)
+        produces = self._lives(Service.SYNC) and bool(cob_id & SYNC_PRODUCER_BIT)
         period = self._int(CYCLE_PERIOD) * MICROSECOND if produces else 0
         key, producer = key_of_cob_id(cob_id), self.sync_producer
         self.sync_consumer.configure(key, overflow)
@@ -231,6 +261,12 @@ class CommunicationObjects:
         producer.key, producer.counter_overflow = key, overflow
         if period:
             producer.start(period, now)
+
+    def _set_time(self) -> None:
+        cob_id = self._int(COB_ID_TIME)
+        key = key_of_cob_id(cob_id)
+        self.time_producer.key = key
+        self.time_consumer.set_key(key if cob_id & TIME_CONSUMER_BIT and self._lives(Service.TIME) else None)
 
 
 def _check_cob_id(value: int, standing: int, *, in_use: bool) -> AbortCode | None:

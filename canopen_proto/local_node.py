@@ -1,7 +1,7 @@
 """`LocalNode`: a device. A dictionary, values of its own, and every service that they describe.
 
-A group of machines, set up by the dictionary: NMT slave, SDO server, heartbeat producer and consumers or guarding, SYNC, EMCY,
-PDOs, and, where there is one, an `application` (a simulated drive). `values` is the one memory that all of them share.
+A group of machines, set up by the dictionary: NMT slave, SDO server, heartbeat producer and consumers or guarding, SYNC, TIME,
+EMCY, PDOs, and, where there is one, an `application` (a simulated drive). `values` is the one memory that all of them share.
 
 **A write is asked, stored, obeyed.** `check_write` and `write` are the doors through which the SDO server comes in. After type,
 access and limits are found right, whoever the object belongs to is asked, and may refuse with an abort code: the
@@ -24,10 +24,11 @@ Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
 
 from __future__ import annotations
 
+import datetime
 from typing import Final, Protocol
 
 from canopen_proto.communication_errors import CommunicationErrors
-from canopen_proto.communication_objects import CommunicationObjects
+from canopen_proto.communication_objects import COB_ID_TIME, CommunicationObjects
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.group import Group
@@ -107,7 +108,6 @@ class LocalNode(Group):
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
         self._errors = CommunicationErrors(self.communication.emcy)
         self.sdo.disable()  # mute until the boot-up frame is out
-        self.communication.emcy.set_enabled(False, 0)
         for machine in self.pdos.machines:
             self._members.attach(machine)
         self._reactions.update(
@@ -179,6 +179,16 @@ class LocalNode(Group):
     def clear_error(self, code: int, now: Time) -> None:
         """An error is gone. See EmcyProducer.clear."""
         self.communication.emcy.clear(code, now)
+
+    def send_time(self, time: datetime.datetime, now: Time) -> None:
+        """Tell the bus what time it is. Event: TimeSent. See TimeProducer.send.
+
+        Raises LocalProtocolError where the device is no TIME producer (bit 30 of 0x1012), or TIME does not live in its NMT state.
+        """
+        if not self.communication.may_send_time:
+            cob_id = self.values.store.get(COB_ID_TIME, "not there")
+            raise LocalProtocolError(f"node {self.node_id} sends no TIME: it is {self.state.name}, and its 0x1012 is {cob_id!r}")
+        self.communication.time_producer.send(time, now)
 
     def complete(self, access_id: int, result: bytes | AbortCode | None, now: Time) -> None:
         """The host's answer to ObjectAccessPending. See SdoServer.complete."""
@@ -287,13 +297,10 @@ class LocalNode(Group):
             self.sdo.enable()
         else:
             self.sdo.disable()
-        self.communication.emcy.set_enabled(allows(Service.EMCY), now)
-        self.communication.set_sync_enabled(allows(Service.SYNC), now)
+        self.communication.set_state(change.state, now)
         if self.application is not None:
             self.application.refresh(now)
         self.pdos.set_enabled(allows(Service.PDO), now)
-        self.communication.heartbeat.set_state(change.state, now)
-        self.communication.guarding.set_state(change.state)
         left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
         if left_operational and self.application is not None:
             self.application.connection_lost(now)

@@ -1,0 +1,99 @@
+"""TIME: one node tells the others what time it is (CiA 301 v4.2.0, 7.2.6).
+
+Theory of operation
+-------------------
+The producer sends one frame of six bytes on CAN-ID 0x100 (0x1012): a TIME_OF_DAY, which is 28 bits of milliseconds since
+midnight, 4 unused bits, and 16 bits of days since 1984-01-01. There is no answer. Day 65535 is in June of 2163.
+
+`TimeProducer` sends when it is told to, with the time that it is told: this core has no clock, and least of all a wall clock. The
+frame is a moment old when it is heard; its priority is high so that the moment is short.
+
+`TimeConsumer` reports the time of each frame. What is done with it (setting a clock, comparing clocks) is the host's business.
+
+The standard names no time zone. Here it is UTC; a device that was set to local time is told by its offset.
+
+Left out: the high resolution time stamp (0x1013), which is a plain object that a PDO may carry.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.datatypes import DataType, ValueRangeError, decode, encode
+from canopen_proto.frame import TIME, Frame, frame_for_key
+from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time, event
+
+TIME_BYTES: Final = 6
+
+
+@event
+class TimeSent(Event):
+    """Our producer's TIME is in the outbox; node_id is 0. time: what it says (whole milliseconds, UTC)."""
+
+    time: datetime.datetime
+
+
+@event
+class TimeReceived(Event):
+    """A TIME came; node_id is 0. time: what it says, in UTC. timestamp: the transport's, if it has one."""
+
+    time: datetime.datetime
+    timestamp: int | None
+
+
+class TimeProducer(Machine):
+    """Sends TIME. key: the routing key of its COB-ID; may be set."""
+
+    __slots__ = ("key",)
+
+    def __init__(self, out: Outbox, key: int = TIME) -> None:
+        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`)."""
+        super().__init__(out)
+        self.key = key
+
+    def send(self, time: datetime.datetime, now: Time) -> None:
+        """Send TIME once. time: with its time zone, 1984-01-01 to 2163-06-06 UTC; parts of a millisecond are cut off.
+
+        Event: TimeSent, at once. Raises ValueRangeError for another time, or for one without a zone. CiA 301 v4.2.0, 7.2.6.2
+        """
+        data = encode(time, DataType.TIME_OF_DAY, "TIME")
+        self.out.frames.append(frame_for_key(self.key, data))
+        self.out.events.append(TimeSent(0, time_of(data)))
+
+
+class TimeConsumer(Machine):
+    """Reports each TIME on the bus. key: the routing key of its COB-ID, None to hear none; read-only outside."""
+
+    __slots__ = ("key",)
+
+    def __init__(self, out: Outbox, key: int | None = TIME) -> None:
+        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`), or None."""
+        super().__init__(out)
+        self.key = key
+
+    def can_ids(self) -> Iterable[int]:
+        return () if self.key is None else (self.key,)
+
+    def set_key(self, key: int | None) -> None:
+        """Take another COB-ID (0x1012); None to hear none."""
+        if key != self.key:
+            self.key = key
+            self._reroute()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take a TIME. Event: TimeReceived, or FrameIgnored for a length or a time of day that there is not. 7.2.6.3"""
+        try:
+            time = time_of(frame.data)
+        except ValueRangeError as error:
+            self.out.events.append(FrameIgnored(0, frame, str(error)))
+            return
+        self.out.events.append(TimeReceived(0, time, self.out.timestamp))
+
+
+def time_of(data: bytes) -> datetime.datetime:
+    """The time that the six bytes of a TIME_OF_DAY say, in UTC. Raises ValueRangeError."""
+    time = decode(data, DataType.TIME_OF_DAY, "TIME")
+    assert isinstance(time, datetime.datetime)
+    return time
