@@ -10,9 +10,9 @@ import json
 import shutil
 import struct
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 
@@ -81,3 +81,34 @@ def read_by_wireshark(path: Path, frames: list[Frame]) -> list[Packet]:
     run = subprocess.run(command, capture_output=True, timeout=LIMIT, check=True)
     packets = [packet["_source"]["layers"] for packet in json.loads(run.stdout)]
     return [Packet(frame, layers) for frame, layers in zip(frames, packets, strict=True)]
+
+
+Session: TypeAlias = Callable[[], list[Frame]]
+"""Makes frames for Wireshark to read."""
+Reading: TypeAlias = Callable[[Session], list[Packet]]
+"""What Wireshark says of a session's frames."""
+
+
+class Sessions(list[Session]):
+    """The sessions of one test module, which are read in one run."""
+
+    def add(self, make: Session) -> Session:
+        """Decorator."""
+        self.append(make)
+        return make
+
+    def read(self, path: Path) -> Reading:
+        """Have Wireshark read them all; path: of the capture file that is written."""
+        made = {make: make() for make in self}
+        packets = iter(read_by_wireshark(path, [frame for frames in made.values() for frame in frames]))
+        readings = {make: [next(packets) for _ in frames] for make, frames in made.items()}
+        return readings.__getitem__
+
+
+def check_whole(packets: list[Packet]) -> None:
+    """That Wireshark finds nothing wrong with any of them, and sees the frames that we wrote."""
+    assert packets
+    for packet in packets:
+        assert not packet.complaint, packet
+        assert packet["can.len"] == packet.frame.dlc
+        assert packet["can.id"] == packet.frame.can_id

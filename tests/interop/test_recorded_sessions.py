@@ -16,7 +16,6 @@ import inspect
 
 import pytest
 
-from canopen_proto.datatypes import EPOCH, DataType, decode
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import EMCY, ERROR_CONTROL, NMT, RPDO1, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, TPDO1, TPDO2
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, HeartbeatRecovered, NmtStateReported, NodeBooted
@@ -26,6 +25,7 @@ from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.time_stamp import TimeReceived
 from tests.interop.demo_device import NUMBERS, OUTPUTS, TEXT, demo_device
 from tests.interop.recorded import FOLDER, DeviceReplay, Difference, Line, MasterReplay, load, sdo_of, with_differences
 from tests.interop.recorded_scenes import NUMBER, OUT_OF_SCOPE, SCENES, Scene
@@ -291,5 +291,11 @@ def test_the_emergency_of_a_first_run() -> None:
 
 
 def test_the_time_that_was_sent() -> None:
-    (frame,) = [line.frame for line in load("canopennode-time") if line.frame.can_id == 0x100]
-    assert decode(frame.data, DataType.TIME_OF_DAY) == datetime.datetime(2023, 11, 14, 22, 13, 20, tzinfo=EPOCH.tzinfo)
+    """A device that is no TIME consumer by its 0x1012, as the recorded one, does not look at it; one that is reports it."""
+    scene = NAMED["canopennode-time"]
+    lines = load(scene.name)
+    deaf = replay_to_device(scene, lines)
+    hearing = replay_to_device(Scene(scene.name, changes={(0x1012, 0): 0x80000100}), lines)
+    received = [[event for event in replay.events if isinstance(event, TimeReceived)] for replay in (deaf, hearing)]
+    moment = datetime.datetime(2023, 11, 14, 22, 13, 20, tzinfo=datetime.UTC)
+    assert [[event.time for event in events] for events in received] == [[], [moment]]
