@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_master.cli import demonstration, main, session
+from canopen_master.cli import demonstration, main, session, sim
 from canopen_master.cli.fleet import Fleet, simulated_fleet
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
@@ -47,12 +47,17 @@ class Alarm:
 
     def __init__(self) -> None:
         self.signals: list[tuple[float, int]] = []
+        self.task: Callable[[Fleet], Awaitable[None]] | None = None
+        """Something else that happens to the drives meanwhile."""
 
     def set(self, *signals: tuple[float, int]) -> None:
         """Send each signal so many seconds after the one before. For the next command only."""
         self.signals = list(signals)
 
-    async def ring(self) -> None:
+    async def ring(self, fleet: Fleet) -> None:
+        """What goes on beside the command."""
+        if self.task is not None:
+            await self.task(fleet)
         signals, self.signals = self.signals, []
         for seconds, number in signals:
             await trio.sleep(seconds)
@@ -81,11 +86,12 @@ def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]
     async def watched(*arguments: Any, **options: Any) -> AsyncIterator[Fleet]:
         async with simulated_fleet(*arguments, **options) as fleet:
             fleets.append(fleet)
-            trio.lowlevel.spawn_system_task(alarm.ring)
+            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             yield fleet
 
     monkeypatch.setattr(demonstration, "simulated_fleet", watched)
     monkeypatch.setattr(session, "simulated_fleet", watched)
+    monkeypatch.setattr(sim, "simulated_fleet", watched)
     return fleets
 
 

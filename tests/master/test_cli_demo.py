@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import builtins
 import signal
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+import trio
 
-from canopen_master.cli.fleet import Fleet
+from canopen_master.cli import demonstration
+from canopen_master.cli.fleet import Fleet, simulated_fleet
 from canopen_master.cli.problem import ExitCode
+from canopen_master.master import Master
+from canopen_master.session import open_master
 from canopen_proto.cia402.states import State
 from tests.master.cli_support import Alarm, Run, runner, stands, watched_fleets
 
@@ -132,6 +137,49 @@ def test_a_fault_wants_a_simulated_drive_of_the_chain(run: Run) -> None:
     assert "3, 4, 5, 6, 7, 8" in outcome.err
 
 
+# ---- on a bus ----
+
+
+@pytest.fixture
+def bus(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+    """The bus virtual:real has six drives, which the command takes for real ones."""
+    fleets: list[Fleet] = []
+
+    @asynccontextmanager
+    async def with_drives(*locators: str, **options: Any) -> AsyncIterator[Master]:
+        async with simulated_fleet(("virtual:real", node_id) for node_id in range(3, 9)) as fleet:
+            fleets.append(fleet)
+            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
+            async with open_master(*locators, **options) as master:
+                yield master
+
+    monkeypatch.setattr(demonstration, "open_master", with_drives)
+    return fleets
+
+
+def test_the_same_on_a_bus(run: Run, bus: list[Fleet]) -> None:
+    outcome = run("demo", *SHORT, "-b", "virtual:real", "--timeout", "100ms")
+    assert outcome.status == 0
+    assert "6 drives on virtual:real" in outcome.err
+    assert "Ctrl-C stops it" in outcome.err
+    assert "scan -b demo" not in outcome.err
+    assert_all_stand(bus)
+    assert run("demo", *SHORT, "-b", "virtual:real", "--json").json["simulated"] is False
+
+
+def test_a_drive_on_a_bus_breaks_down(run: Run, bus: list[Fleet], alarm: Alarm) -> None:
+    async def break_down(fleet: Fleet) -> None:
+        await trio.sleep(5.8)
+        fleet.raise_fault(4, 0x3210)
+
+    alarm.task = break_down
+    outcome = run("demo", *SHORT, "-b", "virtual:real")
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "canopen info 4 -b virtual:real" in outcome.err
+    assert "canopen home 4 --reset-fault -b virtual:real" in outcome.err
+    assert_all_stand(bus)
+
+
 # ---- bad input ----
 
 
@@ -199,9 +247,12 @@ def test_nobody_answers(run: Run) -> None:
 
 def test_a_cycle_that_the_drive_cannot_have(run: Run) -> None:
     assert run("demo", "--cycle", "1s").status == ExitCode.USAGE
-    outcome = run("demo", "--cycle", "1.05ms")
-    assert outcome.status == ExitCode.DRIVE_FAULT
-    assert "0x60C2" in outcome.err
+    for cycle in ("1.05ms", "30.1ms"):
+        outcome = run("demo", "--cycle", cycle)
+        assert outcome.status == ExitCode.USAGE
+        assert "boot" not in outcome.err
+    assert "--cycle 30ms" in outcome.err
+    assert run("demo", "--seconds", "0.5", "--cycle", "12.5ms", "--json").json["cycle_ms"] == 12.5
 
 
 # ---- the picture ----

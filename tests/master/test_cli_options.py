@@ -37,13 +37,6 @@ def test_impossible_node_ids(text: str, failed: str, hint: str) -> None:
     assert hint in " ".join(caught.value.tries)
 
 
-def test_two_digits_that_are_too_large_were_perhaps_hexadecimal() -> None:
-    # CANopen tools print 0x7F; whoever types 7F or 127 means one, and 200 is no node in either notation
-    with pytest.raises(Problem) as caught:
-        node_id_of("0")
-    assert caught.value.tries == ()
-
-
 @pytest.mark.parametrize(("text", "ids"), [("3-5", (3, 4, 5)), ("1,0x10", (1, 16)), ("3,3-4", (3, 4))])
 def test_lists_of_node_ids(text: str, ids: tuple[int, ...]) -> None:
     assert NodeIds().convert(text, None, None) == ids

@@ -60,6 +60,8 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains when it flushes at the end
         return CLOSED_PIPE
+    except SystemExit:  # click met a closed pipe, and has put stdout to rest
+        return CLOSED_PIPE
     except (click.Abort, KeyboardInterrupt):
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "by Ctrl-C"))
     except click.exceptions.NoArgsIsHelpError as no_arguments:

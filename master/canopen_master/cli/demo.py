@@ -24,7 +24,11 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--seconds", type=click.FloatRange(0.5, 3600), default=5.0, show_default=True, help="How long to move.")
 @click.option("--cycle", type=CYCLE, default="10ms", show_default=True, help="Time between two SYNCs.")
 @click.option(
-    "--swing", type=click.FloatRange(0.1, 60), default=15.0, show_default=True, help="How far a joint swings, in degrees."
+    "--swing",
+    type=click.FloatRange(0.1, 60),
+    default=15.0,
+    show_default=True,
+    help="How far, in degrees.",
 )
 @click.option("--plot", type=PICTURE, help="Draw commanded and actual positions, as .png, .svg or .pdf (needs matplotlib).")
 @click.option("--fault", type=Fault(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
@@ -55,6 +59,7 @@ def demo(
     bus = settings.bus if settings.bus not in (None, "demo") else None
     if fault is not None and bus is not None:
         raise usage("CO123", "--fault breaks a simulated drive; those on a bus are real", tries=("canopen demo --fault 5@2.0",))
+    check_cycle(cycle)
     if plot is not None:
         check_plot(plot)
     screen = settings.screen()
@@ -64,3 +69,15 @@ def demo(
     if plot is not None:
         write_plot(plot, demonstration.recording, *demonstration.titles())
         screen.say(f"Drawn: [bold]{plot}[/]")
+
+
+def check_cycle(cycle: Time) -> None:
+    """Raise a Problem for a cycle that 0x60C2 of a drive cannot hold: 1 to 255 units of 1 ms or of 0.1 ms."""
+    unit = MILLISECOND if cycle % MILLISECOND == 0 else MILLISECOND // 10
+    if cycle % unit or cycle > 255 * unit:
+        near = max(1, round(cycle / MILLISECOND))
+        raise usage(
+            "CO124",
+            f"drives cannot follow a cycle of {cycle / MILLISECOND:g} ms: whole milliseconds, or tenths below 25.5 ms",
+            tries=(f"--cycle {near}ms",),
+        )

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import click
 from rich.markup import escape
-from rich.table import Table
 
 from canopen_master.cli.device_types import DRIVE_PROFILE, device_type_text, profile_of
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
-from canopen_master.errors import SdoRefused
+from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
@@ -22,6 +22,8 @@ from canopen_proto.error_codes import error_text, register_names
 
 IDENTITY = ((1, "vendor-ID"), (2, "product code"), (3, "revision"), (4, "serial number"))
 MAX_HISTORY = 8
+MAX_WAIT = 2.0
+"""Seconds for a heartbeat that shows the NMT state."""
 
 Facts = dict[str, tuple[Any, str]]
 """What is found out: a name for people -> (for --json, for people)."""
@@ -38,13 +40,9 @@ def info(settings: Settings, node_id: int) -> None:
     if settings.json:
         screen.json({"node": node_id, **{name.replace(" ", "_").replace("-", "_"): raw for name, (raw, _) in facts.items()}})
         return
-    grid = Table.grid(padding=(0, 2))
-    grid.add_column(style="dim", no_wrap=True)
-    grid.add_column()
-    for name, (_, text) in facts.items():
-        grid.add_row(name, escape(text))
     screen.data(f"[bold]{node_text(node_id)}[/]")
-    screen.data(grid)
+    for name, (_, text) in facts.items():
+        screen.data(f"[dim]{name:<18}[/]{escape(text)}")
 
 
 async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
@@ -68,10 +66,13 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
 
 
 async def _add_health(node: Node, facts: Facts) -> None:
+    period = await _standard(node, 0x1017)
+    if node.nmt_state is None and isinstance(period, int) and period:
+        with contextlib.suppress(NodeSilent):
+            await node.wait_for_heartbeat(min(1.5 * period / 1000, MAX_WAIT))
     state = node.nmt_state
     if state is not None:
         facts["NMT state"] = (state.name, state.name.lower().replace("_", "-"))
-    period = await _standard(node, 0x1017)
     if isinstance(period, int):
         facts["heartbeat"] = (period, f"each {period} ms" if period else "off")
     register = await _standard(node, 0x1001)
@@ -85,7 +86,7 @@ async def _add_health(node: Node, facts: Facts) -> None:
         if isinstance(entry, int):
             history.append(entry & 0xFFFF)
     if history:
-        facts["last errors"] = (history, "\n".join(f"0x{code:04X} {error_text(code)}" for code in history))
+        facts["last errors"] = (history, ", ".join(f"0x{code:04X} {error_text(code)}" for code in history))
 
 
 async def _add_drive(node: Node, facts: Facts) -> None:

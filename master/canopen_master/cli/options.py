@@ -146,17 +146,11 @@ def node_id_of(text: str) -> int:
         raise usage("CO120", f"{text!r} is not a node-ID: 1 to {MAX_NODE_ID}, or hexadecimal with 0x", tries=hint) from None
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
-    tries = []
-    if text.isdecimal() and len(text) <= 2 + (text[0] == "0") and 1 <= int(text, 16) <= MAX_NODE_ID:
-        tries.append(f"0x{int(text, 16):X} ({int(text, 16)}), if it was meant as hexadecimal")
-    raise usage("CO120", f"node-ID {text} is outside 1..{MAX_NODE_ID}", tries=tries)
+    raise usage("CO120", f"node-ID {text} is outside 1..{MAX_NODE_ID}", tries=("canopen scan    (who is there?)",))
 
 
 def _time_text(time: Time) -> str:
-    for unit, ns in (("s", 10**9), ("ms", 10**6), ("us", 10**3)):
-        if time >= ns:
-            return f"{time / ns:g} {unit}"
-    return f"{time} ns"
+    return f"{time / 10**9:g} s" if time >= 10**9 else f"{time / 10**6:g} ms"
 
 
 def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:

@@ -1,7 +1,8 @@
 """The path of the demonstration: each joint swings around the position where it stands, and ends there, all at rest.
 
 A sine per joint, of a frequency of its own so that the arm's figure is not dull, times a window that rises and falls smoothly:
-position, velocity and acceleration begin and end at zero, and nothing jumps.
+position, velocity and acceleration begin and end at zero, and nothing jumps. Speed and acceleration are limited: a joint that
+would pass a limit swings less far, so that it can be halted at any moment well within the time that a halt may take.
 """
 
 from __future__ import annotations
@@ -11,30 +12,40 @@ from typing import Final
 
 SLOWEST: Final = 0.20
 """Swings per second of the first joint."""
-STEP: Final = 0.05
+STEP: Final = 0.03
 """How much faster each further joint swings."""
-MAX_RAMP: Final = 1.0
+MAX_RAMP: Final = 1.5
 """Seconds in which the window rises and falls; a third of a short motion."""
+MAX_SPEED: Final = math.radians(60)
+"""Per second. A drive that brakes with 100°/s² stands within 0.6 s."""
+MAX_ACCELERATION: Final = math.radians(300)
+
+_SLOPE: Final = 1.875  # of _smooth at its steepest
+_CURVATURE: Final = 5.774  # of _smooth where it is bent most
 
 
 class Path:
-    """Positions over time, in the unit of `start` and `amplitude`. duration: seconds."""
+    """Positions over time, in radians. start: where the joints stand; swing: how far they go; duration: seconds."""
 
-    def __init__(self, start: list[float], amplitude: float, duration: float) -> None:
+    def __init__(self, start: list[float], swing: float, duration: float) -> None:
         self.start = start
-        self.amplitude = amplitude
         self.duration = duration
         self._ramp = min(MAX_RAMP, duration / 3)
+        self._speeds = [2 * math.pi * (SLOWEST + STEP * number) for number in range(len(start))]
+        self._swings = [min(swing, self._limit(speed)) for speed in self._speeds]
+
+    def _limit(self, speed: float) -> float:
+        """How far a joint may swing: by the triangle inequality over sine and window and their derivatives."""
+        slope, curvature = _SLOPE / self._ramp, _CURVATURE / self._ramp**2
+        return min(MAX_SPEED / (speed + slope), MAX_ACCELERATION / (speed**2 + 2 * speed * slope + curvature))
 
     def at(self, time: float) -> list[float]:
         """Where the joints are to be; before 0 and after `duration` at their start."""
-        swing = self.amplitude * self._window(time)
+        window = _smooth(time / self._ramp) * _smooth((self.duration - time) / self._ramp)
         return [
-            start + swing * math.sin(2 * math.pi * (SLOWEST + STEP * number) * time) for number, start in enumerate(self.start)
+            start + window * swing * math.sin(speed * time)
+            for start, swing, speed in zip(self.start, self._swings, self._speeds, strict=True)
         ]
-
-    def _window(self, time: float) -> float:
-        return _smooth(time / self._ramp) * _smooth((self.duration - time) / self._ramp)
 
 
 def _smooth(x: float) -> float:

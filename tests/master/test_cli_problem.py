@@ -1,0 +1,223 @@
+"""Whatever fails becomes one screen, one JSON object, one exit status."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+import trio
+
+from canopen_data import DataError
+from canopen_master import errors
+from canopen_master.cli.problem import ExitCode, Problem, problem_of
+from canopen_master.cli.running import notes_of
+from canopen_master.cli.screen import Screen
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.dictionary.findings import DictionaryError, Finding, Severity
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.sdo.client import SdoAborted
+from canopen_transports import TransportError
+
+
+def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
+    return SdoAborted(5, 1, 0x6041, 0, code, origin)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "code"),
+    [
+        (TransportError("CO100", "x", "the bus 'x' makes no sense"), ExitCode.CANNOT_OPEN, "CO100"),
+        (TransportError("CO101", "x", "cannot open x"), ExitCode.CANNOT_OPEN, "CO101"),
+        (TransportError("CO102", "x", "cannot open x"), ExitCode.PERMISSION, "CO102"),
+        (TransportError("CO110", "x", "nothing acknowledged our frames"), ExitCode.BUS_FAULT, "CO110"),
+        (errors.BusError("x", TransportError("CO111", "x", "the bus is gone")), ExitCode.BUS_FAULT, "CO111"),
+        (errors.NodeSilent("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
+        (errors.UnexpectedAnswer("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
+        (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
+        (errors.UnknownChain("CO322", "no chain"), ExitCode.USAGE, "CO322"),
+        (errors.ChainHalted("CO403", "arm", "it was halted"), ExitCode.DRIVE_FAULT, "CO403"),
+        (errors.ChainError(errors.NO_ANSWER, "arm", "no answer"), ExitCode.NO_ANSWER, "CO201"),
+        (errors.ChainError(errors.REFUSED, "arm", "refused"), ExitCode.SDO_ABORT, "CO202"),
+        (errors.HaltNotConfirmed("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
+        (SdoFailed(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
+        (SdoFailed(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),
+        (DriveFault("drive 5 is in fault: x. Try: reset it"), ExitCode.DRIVE_FAULT, "CO402"),
+        (HomingFailed("drive 5 reports a homing error: x"), ExitCode.DRIVE_FAULT, "CO403"),
+        (ModeUnsupported("drive 5 does not support it: x"), ExitCode.DRIVE_FAULT, "CO401"),
+        (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO404"),
+        (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
+        (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),
+        (LocalProtocolError("not like this"), ExitCode.USAGE, "CO120"),
+        (PermissionError("no"), ExitCode.PERMISSION, "CO109"),
+        (click.UsageError("no such option"), ExitCode.USAGE, "CO001"),
+        (click.ClickException("hm"), ExitCode.USAGE, "CO001"),
+        (ZeroDivisionError("division by zero"), ExitCode.INTERNAL, "CO900"),
+    ],
+)
+def test_each_error_has_its_status(error: Exception, status: ExitCode, code: str) -> None:
+    problem = problem_of(error)
+    assert (problem.exit_code, problem.code) == (status, code)
+    assert problem_of(problem) is problem
+    assert str(problem).startswith(f"{code}: ")
+    assert len(str(problem).splitlines()) < 20
+    assert json.dumps(problem.as_json())
+
+
+def test_a_chain_error_knows_what_its_cause_knows() -> None:
+    error = errors.ChainError(errors.REFUSED, "arm", "joint1 refused")
+    error.__cause__ = SdoFailed(aborted(AbortOrigin.PEER), "reading")
+    problem = problem_of(error)
+    assert (problem.node, problem.index, problem.subindex, problem.abort) == (5, 0x6041, 0, AbortCode.READ_ONLY)
+
+
+def test_notes_are_told_too() -> None:
+    error = ProcedureError("drive 5 did not: x")
+    error.add_note("not confirmed to stand: joint1")
+    assert problem_of(error).more == ["not confirmed to stand: joint1"]
+    assert notes_of(ExceptionGroup("two", [error, ValueError()])) == ["not confirmed to stand: joint1"]
+    assert notes_of(None) == []
+
+
+def test_of_several_errors_the_one_that_is_not_ours_comes_first() -> None:
+    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveFault("drive 5 is in fault: x")])])
+    problem = problem_of(group)
+    assert problem.code == "CO402"
+    assert "CO900" in problem.more[0]
+
+
+def test_many_findings_are_cut() -> None:
+    problem = problem_of(DictionaryError(Finding(Severity.ERROR, "x", f"wrong {n}", "a.csv", n, 1) for n in range(1, 40)))
+    assert "a.csv:1:1" in problem.failed
+    assert problem.more[-1] == "and 30 more"
+    assert len(str(problem).splitlines()) < 14
+
+
+def test_on_a_terminal_the_lines_are_wrapped_and_hang(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "60")
+    problem = Problem(ExitCode.NO_ANSWER, "CO201", "node 5 [0x05] did not answer", seen="word " * 30, tries=("this", "that"))
+    Screen(color=False).problem(problem)
+    lines = capsys.readouterr().err.splitlines()
+    assert max(map(len, lines)) <= 90  # with its escapes
+    assert "[0x05]" in lines[0]
+    assert any("or:" in line and "that" in line for line in lines)
+
+
+def test_a_traceback_comes_with_vv_only(capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        raise ZeroDivisionError("oops")
+    except ZeroDivisionError as error:
+        problem = problem_of(error)
+    Screen(verbosity=1).problem(problem)
+    assert "Traceback" not in capsys.readouterr().err
+    Screen(verbosity=2).problem(problem)
+    assert "Traceback" in capsys.readouterr().err
+
+
+# ---- real processes: signals and pipes ----
+
+COMMAND = (sys.executable, "-c", "import sys; from canopen_master.cli import main; sys.exit(main())")
+
+
+def started(*arguments: str) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each), "COLUMNS": "120"}
+    return subprocess.Popen(
+        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, encoding="utf-8"
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
+def test_ctrl_c_in_a_real_process() -> None:
+    with started("demo", "--seconds", "60") as process:
+        assert process.stderr is not None
+        told = ""
+        give_up = time.monotonic() + 60
+        while "✔ home" not in told and time.monotonic() < give_up:
+            told += process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=60)
+    assert process.returncode == ExitCode.INTERRUPTED
+    assert "interrupted by Ctrl-C" in rest
+    assert "halted: joint1, joint2, joint3, joint4, joint5, joint6" in rest
+    assert "STILL MOVING" not in rest
+    assert "Traceback" not in rest
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    with started("--help") as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(60) == 141
+
+
+def test_a_pipe_that_is_closed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    from canopen_master.cli import app
+
+    class Closed(io.StringIO):
+        def flush(self) -> None:
+            raise BrokenPipeError
+
+        def fileno(self) -> int:
+            raise io.UnsupportedOperation
+
+    monkeypatch.setattr(sys, "stdout", Closed())
+    assert app.main(["data", "--help"]) == app.CLOSED_PIPE
+
+
+def test_an_interrupt_before_anything_has_begun(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from canopen_master.cli import app
+
+    for error in (KeyboardInterrupt(), BaseExceptionGroup("", [KeyboardInterrupt()])):
+
+        def interrupted(*arguments: object, error: BaseException = error, **options: object) -> None:
+            raise error
+
+        monkeypatch.setattr(app.cli, "main", interrupted)
+        assert app.main([]) == ExitCode.INTERRUPTED
+        assert "interrupted by Ctrl-C" in capsys.readouterr().err
+
+
+def test_the_rest_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from canopen_master.cli import app
+
+    def ended(*arguments: object, **options: object) -> None:
+        raise BaseExceptionGroup("", [SystemExit(5)])
+
+    monkeypatch.setattr(app.cli, "main", ended)
+    with pytest.raises(BaseExceptionGroup):
+        app.main([])
+
+
+def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from canopen_master.cli.options import Settings
+    from canopen_master.cli.running import run
+
+    async def command() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+            await trio.sleep(5)
+        finally:
+            raise DriveFault("drive 5 is in fault: it burns. Try: water")
+
+    with pytest.raises(Problem) as caught:
+        run(Settings(), Screen(), command)
+    problem = caught.value
+    assert problem.exit_code is ExitCode.INTERRUPTED
+    assert "CO402: drive 5 is in fault" in problem.more
+    assert problem.seen == "it burns"
+    assert problem.tries == ("water",)
