@@ -6,6 +6,7 @@ import json
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -64,9 +65,10 @@ class Alarm:
             signal.raise_signal(number)
 
 
-def runner(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """The function that runs a command."""
-    for name in ("CANOPEN_BUS", "CANOPEN_DATA", "FORCE_COLOR", "COLUMNS", "TTY_COMPATIBLE"):
+def runner(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, own_files: Path) -> Run:
+    """The function that runs a command. own_files: an empty folder, so that what a user has in ~/.canopen does not count."""
+    monkeypatch.setenv("CANOPEN_DATA", str(own_files))
+    for name in ("CANOPEN_BUS", "FORCE_COLOR", "COLUMNS", "TTY_COMPATIBLE"):
         monkeypatch.delenv(name, raising=False)
 
     def run(*arguments: str) -> Outcome:

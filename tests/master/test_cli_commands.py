@@ -27,8 +27,8 @@ DEMO = ("-b", "demo")
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    return runner(capsys, monkeypatch)
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
 
 
 @pytest.fixture
@@ -384,6 +384,7 @@ def test_sim_on_a_bus_that_is_not_there(run: Run) -> None:
 
 def test_data_init(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("CANOPEN_DATA")
     outcome = run("data", "init")
     assert outcome.status == 0
     folder = tmp_path / ".canopen"

@@ -24,8 +24,8 @@ SHORT = ("--seconds", "0.5", "--cycle", "20ms")
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    return runner(capsys, monkeypatch)
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_six_joints_home_and_move(run: Run, fleets: list[Fleet]) -> None:
     outcome = run("demo", *SHORT)
     assert outcome.status == 0
     lines = [line.split() for line in outcome.out.splitlines() if line.startswith("joint")]
-    assert [line[:4] for line in lines[1:]] == [[f"joint{n}", "node", f"{n + 2}", f"(0x0{n + 2})"] for n in range(1, 7)]
+    assert [line[:3] for line in lines[1:]] == [[f"joint{n}", f"{n + 2}", f"(0x0{n + 2})"] for n in range(1, 7)]
     assert all("yes" in line for line in lines[1:])
     assert [word in outcome.err for word in ("✔ boot", "✔ home", "✔ move", "none missed", "canopen scan -b demo")] == [True] * 5
     assert [drive.drive.state for drive in fleets[0].drives.values()] == [State.SWITCH_ON_DISABLED] * 6

@@ -132,16 +132,17 @@ def test_a_traceback_comes_with_vv_only(capsys: pytest.CaptureFixture[str]) -> N
 COMMAND = (sys.executable, "-c", "import sys; from canopen_master.cli import main; sys.exit(main())")
 
 
-def started(*arguments: str) -> subprocess.Popen[str]:
+def started(own_files: Path, *arguments: str) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each), "COLUMNS": "120"}
+    environment["CANOPEN_DATA"] = str(own_files)
     return subprocess.Popen(
         [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, encoding="utf-8"
     )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
-def test_ctrl_c_in_a_real_process() -> None:
-    with started("demo", "--seconds", "60") as process:
+def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
+    with started(tmp_path, "demo", "--seconds", "60") as process:
         assert process.stderr is not None
         told = ""
         give_up = time.monotonic() + 60
@@ -156,8 +157,8 @@ def test_ctrl_c_in_a_real_process() -> None:
     assert "Traceback" not in rest
 
 
-def test_a_reader_that_goes_away_is_no_error() -> None:
-    with started("--help") as process:
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    with started(tmp_path, "--help") as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()

@@ -24,7 +24,7 @@ from canopen_master.cli.path import Path
 from canopen_master.cli.problem import problem_of, usage
 from canopen_master.cli.recording import JointTrack, Recording
 from canopen_master.cli.running import notes_of
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen
 from canopen_master.device import Device
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
 from canopen_master.master import SDO_TIMEOUT, Master
@@ -41,10 +41,11 @@ SETTLING_TIME: Final = 0.1
 """Seconds for which the last set-point is held."""
 DEMO_FAULT: Final = 0x2310
 """Continuous over-current: what a joint reports that hits something."""
-NEXT: Final = (
-    "Next: [bold]canopen scan -b demo[/], [bold]canopen read 3 statusword -b demo[/], [bold]canopen demo --plot arm.png[/], "
-    "[bold]canopen --help[/]"
-)
+NEXT: Final = """Try next:
+  [bold]canopen scan -b demo[/]                  who is on the bus
+  [bold]canopen read 3 statusword -b demo[/]     an object of a drive
+  [bold]canopen demo --plot arm.png[/]           a picture of this
+  [bold]canopen demo --fault 5@2.0[/]            what a breakdown looks like"""
 
 
 @dataclass(frozen=True)
@@ -77,13 +78,20 @@ class JointResult:
         homed = "[green]yes[/]" if self.homed else "[red]no[/]"
         error = f"{self.error:.3f}°"
         return (
-            self.name, node_text(self.node_id), escape(self.state), homed, error, str(sync_cycles), str(missed_cycles),
+            self.name,
+            f"{self.node_id} (0x{self.node_id:02X})",
+            escape(self.state),
+            homed,
+            error,
+            str(sync_cycles),
+            str(missed_cycles),
             str(self.round_trips),
-        )  # fmt: skip
+        )
 
 
 COLUMNS: Final = (
-    "joint", "node", "state", "homed", "largest\nfollowing error", "SYNC\ncycles", "missed\ncycles", "SDO\nround trips",
+    "joint", "node", "state", "homed", "largest\nfollowing\nerror", "SYNC\ncycles", "missed\ncycles",
+    "SDO\nround\ntrips",
 )  # fmt: skip
 
 
@@ -304,7 +312,7 @@ class Demonstration:
             self.screen.json(self._as_json())
             return
         rows = [result.row(self.sync_cycles, self.missed_cycles) for result in self.results]
-        self.screen.table(COLUMNS, rows, right=COLUMNS[4:])
+        self.screen.table(COLUMNS, rows, right=("node", *COLUMNS[4:]))
         if self.plan.bus is None:
             self.screen.say(NEXT)
 

@@ -65,7 +65,7 @@ def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait
 
 def _question(command: NmtCommand, word: str, node_id: int | None) -> str:
     target = "ALL nodes" if node_id is None else node_text(node_id)
-    effect = "drives that move stop as their option codes say, or coast" if command is not NmtCommand.START else "PDOs go live"
+    effect = "drives that move stop, or coast" if command is not NmtCommand.START else "PDOs go live"
     return f"{word} {target}: {effect}"
 
 
