@@ -46,8 +46,8 @@ def demo(
 ) -> None:
     """A six-joint arm boots, homes itself and moves. Needs no hardware.
 
-    Without --bus the drives of the chain file are simulated, in this process. With it they are real, and THEY MOVE. Ctrl-C halts
-    every drive.
+    Without --bus the drives of the chain file are simulated, in this process (CANOPEN_BUS does not count here). With it they are
+    real, and THEY MOVE. Ctrl-C halts every drive.
 
     \b
     canopen demo
