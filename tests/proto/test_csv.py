@@ -284,7 +284,7 @@ def test_any_text_gives_a_dictionary_or_a_dictionary_error(indices: str, constan
     try:
         dictionary, findings = load_csv(indices, constants, pdos)
     except DictionaryError as error:
-        assert error.findings  # noqa: PT017
+        assert error.findings
         return
     assert all(each.severity is Severity.WARNING for each in findings)
     assert all(pdo.bit_length <= 64 for pdo in dictionary.pdos)
