@@ -25,36 +25,36 @@ that make no copies; about a millisecond will do on a real one. Under copies tha
 transfer still ends, but its bytes may be wrong: a segmented transfer has a one-bit sequence number and no checksum. Block
 transfer has one.
 
-Left out: block transfer (files of its own), and network indication. Retries are the caller's: SDO knows no repetition, and a
+Block transfer, on request: `block=True` (that or an abort), `block="auto"` (for more than AUTO_BLOCK bytes, and where the server
+knows it; see block_client.py), and streams, which never hold the whole: `download_stream` is fed piece by piece, `upload_stream`
+hands out SdoChunk by SdoChunk. block.py tells how it goes.
+
+Left out: network indication. Retries are the caller's: SDO knows no repetition (block transfer repeats lost segments only), and a
 repeated download may be executed twice.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
-from canopen_proto.machine import (
-    MILLISECOND,
-    NEVER,
-    FrameIgnored,
-    LocalProtocolError,
-    Machine,
-    Outbox,
-    Outcome,
-    RequestId,
-    Time,
-    check_node_id,
-    event,
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, LocalProtocolError, Outbox, Outcome, RequestId, Time
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
+from canopen_proto.sdo.block_client import (
+    NO_BLOCKS,
+    BlockDownload,
+    BlockRequest,
+    BlockUpload,
+    block_download_request,
+    block_upload_request,
 )
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.sdo.codec import (
     ABORT,
+    BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT,
     DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED_BIT,
-    INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
@@ -70,64 +70,40 @@ from canopen_proto.sdo.codec import (
     complete,
     segment,
 )
-from canopen_proto.sdo.request import Buffer, Request, download_request, upload_request
+from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
+from canopen_proto.sdo.request import Buffer, Request, download_request, own, upload_request
+from canopen_proto.sdo.request_queue import IDLE as _IDLE
+from canopen_proto.sdo.request_queue import MAX_QUEUE, TIMEOUT, RequestQueue
 
-TIMEOUT: Final = 500 * MILLISECOND
-"""How long a server may take for each response: devices that write flash on the way take 100 ms and more."""
+__all__ = [
+    "AUTO_BLOCK", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk", "SdoClient", "SdoDataWanted",
+    "SdoDownloaded", "SdoStreamUploaded", "SdoUploaded",
+]  # fmt: skip
+
 MAX_UPLOAD: Final = 16 << 20
 """Largest value that is accepted: a firmware image fits, and a server gone mad does not fill the memory."""
-MAX_QUEUE: Final = 256
-"""Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
+AUTO_BLOCK: Final = 28
+"""Bytes from which on (not included) a block transfer takes fewer frames than a segmented one."""
 
-# States
-_IDLE: Final = 0
+Block: TypeAlias = bool | Literal["auto"]
+"""Whether a transfer goes in blocks: False, True (or it fails), or where it pays and the server knows it."""
+
+# States; 0 is IDLE
 _UPLOAD_INITIATED: Final = 1
 _UPLOAD_SEGMENT: Final = 2
 _DOWNLOAD_INITIATED: Final = 3
 _DOWNLOAD_SEGMENT: Final = 4
+_BLOCK: Final = 5
 
 _UNKNOWN_SIZE: Final = -1
 
 
-@event
-class SdoUploaded(Outcome):
-    """An object was read: its bytes as the server sent them (4 where it sent an expedited value without its size)."""
-
-    index: int
-    subindex: int
-    data: bytes
-
-
-@event
-class SdoDownloaded(Outcome):
-    """An object was written: the server has confirmed it."""
-
-    index: int
-    subindex: int
-
-
-@event
-class SdoAborted(Outcome):
-    """A transfer ended without success. After TIMEOUT or CANCELLED a download may have been executed nevertheless."""
-
-    index: int
-    subindex: int
-    abort_code: int
-    origin: AbortOrigin
-
-    @property
-    def text(self) -> str:
-        """What the abort code says."""
-        return text_of(self.abort_code)
-
-
-class SdoClient(Machine):
+class SdoClient(RequestQueue):
     """The client of one SDO channel; see this module's text."""
 
     __slots__ = (
-        "_announced", "_buffer", "_command", "_ended", "_last", "_limit", "_multiplexer", "_offset", "_queue",
-        "_request", "_request_can_id", "_request_flags", "_response_key", "_segment_requests", "_state", "_unsettled", "_urgent",
-        "copy_guard", "max_queue", "max_upload", "node_id", "timeout",
+        "_announced", "_buffer", "_command", "_limit", "_multiplexer", "_offset", "_segment_requests", "_transfer", "block_size",
+        "burst_interval", "crc", "max_burst", "max_upload", "serves_blocks", "stream_timeout",
     )  # fmt: skip
 
     def __init__(
@@ -141,106 +117,119 @@ class SdoClient(Machine):
         max_upload: int = MAX_UPLOAD,
         max_queue: int = MAX_QUEUE,
         copy_guard: Time = 0,
+        crc: bool = True,
+        block_size: int = MAX_BLOCK_SIZE,
+        max_burst: int = MAX_BURST,
+        burst_interval: Time = 0,
+        stream_timeout: Time = STREAM_TIMEOUT,
     ) -> None:
         """node_id: of the server. request_key, response_key: the channel (client to server, server to client) as `Frame.key`;
-        the server's first one by default. timeout, copy_guard: ns; see this module's text. All may be changed later.
+        the server's first one by default. timeout, copy_guard: ns; see this module's text.
+
+        For block transfer: crc, if the server has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
+        burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; stream_timeout: ns that the caller
+        of a stream may take for each piece. All may be changed later.
         """
-        super().__init__(out)
-        self.node_id = check_node_id(node_id)
-        self.timeout = timeout
+        super().__init__(out, node_id, request_key, response_key, timeout, max_queue, copy_guard)
         self.max_upload = max_upload
-        self.max_queue = max_queue
-        self.copy_guard = copy_guard
-        request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
-        self._response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
-        self._request_can_id = request_key & 0x1FFFFFFF
-        self._request_flags = request_key >> 29
+        self.crc = crc
+        self.block_size = block_size
+        self.max_burst = max_burst
+        self.burst_interval = burst_interval
+        self.stream_timeout = stream_timeout
+        self.serves_blocks = True
+        """False once the server has refused block transfer with 0x05040001: "auto" does without from then on."""
         self._segment_requests = {
-            toggle: Frame(self._request_can_id, bytes((UPLOAD_SEGMENT | toggle,)).ljust(8, b"\x00"), self._request_flags)
+            toggle: Frame(self._send_can_id, bytes((UPLOAD_SEGMENT | toggle,)).ljust(8, b"\x00"), self._send_flags)
             for toggle in (0, TOGGLE)
         }
-        self._urgent: deque[Request] = deque()
-        self._queue: deque[Request] = deque()
         # The transfer under way
-        self._state = _IDLE
-        self._request = Request(0, 0, bytes(8))  # while idle: the one before
+        self._transfer: BlockDownload | BlockUpload | None = None
         self._multiplexer = b""  # bytes 1..3 of each frame that names its object
         self._command = 0  # the command byte of a plain segment response with the toggle that is due
         self._buffer = bytearray()  # uploaded so far
         self._announced = _UNKNOWN_SIZE
         self._limit = 0  # of _buffer
         self._offset = 0  # downloaded so far
-        # What is remembered of responses and of the transfer before
-        self._last = b""  # the last accepted response; empty once its copy was seen
-        self._unsettled = False  # the transfer before ended without its last response
-        self._ended: Time = -NEVER
 
     # ---- commands ----
 
-    def upload(self, index: int, subindex: int, now: Time, *, urgent: bool = False) -> RequestId:
+    def upload(self, index: int, subindex: int, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
         """Ask the server for an object's value.
 
         Sends an initiate request, at once if no transfer is under way. SdoUploaded or SdoAborted follows, at the latest `timeout`
         after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not.
-        Raises LocalProtocolError if the queue is full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.5.
+        block: see `Block`; "auto" lets the server answer normally up to AUTO_BLOCK bytes. Raises LocalProtocolError if the queue
+        is full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
         """
-        return self._submit(upload_request(index, subindex), urgent, now)
+        if not block or (block == "auto" and not self.serves_blocks):
+            return self._submit(upload_request(index, subindex), urgent, now)
+        plain = upload_request(index, subindex) if block == "auto" else None
+        threshold = AUTO_BLOCK if block == "auto" else 0
+        request = block_upload_request(index, subindex, self.block_size, self.crc, threshold, False, plain)
+        return self._submit(request, urgent, now)
 
-    def download(self, index: int, subindex: int, data: Buffer, now: Time, *, urgent: bool = False) -> RequestId:
-        """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments.
+    def download(
+        self, index: int, subindex: int, data: Buffer, now: Time, *, urgent: bool = False, block: Block = False
+    ) -> RequestId:
+        """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments or, on request, in blocks.
 
         Sends an initiate request, at once if no transfer is under way. SdoDownloaded or SdoAborted follows, at the latest
         `timeout` after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that
-        are not. Raises LocalProtocolError if the queue is full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.2.
+        are not. block: see `Block`. Raises LocalProtocolError if the queue is full or the numbers are impossible.
+        Source: CiA 301 v4.2.0, 7.2.4.3.2 and 7.2.4.3.8.
         """
-        return self._submit(download_request(index, subindex, data), urgent, now)
+        if not block or (block == "auto" and (not self.serves_blocks or len(data) <= AUTO_BLOCK)):
+            return self._submit(download_request(index, subindex, data), urgent, now)
+        content = own(data, index, subindex)
+        plain = download_request(index, subindex, content) if block == "auto" else None
+        request = block_download_request(index, subindex, content, len(content), self.crc, plain)
+        return self._submit(request, urgent, now)
 
-    def cancel(self, request_id: RequestId, now: Time) -> bool:
-        """Give a request up: SdoAborted with origin CANCELLED follows at once. False if it is not open (any more).
+    def upload_stream(self, index: int, subindex: int, now: Time, *, urgent: bool = False) -> RequestId:
+        """Read an object piece by piece, by block transfer, whatever its size (`max_upload` is not looked at).
 
-        Of a request that waits nothing was sent and nothing is. A running transfer is aborted on the wire with 0x08000000, and
-        the next request goes out at once.
+        SdoChunk follows for each piece, and waits for `proceed` (the last one does not); then SdoStreamUploaded or SdoAborted.
+        Else as `upload(block=True)`. Source: CiA 301 v4.2.0, 7.2.4.3.12.
         """
-        if self._state != _IDLE and self._request.request_id == request_id:
-            self._abort(AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED, now)
-            return True
-        for queue in (self._urgent, self._queue):
-            for request in queue:
-                if request.request_id == request_id:
-                    queue.remove(request)
-                    self.out.events.append(self._aborted(request, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED))
-                    if self._state == _IDLE:
-                        self._begin_next(now)  # copy_guard may have held back the one that is gone
-                    return True
-        return False
+        return self._submit(block_upload_request(index, subindex, self.block_size, self.crc, 0, True, None), urgent, now)
 
-    def abort_all(self, abort_code: int, now: Time) -> None:
-        """End all requests (the server is gone): SdoAborted with origin LOCAL for each; the running one is aborted on the bus."""
-        if not 0 <= abort_code <= 0xFFFFFFFF:
-            raise LocalProtocolError(f"node {self.node_id}: {abort_code} is no abort code (0..0xFFFFFFFF)")
-        waiting = [*self._urgent, *self._queue]
-        self._urgent.clear()
-        self._queue.clear()
-        if self._state != _IDLE:
-            self._abort(abort_code, AbortOrigin.LOCAL, now)
-        for request in waiting:
-            self.out.events.append(self._aborted(request, abort_code, AbortOrigin.LOCAL))
-        self.deadline = NEVER
+    def proceed(self, request_id: RequestId, now: Time) -> bool:
+        """The last SdoChunk was taken, the next may come. The server waits meanwhile: for `stream_timeout` at most, and for as
+        long as it has patience. False if the request is not under way (any more)."""
+        if self._state != _BLOCK or self._request.request_id != request_id or not isinstance(self._transfer, BlockUpload):
+            return False
+        self._transfer.proceed(now)
+        return True
 
-    # ---- getters ----
+    def download_stream(
+        self, index: int, subindex: int, now: Time, *, size: int | None = None, urgent: bool = False
+    ) -> RequestId:
+        """Write an object piece by piece, by block transfer. size: in bytes, if it is known; servers may insist on it.
 
-    @property
-    def busy(self) -> bool:
-        """Whether any request is running or waiting."""
-        return self._state != _IDLE or bool(self._queue or self._urgent)
+        `feed` it, at once or when SdoDataWanted asks for more; then SdoDownloaded or SdoAborted follows. Who lets it starve for
+        `stream_timeout` aborts it. Else as `download(block=True)`. Source: CiA 301 v4.2.0, 7.2.4.3.8.
+        """
+        return self._submit(block_download_request(index, subindex, None, size, self.crc, None), urgent, now)
 
-    @property
-    def waiting(self) -> int:
-        """The number of requests that wait."""
-        return len(self._queue) + len(self._urgent)
+    def feed(self, request_id: RequestId, piece: Buffer, now: Time, *, last: bool = False) -> bool:
+        """The next bytes of a download stream, any number; last: there are no more (known by itself where the size is).
 
-    def can_ids(self) -> tuple[int, ...]:
-        return (self._response_key,)
+        They are copied, and held until the server has them. False if the request is not open (any more). Raises
+        LocalProtocolError if more than MAX_FED bytes would be held, if they are more or fewer than were announced, and after the
+        last; nothing has changed then.
+        """
+        request = self._find(request_id)
+        if request is None:
+            return False
+        if not isinstance(request, BlockRequest):
+            raise LocalProtocolError(f"{request}: it is no stream")
+        request.feed(piece, last)
+        if request is self._request and isinstance(self._transfer, BlockDownload):
+            self._transfer.extend(piece, request.is_whole, now)
+        else:
+            request.content += piece
+        return True
 
     # ---- inputs ----
 
@@ -262,6 +251,10 @@ class SdoClient(Machine):
             if command & ~0x0F == self._command:
                 self._on_download_segment(data, now)
                 return
+        elif state == _BLOCK:
+            assert self._transfer is not None
+            self._transfer.receive(command, data, frame, now)
+            return
         elif data[1:4] == self._multiplexer:
             if state == _UPLOAD_INITIATED:
                 if command & SPECIFIER == INITIATE_UPLOAD_RESPONSE:
@@ -277,12 +270,14 @@ class SdoClient(Machine):
             return
         if self._state == _IDLE:
             self._begin_next(now)  # a request was held back by copy_guard
+        elif self._transfer is not None:
+            self._transfer.handle_timeout(now)
         elif self._state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT) and not self._last:
             # What we took for a copy of the last response was all that came: the server does not alternate its toggle
-            self._abort(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.TIMEOUT, now)
+            self._fail(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.TIMEOUT, now)
         else:
             # The abort also brings the server out of its state (peers without it need a reset after a timeout)
-            self._abort(AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT, now)
+            self._fail(AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT, now)
 
     # ---- responses ----
 
@@ -299,7 +294,7 @@ class SdoClient(Machine):
         if command & SIZE_BIT:
             self._limit = self._announced = SIZE.unpack_from(data, 4)[0]
             if self._announced > self.max_upload:
-                self._abort(AbortCode.OUT_OF_MEMORY, AbortOrigin.LOCAL, now)
+                self._fail(AbortCode.OUT_OF_MEMORY, AbortOrigin.LOCAL, now)
                 return
         else:
             self._announced = _UNKNOWN_SIZE
@@ -321,10 +316,10 @@ class SdoClient(Machine):
             buffer += data[1 : 8 - unused]
         if len(buffer) > self._limit:
             known = self._announced != _UNKNOWN_SIZE
-            self._abort(AbortCode.LENGTH_TOO_HIGH if known else AbortCode.OUT_OF_MEMORY, AbortOrigin.LOCAL, now)
+            self._fail(AbortCode.LENGTH_TOO_HIGH if known else AbortCode.OUT_OF_MEMORY, AbortOrigin.LOCAL, now)
         elif not command & LAST:
             if command & 0x0E == 0x0E:  # no data and yet not the last: without this a transfer might never end
-                self._abort(AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL, now)
+                self._fail(AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL, now)
                 return
             self._last = data
             toggle = ~command & TOGGLE
@@ -334,7 +329,7 @@ class SdoClient(Machine):
             if deadline < self._wake:
                 self._arm(deadline)
         elif len(buffer) < self._announced:
-            self._abort(AbortCode.LENGTH_TOO_LOW, AbortOrigin.LOCAL, now)
+            self._fail(AbortCode.LENGTH_TOO_LOW, AbortOrigin.LOCAL, now)
         else:
             self._last = data
             request = self._request
@@ -368,7 +363,7 @@ class SdoClient(Machine):
             self._ignore(frame, "no transfer is under way")
         elif specifier == ABORT:
             multiplexer = data[1:4]
-            in_segments = state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT)
+            in_segments = state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT, _BLOCK)
             if multiplexer == self._multiplexer or (in_segments and multiplexer == NO_MULTIPLEXER):
                 self._last = data
                 self._end(self._aborted(self._request, SIZE.unpack_from(data, 4)[0], AbortOrigin.PEER), now)
@@ -385,42 +380,24 @@ class SdoClient(Machine):
         elif self._unsettled:
             self._ignore(frame, "late response of a transfer that was given up")
         elif state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT) and specifier == self._command & SPECIFIER:
-            self._abort(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.LOCAL, now)
+            self._fail(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.LOCAL, now)
         else:
-            self._abort(AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL, now)
+            self._fail(AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL, now)
 
     # ---- inside ----
-
-    def _submit(self, request: Request, urgent: bool, now: Time) -> RequestId:
-        queue = self._urgent if urgent else self._queue
-        if len(queue) >= self.max_queue:
-            raise LocalProtocolError(f"{request}, node {self.node_id}: {len(queue)} requests are waiting already")
-        request.request_id = request_id = self.out.next_request_id()
-        if self._state == _IDLE and not queue and not self.copy_guard:
-            self._begin(request, now)
-        else:
-            queue.append(request)
-            if self._state == _IDLE:
-                self._begin_next(now)
-        return request_id
-
-    def _begin_next(self, now: Time) -> None:
-        """Begin the transfer whose turn it is, if there is one."""
-        queue = self._urgent or self._queue
-        if not queue:
-            self.deadline = NEVER
-            return
-        request = queue[0]
-        if now < self._ended + self.copy_guard and (self._unsettled or self._request.is_like(request)):
-            self._arm(self._ended + self.copy_guard)
-            return
-        self._begin(queue.popleft(), now)
 
     def _begin(self, request: Request, now: Time) -> None:
         self._request = request
         self._multiplexer = request.first[1:4]
-        self._state = _UPLOAD_INITIATED if request.first[0] == INITIATE_UPLOAD else _DOWNLOAD_INITIATED
-        self.out.frames.append(Frame(self._request_can_id, request.first, self._request_flags, 8))
+        if request.first[0] == INITIATE_UPLOAD:
+            self._state = _UPLOAD_INITIATED
+        elif isinstance(request, BlockRequest):
+            self._state = _BLOCK
+            is_upload = request.first[0] & SPECIFIER == BLOCK_UPLOAD
+            self._transfer = BlockUpload(self, request) if is_upload else BlockDownload(self, request)
+        else:
+            self._state = _DOWNLOAD_INITIATED
+        self.out.frames.append(Frame(self._send_can_id, request.first, self._send_flags, 8))
         self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
@@ -431,7 +408,7 @@ class SdoClient(Machine):
         offset = self._offset
         self._offset = offset + 7
         payload = segment(DOWNLOAD_SEGMENT | command & TOGGLE, self._request.content, offset)
-        self.out.frames.append(Frame(self._request_can_id, payload, self._request_flags, 8))
+        self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
         self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
@@ -440,27 +417,47 @@ class SdoClient(Machine):
         request = self._request
         self._end(SdoDownloaded(self.node_id, request.request_id, request.index, request.subindex), now)
 
-    def _abort(self, abort_code: int, origin: AbortOrigin, now: Time) -> None:
-        """Abort the running transfer on the wire (CiA 301 v4.2.0, 7.2.4.3.17) and begin the next one."""
-        request = self._request
-        payload = INITIATE.pack(ABORT, request.index, request.subindex, abort_code)
-        self.out.frames.append(Frame(self._request_can_id, payload, self._request_flags))
-        self._unsettled = True
-        self._end(self._aborted(request, abort_code, origin), now)
-
     def _end(self, outcome: Outcome, now: Time) -> None:
         self.out.events.append(outcome)
         self._request.content = b""
         self._ended = now
         self._state = _IDLE
+        self._transfer = None
         self.deadline = NEVER
         if self._buffer:
             self._buffer = bytearray()
         if self._queue or self._urgent:
             self._begin_next(now)
 
-    def _aborted(self, request: Request, abort_code: int, origin: AbortOrigin) -> SdoAborted:
-        return SdoAborted(self.node_id, request.request_id, request.index, request.subindex, abort_code, origin)
+    # ---- what a block transfer needs at its initiation ----
 
-    def _ignore(self, frame: Frame, reason: str) -> None:
-        self.out.events.append(FrameIgnored(self.node_id, frame, reason))
+    def _accept(self, data: bytes) -> None:
+        """The first response of a transfer came."""
+        self._last = data
+        self._unsettled = False
+
+    def _fall_back(self, data: bytes, now: Time) -> bool:
+        """The server refused: by plain transfer then, if it is block transfer that it refused and we have the choice."""
+        request = self._request
+        assert isinstance(request, BlockRequest)
+        plain, abort_code = request.plain, SIZE.unpack_from(data, 4)[0]
+        if plain is None or abort_code not in NO_BLOCKS:
+            return False
+        if abort_code == AbortCode.INVALID_COMMAND:
+            self.serves_blocks = False
+        plain.request_id = request.request_id
+        request.content = b""
+        self._last = data
+        self._ended = now
+        self._unsettled = True  # a second copy of the abort may come: copy_guard
+        self._state = _IDLE
+        self._transfer = None
+        self._urgent.appendleft(plain)
+        self._begin_next(now)
+        return True
+
+    def _switch_to_plain_upload(self, command: int, data: bytes, now: Time) -> None:
+        """The server answers with a normal upload. CiA 301 v4.2.0, 7.2.4.3.13 (pst)"""
+        self._state = _UPLOAD_INITIATED
+        self._transfer = None
+        self._on_upload_initiated(command, data, now)

@@ -9,7 +9,7 @@ client's frames, scs in the server's). Numbers are little-endian. CiA 301 v4.2.0
     initiate upload                 010x xxxx                010x nnes               index (2), subindex, data or size (4)
     upload segment                  011t xxxx                000t nnnc               7 of data, the last n unused
     abort transfer                  100x xxxx                100x xxxx               index (2), subindex, abort code (4)
-    block upload, block download    101, 110                 110, 101                (not here)
+    block upload, block download    101, 110                 110, 101                (block.py)
 
     t toggle   n unused bytes   c no more segments   e expedited   s size (n or the size field) is indicated   x reserved
 
@@ -65,7 +65,7 @@ EXPEDITED_BITS: Final = tuple((MAX_EXPEDITED - size) << 2 | EXPEDITED_BIT | SIZE
 """By size, 1..4 bytes: the bits n, e and s of an expedited transfer. (No bytes at all have no expedited form.)"""
 
 
-def segment(toggle: int, content: bytes, offset: int) -> bytes:
+def segment(toggle: int, content: bytes | bytearray, offset: int) -> bytes:
     """The segment of `content` from `offset` on; it bears the last-bit where the content ends with it. CiA 301, 7.2.4.3.4, .7"""
     end = offset + 7
     unused = end - len(content)

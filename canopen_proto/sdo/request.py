@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 from canopen_proto.machine import LocalProtocolError, RequestId
 from canopen_proto.sdo.codec import (
+    BLOCK_UPLOAD,
     EXPEDITED,
     EXPEDITED_BITS,
     INITIATE,
@@ -17,6 +18,7 @@ from canopen_proto.sdo.codec import (
     INITIATE_UPLOAD,
     MAX_EXPEDITED,
     SIZE_BIT,
+    SPECIFIER,
 )
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -32,14 +34,15 @@ class Request:
         self.index = index
         self.subindex = subindex
         self.first = first
-        self.content = content
+        self.content: bytes | bytearray = content
 
     def is_like(self, other: Request) -> bool:
         """Whether the answers to both look the same."""
         return self.first[1:4] == other.first[1:4] and self.first[0] >> 5 == other.first[0] >> 5
 
     def __str__(self) -> str:
-        return f"{'upload' if self.first[0] == INITIATE_UPLOAD else 'download'} 0x{self.index:04X}:{self.subindex:02X}"
+        is_upload = self.first[0] & SPECIFIER in (INITIATE_UPLOAD, BLOCK_UPLOAD)
+        return f"{'upload' if is_upload else 'download'} 0x{self.index:04X}:{self.subindex:02X}"
 
 
 def upload_request(index: int, subindex: int) -> Request:
@@ -47,15 +50,13 @@ def upload_request(index: int, subindex: int) -> Request:
     try:
         return Request(index, subindex, INITIATE.pack(INITIATE_UPLOAD, index, subindex, 0))
     except struct.error:
-        raise _impossible("upload", index, subindex) from None
+        raise impossible("upload", index, subindex) from None
 
 
 def download_request(index: int, subindex: int, content: Buffer) -> Request:
     """Expedited where it is 1 to 4 bytes; no bytes at all have no expedited form. Raises LocalProtocolError."""
     if not isinstance(content, bytes):
-        if not isinstance(content, bytearray | memoryview):  # bytes(6) would be six zeros
-            raise LocalProtocolError(f"download {index!r}:{subindex!r}: bytes expected, not {content!r}")
-        content = bytes(content)
+        content = own(content, index, subindex)
     size = len(content)
     try:
         if 0 < size <= MAX_EXPEDITED:
@@ -63,9 +64,17 @@ def download_request(index: int, subindex: int, content: Buffer) -> Request:
         else:
             first = INITIATE.pack(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size)
     except struct.error:
-        raise _impossible("download", index, subindex) from None
+        raise impossible("download", index, subindex) from None
     return Request(index, subindex, first, content)
 
 
-def _impossible(what: str, index: object, subindex: object) -> LocalProtocolError:
+def own(content: Buffer, index: int, subindex: int) -> bytes:
+    """The content as bytes, which nobody changes while the request waits; else LocalProtocolError."""
+    if not isinstance(content, bytes | bytearray | memoryview):  # bytes(6) would be six zeros
+        raise LocalProtocolError(f"download {index!r}:{subindex!r}: bytes expected, not {content!r}")
+    return bytes(content)  # the same object if it is bytes already
+
+
+def impossible(what: str, index: object, subindex: object) -> LocalProtocolError:
+    """An index or subindex that no frame can carry."""
     return LocalProtocolError(f"{what} {index!r}:{subindex!r}: index 0..0xFFFF and subindex 0..0xFF expected")

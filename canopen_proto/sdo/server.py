@@ -13,9 +13,16 @@ The store may say `PENDING`: only the host can serve the object (it stores param
 ObjectAccessPending goes out, the answer is held, and the host says `complete(access_id, ...)`. A host that stays silent for
 `access_timeout` costs the transfer.
 
+So that a large object (a DOMAIN: firmware, a log) never has to be held whole, it may go in pieces, by block and by segmented
+transfer. Where `check_write` says PENDING, the host gets what is downloaded piece by piece (about 890 bytes, each in an
+ObjectAccessPending, the last one with more = False), and the client waits until it has taken each. A read goes in pieces if the
+host gives the first one with `more=True`; it is then asked for the others in turn.
+
 A new initiate request takes the place of a running transfer; an abort ends it, whatever object it names (field clients send
-0x0000:00). A segment request without a transfer is answered by an abort for 0x0000:00. Block transfer is refused with 0x05040001;
-a client then goes on with segments (block transfer is in files of its own).
+0x0000:00). A segment request without a transfer is answered by an abort for 0x0000:00. Block transfer: see block.py.
+Where a block download ends before its time (our abort, an NMT reset), segments may still be on the way. The one with number 0x23
+would be taken for an expedited download of whatever object its data name: those that go on where the last one stopped are ignored
+for a moment.
 
 CAN can deliver a frame twice. The second copy of a segment is told by its toggle and ignored, once; any other wrong toggle, or a
 third, is an abort. The second copy of an initiate is served once more (a client that repeats its request after a lost answer
@@ -27,24 +34,22 @@ SDO lives in the NMT states pre-operational and operational only (CiA 301 v4.2.0
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Protocol, TypeAlias
+from typing import Final, TypeAlias
 
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
-from canopen_proto.machine import (
-    NEVER,
-    SECOND,
-    Event,
-    FrameIgnored,
-    LocalProtocolError,
-    Machine,
-    Outbox,
-    Time,
-    check_node_id,
-    event,
-)
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, Outbox, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE, SUB_BLOCK_SIZE
+from canopen_proto.sdo.block_server import (
+    BlockServerDownload,
+    BlockServerUpload,
+    announced_size,
+    is_initiate,
+    may_switch,
+    refusal_of,
+)
 from canopen_proto.sdo.codec import (
-    ABORT,
     BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT,
     DOWNLOAD_SEGMENT_RESPONSE,
@@ -66,80 +71,31 @@ from canopen_proto.sdo.codec import (
     complete,
     segment,
 )
+from canopen_proto.sdo.events import ObjectAccessPending, ObjectWritten, SdoServerAborted
+from canopen_proto.sdo.server_base import ACCESS_TIMEOUT, MAX_DOWNLOAD, TIMEOUT, ServerBase
+from canopen_proto.sdo.server_base import IDLE as _IDLE
 
-TIMEOUT: Final = 1 * SECOND
-"""How long a client may take for each segment. Longer than clients usually wait, who give up first and say so."""
-ACCESS_TIMEOUT: Final = 5 * SECOND
-"""How long the host may take for an access: storing parameters in flash takes seconds."""
-MAX_DOWNLOAD: Final = 16 << 20
-"""Largest value that is accepted: a firmware image fits, and a client gone mad does not fill the memory."""
+__all__ = [
+    "ACCESS_TIMEOUT", "MAX_DOWNLOAD", "PENDING", "TIMEOUT", "ObjectAccessPending", "ObjectStore", "ObjectWritten", "Pending",
+    "SdoServer", "SdoServerAborted",
+]  # fmt: skip
 
-# States
-_IDLE: Final = 0
+# States; 0 is IDLE
 _UPLOADING: Final = 1
 _DOWNLOADING: Final = 2
 _AWAITING_HOST: Final = 3
+_AWAITING_PIECE: Final = 4  # the host, in the middle of a segmented transfer
+_BLOCK: Final = 5
 
 _UNKNOWN_SIZE: Final = -1
 
 
-class Pending:
-    """The type of PENDING: the host will answer, by `SdoServer.complete`."""
-
-    __slots__ = ()
-
-
-PENDING: Final = Pending()
-
-
-class ObjectStore(Protocol):
-    """What a server serves. None of these may raise; index is 0..0xFFFF, subindex 0..0xFF."""
-
-    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
-        """The bytes of an object, or why it cannot be read."""
-
-    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
-        """Why an object cannot be written with so many bytes (None: not known yet), or None if it can. Changes nothing."""
-
-    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Write an object, or say why it cannot be written (`check_write` may not have been asked) or the value is refused."""
-
-
-@event
-class ObjectAccessPending(Event):
-    """The host has to serve an access: data to write, or None to read; it answers by `complete(access_id, ...)`."""
-
-    access_id: int
-    index: int
-    subindex: int
-    data: bytes | None
-
-
-@event
-class ObjectWritten(Event):
-    """A client wrote an object; the store has it, and the confirmation is on its way."""
-
-    index: int
-    subindex: int
-
-
-@event
-class SdoServerAborted(Event):
-    """A transfer ended without success. A pending access of it needs no answer any more. 0x0000:00: there was no transfer."""
-
-    index: int
-    subindex: int
-    abort_code: int
-    origin: AbortOrigin
-
-
-class SdoServer(Machine):
+class SdoServer(ServerBase):
     """The server of one SDO channel; see this module's text."""
 
     __slots__ = (
-        "_access_id", "_acknowledgements", "_announced", "_answer", "_buffer", "_command", "_content", "_index", "_last",
-        "_limit", "_offset", "_request_key", "_response_can_id", "_response_flags", "_state", "_store", "_subindex",
-        "access_timeout", "enabled", "max_download", "node_id", "timeout",
+        "_acknowledgements", "_announced", "_block_request", "_buffer", "_command", "_content", "_limit", "_offset",
+        "_transfer",
     )  # fmt: skip
 
     def __init__(
@@ -153,89 +109,41 @@ class SdoServer(Machine):
         timeout: Time = TIMEOUT,
         access_timeout: Time = ACCESS_TIMEOUT,
         max_download: int = MAX_DOWNLOAD,
+        copy_guard: Time = 0,
+        crc: bool = True,
+        block_size: int = MAX_BLOCK_SIZE,
+        max_burst: int = MAX_BURST,
+        burst_interval: Time = 0,
     ) -> None:
         """node_id: our own. request_key, response_key: the channel (client to server, server to client) as `Frame.key`; the first
-        one by default. timeout, access_timeout: ns. max_download: bytes. It starts enabled.
+        one by default. timeout, access_timeout: ns. max_download: bytes, of what does not go in pieces. It starts enabled.
+
+        For block transfer: crc, if the client has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
+        burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; copy_guard: ns between an
+        acknowledgement and the next sub-block (see block.py). All may be changed later.
         """
-        super().__init__(out)
-        self.node_id = check_node_id(node_id)
+        super().__init__(out, node_id, store, request_key, response_key)
         self.timeout = timeout
         self.access_timeout = access_timeout
         self.max_download = max_download
-        self.enabled = True
-        self._store = store
-        self._request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
-        response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
-        self._response_can_id = response_key & 0x1FFFFFFF
-        self._response_flags = response_key >> 29
+        self.copy_guard = copy_guard
+        self.crc = crc
+        self.block_size = block_size
+        self.max_burst = max_burst
+        self.burst_interval = burst_interval
         self._acknowledgements = {
-            toggle: self._frame(bytes((DOWNLOAD_SEGMENT_RESPONSE | toggle,)).ljust(8, b"\x00")) for toggle in (0, TOGGLE)
+            toggle: Frame(self._send_can_id, bytes((DOWNLOAD_SEGMENT_RESPONSE | toggle,)).ljust(8, b"\x00"), self._send_flags)
+            for toggle in (0, TOGGLE)
         }
         # The transfer under way
-        self._state = _IDLE
-        self._index = 0
-        self._subindex = 0
         self._command = 0  # the command byte of a plain segment with the toggle that is due
         self._content = b""  # to upload
         self._offset = 0  # uploaded so far
         self._buffer = bytearray()  # downloaded so far
         self._announced = _UNKNOWN_SIZE
         self._limit = 0  # of _buffer
-        self._access_id = 0
-        self._answer: Frame | None = None  # what confirms a pending download; None: an upload is pending
-        self._last = b""  # the last accepted request; empty once its copy was seen
-
-    # ---- commands ----
-
-    def complete(self, access_id: int, result: bytes | AbortCode | None, now: Time) -> bool:
-        """Answer an ObjectAccessPending: bytes if it was a read, None if it was a write and is done, an abort code to refuse it.
-
-        Sends the response that was held. False if nobody waits for it any more (timeout, abort, a new request), which is no fault
-        of the host. Raises LocalProtocolError if the result is not of the access's kind.
-        """
-        if self._state != _AWAITING_HOST or access_id != self._access_id:
-            return False
-        if isinstance(result, AbortCode):
-            self._abort(result)
-        elif result is None and self._answer is not None:
-            self._confirm(self._answer)
-        elif isinstance(result, bytes) and self._answer is None:
-            self._state = _IDLE
-            self._respond_upload(result, now)
-        else:
-            expected = "bytes" if self._answer is None else "None"
-            where = f"access {access_id} to 0x{self._index:04X}:{self._subindex:02X}, node {self.node_id}"
-            raise LocalProtocolError(f"completion of {where}: {expected} or an AbortCode expected, not {result!r}")
-        return True
-
-    def enable(self) -> None:
-        """Answer requests (NMT states pre-operational and operational)."""
-        if not self.enabled:
-            self.enabled = True
-            self._reroute()
-
-    def disable(self) -> None:
-        """Be silent (NMT states initialising and stopped). A running transfer is forgotten without a frame, as by `reset`."""
-        self.reset()
-        if self.enabled:
-            self.enabled = False
-            self._reroute()
-
-    def reset(self) -> None:
-        """Forget a running transfer without a frame: SdoServerAborted with origin CANCELLED says so."""
-        if self._state != _IDLE:
-            self._report(AbortCode.DEVICE_STATE, AbortOrigin.CANCELLED)
-            self._become_idle()
-
-    # ---- getters ----
-
-    @property
-    def busy(self) -> bool:
-        """Whether a transfer is under way."""
-        return self._state != _IDLE
-
-    def can_ids(self) -> tuple[int, ...]:
-        return (self._request_key,) if self.enabled else ()
+        self._transfer: BlockServerUpload | BlockServerDownload | None = None
+        self._block_request = b""  # the initiate request of a block upload; empty: it is a normal one
 
     # ---- inputs ----
 
@@ -251,19 +159,29 @@ class SdoServer(Machine):
             data = completed
         command = data[0]
         state = self._state
-        if state == _UPLOADING:
+        if state == _IDLE:
+            if self._straggler and self._is_straggler(command & SEQUENCE, frame, now):
+                return
+        elif state == _UPLOADING:
             if command & ~0x0F == self._command:
                 self._on_upload_segment(command, data, now)
                 return
-        elif state == _DOWNLOADING and command & ~0x0F == self._command:
-            self._on_download_segment(command, data, now)
+        elif state == _DOWNLOADING:
+            if command & ~0x0F == self._command:
+                self._on_download_segment(command, data, now)
+                return
+        elif state == _BLOCK:
+            assert self._transfer is not None
+            self._transfer.receive(command, data, frame, now)
             return
         _HANDLERS[command >> 5](self, command, data, frame, now)
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
             return
-        if self._state == _AWAITING_HOST:
+        if self._transfer is not None:
+            self._transfer.handle_timeout(now)
+        elif self._state in (_AWAITING_HOST, _AWAITING_PIECE):
             self._abort(AbortCode.CANNOT_TRANSFER, AbortOrigin.TIMEOUT)
         elif not self._last:  # what we took for a copy was all that came: the client does not alternate its toggle
             self._abort(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.TIMEOUT)
@@ -276,27 +194,67 @@ class SdoServer(Machine):
         """CiA 301 v4.2.0, 7.2.4.3.6"""
         if self._state != _IDLE and not self._replace(data, frame):
             return
+        self._block_request = b""
+        self._read(data, now)
+
+    def _on_initiate_block_upload(self, data: bytes, now: Time) -> None:
+        """CiA 301 v4.2.0, 7.2.4.3.13"""
+        refusal = refusal_of(data)
+        if refusal is not None:
+            self._index, self._subindex = MULTIPLEXER.unpack(data)
+            self._abort(refusal)
+            return
+        self._block_request = data
+        self._read(data, now)
+
+    def _read(self, data: bytes, now: Time) -> None:
         self._index, self._subindex = MULTIPLEXER.unpack(data)
         self._last = data
         content = self._store.read(self._index, self._subindex, now)
         if isinstance(content, bytes):
             self._respond_upload(content, now)
         elif isinstance(content, Pending):
-            self._await_host(None, None, now)
+            self._state = _AWAITING_HOST
+            self._handed = 0
+            self._ask_for_piece()
+            self._arm(now + self.access_timeout)
         else:
             self._abort(content)
 
-    def _respond_upload(self, content: bytes, now: Time) -> None:
+    def _on_given(self, piece: bytes, more: bool, size: int | None, now: Time) -> None:
+        """The host's answer."""
+        self._handed += len(piece)
+        if isinstance(self._transfer, BlockServerUpload):
+            self._transfer.extend(piece, not more, now)
+        elif self._state == _AWAITING_HOST:
+            self._state = _IDLE
+            self._respond_upload(piece, now, more, size)
+        else:
+            self._content = self._content[self._offset :] + piece
+            self._offset = 0
+            self._more = more
+            self._state = _UPLOADING
+            self._on_upload_segment(self._command, bytes((self._command,)).ljust(8, b"\x00"), now)
+
+    def _respond_upload(self, content: bytes, now: Time, more: bool = False, whole: int | None = None) -> None:
+        """With the whole object, or with the first piece of it."""
         size = len(content)
-        if 0 < size <= MAX_EXPEDITED:
+        request = self._block_request
+        if request and (more or not may_switch(request, size)):
+            self._state = _BLOCK
+            self._transfer = BlockServerUpload(self, request, content, more, whole, now)
+            return
+        if 0 < size <= MAX_EXPEDITED and not more:
             command = INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size]
             payload = EXPEDITED.pack(command, self._index, self._subindex, content)
-            self.out.frames.append(Frame(self._response_can_id, payload, self._response_flags, 8))
+            self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
             self.deadline = NEVER
             return
-        payload = INITIATE.pack(INITIATE_UPLOAD_RESPONSE | SIZE_BIT, self._index, self._subindex, size)
-        self.out.frames.append(self._frame(payload))
+        announced = whole if more else size
+        command = INITIATE_UPLOAD_RESPONSE if announced is None else INITIATE_UPLOAD_RESPONSE | SIZE_BIT
+        self._send(INITIATE.pack(command, self._index, self._subindex, announced or 0))
         self._state = _UPLOADING
+        self._more = more
         self._command = UPLOAD_SEGMENT
         self._content = content
         self._offset = 0
@@ -306,8 +264,14 @@ class SdoServer(Machine):
         """A request with the right toggle; CiA 301 v4.2.0, 7.2.4.3.7"""
         content = self._content
         offset = self._offset
+        if self._more and len(content) - offset <= 7:  # the segment may be the last one, or not
+            self._last = data
+            self._state = _AWAITING_PIECE
+            self._ask_for_piece()
+            self._arm(now + self.access_timeout)
+            return
         payload = segment(command & TOGGLE, content, offset)
-        self.out.frames.append(Frame(self._response_can_id, payload, self._response_flags, 8))
+        self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
         self._offset = offset = offset + 7
         if offset >= len(content):
             self._become_idle()
@@ -331,27 +295,45 @@ class SdoServer(Machine):
         if command & EXPEDITED_BIT:
             unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
             payload = INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
-            answer = Frame(self._response_can_id, payload, self._response_flags, 8)
+            answer = Frame(self._send_can_id, payload, self._send_flags, 8)
             self._write(data[4 : 8 - unused], answer, now)
             return
         size = announced if command & SIZE_BIT else None
-        refusal = self._store.check_write(index, subindex, size)
-        if refusal is None and size is not None and size > self.max_download:
-            refusal = AbortCode.OUT_OF_MEMORY
-        if refusal is not None:
-            self._abort(refusal)
+        if not self._may_download(size):
             return
-        self.out.frames.append(self._frame(INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)))
+        self._send(INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0))
         self._announced = _UNKNOWN_SIZE if size is None else size
         self._limit = self.max_download if size is None else size
         self._state = _DOWNLOADING
         self._command = DOWNLOAD_SEGMENT
         self._arm(now + self.timeout)
 
+    def _on_initiate_block_download(self, data: bytes, now: Time) -> None:
+        """CiA 301 v4.2.0, 7.2.4.3.9"""
+        self._index, self._subindex = MULTIPLEXER.unpack(data)
+        self._last = data
+        size = announced_size(data)
+        if self._may_download(size):
+            self._state = _BLOCK
+            self._transfer = BlockServerDownload(self, data, size, self._in_pieces, now)
+
+    def _may_download(self, size: int | None) -> bool:
+        """Ask the store, and abort if it refuses. size: None if it is not announced."""
+        refusal = self._store.check_write(self._index, self._subindex, size)
+        self._in_pieces = isinstance(refusal, Pending)
+        self._handed = 0
+        if isinstance(refusal, AbortCode):
+            self._abort(refusal)
+            return False
+        if size is not None and size > self.max_download and not self._in_pieces:
+            self._abort(AbortCode.OUT_OF_MEMORY)
+            return False
+        return True
+
     def _surplus(self, index: int, subindex: int) -> int:
         """How many of four bytes of unspecified size are too many for the object."""
         for unused in (0, 1, 2, 3):
-            if self._store.check_write(index, subindex, 4 - unused) is None:
+            if not isinstance(self._store.check_write(index, subindex, 4 - unused), AbortCode):
                 return unused
         return 0
 
@@ -373,6 +355,9 @@ class SdoServer(Machine):
                 return
             self._last = data
             self._command ^= TOGGLE
+            if self._in_pieces and len(buffer) >= SUB_BLOCK_SIZE:
+                self._await_piece(acknowledgement, now)
+                return
             self.out.frames.append(acknowledgement)
             self.deadline = deadline = now + self.timeout
             if deadline < self._wake:
@@ -381,14 +366,40 @@ class SdoServer(Machine):
             self._abort(AbortCode.LENGTH_TOO_LOW)
         else:
             self._last = data
-            self._write(bytes(buffer), acknowledgement, now)
+            if self._in_pieces:
+                self._await_host(bytes(buffer), acknowledgement, now, self._handed)
+            else:
+                self._write(bytes(buffer), acknowledgement, now)
+
+    def _await_piece(self, acknowledgement: Frame, now: Time) -> None:
+        """The host gets what came so far of a segmented download; the segment is acknowledged once it has taken that."""
+        piece, self._buffer = bytes(self._buffer), bytearray()
+        self._limit -= len(piece)
+        if self._announced != _UNKNOWN_SIZE:
+            self._announced -= len(piece)
+        self._hand_over_piece(piece, self._handed)
+        self._handed += len(piece)
+        self._answer = acknowledgement
+        self._state = _AWAITING_PIECE
+        self._arm(now + self.access_timeout)
+
+    def _on_taken(self, now: Time) -> None:
+        """The host has taken what was downloaded."""
+        if isinstance(self._transfer, BlockServerDownload):
+            self._transfer.taken(now)
+        elif self._state == _AWAITING_PIECE:
+            self._state = _DOWNLOADING
+            self.out.frames.append(self._answer)
+            self._arm(now + self.timeout)
+        else:
+            self._confirm(self._answer)
 
     def _write(self, content: bytes, answer: Frame, now: Time) -> None:
         result = self._store.write(self._index, self._subindex, content, now)
         if result is None:
             self._confirm(answer)
         elif isinstance(result, Pending):
-            self._await_host(content, answer, now)
+            self._await_host(content, answer, now, 0)
         else:
             self._abort(result)
 
@@ -417,15 +428,22 @@ class SdoServer(Machine):
             self._become_idle()
 
     def _on_block(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        """Block transfer is refused; an initiate ends a running transfer like any other. CiA 301 v4.2.0, 7.2.4.3.9, .13"""
-        is_initiate = not command & (3 if command & SPECIFIER == BLOCK_UPLOAD else 1)
-        if is_initiate:
-            if self._state != _IDLE and not self._replace(data, frame):
-                return
-            self._index, self._subindex = MULTIPLEXER.unpack(data)
-            self._abort(AbortCode.INVALID_COMMAND)
-        else:
-            self._on_unknown(command, data, frame, now)
+        """CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13: an initiate ends a running transfer like any other."""
+        if not is_initiate(command):
+            if data == self._last:
+                self._last = b""  # once
+                self._ignore(frame, "second copy of the last frame")
+            else:
+                self._on_unknown(command, data, frame, now)
+        elif self._state == _IDLE or self._replace(data, frame):
+            if command & SPECIFIER == BLOCK_UPLOAD:
+                self._on_initiate_block_upload(data, now)
+            else:
+                self._on_initiate_block_download(data, now)
+
+    def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
+        """What is not of the block transfer that is under way."""
+        _HANDLERS[command >> 5](self, command, data, frame, now)
 
     def _on_unknown(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         if self._state == _IDLE:
@@ -444,34 +462,23 @@ class SdoServer(Machine):
         self._become_idle()
         return True
 
-    def _await_host(self, content: bytes | None, answer: Frame | None, now: Time) -> None:
-        self._access_id = self.out.next_request_id()
+    def _await_host(self, content: bytes, answer: Frame, now: Time, offset: int) -> None:
+        """The host gets what was downloaded, all of it or the last piece; `answer` once it has taken that."""
+        self._transfer = None
         self._answer = answer
         self._state = _AWAITING_HOST
-        self.out.events.append(ObjectAccessPending(self.node_id, self._access_id, self._index, self._subindex, content))
+        self._report_access(content, False, offset)
+        self._is_reading = False
         self._arm(now + self.access_timeout)
 
-    def _abort(self, abort_code: AbortCode, origin: AbortOrigin = AbortOrigin.LOCAL) -> None:
-        """CiA 301 v4.2.0, 7.2.4.3.17"""
-        self.out.frames.append(self._frame(INITIATE.pack(ABORT, self._index, self._subindex, abort_code)))
-        self._report(abort_code, origin)
-        self._become_idle()
-
     def _become_idle(self) -> None:
-        self._state = _IDLE
-        self.deadline = NEVER
+        super()._become_idle()
+        if isinstance(self._transfer, BlockServerDownload):
+            self._straggler, self._straggler_until = self._transfer.stragglers()
+        self._transfer = None
         self._content = b""
         if self._buffer:
             self._buffer = bytearray()
-
-    def _frame(self, payload: bytes) -> Frame:
-        return Frame(self._response_can_id, payload, self._response_flags)
-
-    def _report(self, abort_code: int, origin: AbortOrigin) -> None:
-        self.out.events.append(SdoServerAborted(self.node_id, self._index, self._subindex, abort_code, origin))
-
-    def _ignore(self, frame: Frame, reason: str) -> None:
-        self.out.events.append(FrameIgnored(self.node_id, frame, reason))
 
 
 _Handler: TypeAlias = Callable[[SdoServer, int, bytes, Frame, Time], None]

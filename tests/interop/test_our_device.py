@@ -120,11 +120,27 @@ def test_aborts(rig: Rig, index: int, subindex: int, data: bytes | None, abort_c
     assert caught.value.code == abort_code
 
 
-def test_block_transfer_is_refused(rig: Rig) -> None:
-    with pytest.raises(canopen.SdoAbortedError) as caught:
-        rig.remote.sdo.open(TEXT, 0, "rb", block_transfer=True)
-    assert caught.value.code == AbortCode.INVALID_COMMAND
+BLOCK_SIZES = [1, 6, 7, 8, 127 * 7, 127 * 7 + 1, 3000, 20_000]
+
+
+@pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
+@pytest.mark.parametrize("size", BLOCK_SIZES)
+def test_blocks_down_and_up(rig: Rig, size: int, crc: bool) -> None:
+    text = bytes(0x41 + number * 7 % 53 for number in range(size))
+    with rig.remote.sdo.open(TEXT, 0, "wb", size=size, block_transfer=True, request_crc_support=crc) as stream:
+        for offset in range(0, size, 7):  # its own write() takes no other pieces
+            stream.write(text[offset : offset + 7])
+    assert rig.device.values.store[TEXT << 8] == text.decode()
+    with rig.remote.sdo.open(TEXT, 0, "rb", block_transfer=True, request_crc_support=crc) as stream:
+        assert stream.read() == text
     assert rig.remote.sdo[LIMITED].raw == 10  # and the server goes on
+
+
+def test_blocks_are_refused_where_there_is_no_object(rig: Rig) -> None:
+    for mode in ("rb", "wb"):
+        with pytest.raises(canopen.SdoAbortedError) as caught:
+            rig.remote.sdo.open(0x2FFF, 0, mode, size=10, block_transfer=True)
+        assert caught.value.code == AbortCode.NO_SUCH_OBJECT
 
 
 def test_an_object_that_the_host_serves(rig: Rig) -> None:

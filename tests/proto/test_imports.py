@@ -24,8 +24,8 @@ SOURCES = sorted(ROOT.rglob("*.py"))
 MODULES = [".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES]
 
 ALLOWED = {
-    "__future__", "abc", "bisect", "collections", "collections.abc", "csv", "dataclasses", "datetime", "difflib", "enum",
-    "functools", "heapq", "io", "itertools", "math", "operator", "re", "reprlib", "string", "struct", "types", "typing",
+    "__future__", "abc", "binascii", "bisect", "collections", "collections.abc", "csv", "dataclasses", "datetime", "difflib",
+    "enum", "functools", "heapq", "io", "itertools", "math", "operator", "re", "reprlib", "string", "struct", "types", "typing",
 }  # fmt: skip
 FORBIDDEN = {
     "asyncio", "can", "canopen", "click", "concurrent", "http", "logging", "matplotlib", "msgpack", "multiprocessing", "numpy",

@@ -203,10 +203,8 @@ def test_small_objects_may_be_written_in_segments_too(bench: Bench) -> None:
         ("2F 60 60 00 0B 00 00 00", 0x06090031),  # trap 18
         ("2F 60 60 00 FE 00 00 00", 0x06090032),
         ("21 00 20 03 65 00 00 00", 0x05040005),
-        ("A4 00 10 00 7F 00 00 00", 0x05040001),  # trap 15: block upload, protocol change not allowed by pst = 0
-        ("A0 08 10 00 7F 15 00 00", 0x05040001),
-        ("C6 00 20 03 10 00 00 00", 0x05040001),
-        ("C0 00 20 03 00 00 00 00", 0x05040001),
+        ("A4 00 10 00 00 00 00 00", 0x05040002),
+        ("A0 08 10 00 80 15 00 00", 0x05040002),
     ],
 )
 def test_refused_at_the_initiate_with_the_right_multiplexer(bench: Bench, request_: str, abort: int) -> None:
@@ -313,7 +311,7 @@ def test_a_new_initiate_takes_the_place_of_a_running_transfer(bench: Bench, firs
     bench.ask(first)
     assert bench.ask("2B 17 10 00 01 00 00 00") == response("60 17 10 00 00 00 00 00")
     bench.ask(first)
-    assert bench.ask("A4 00 10 00") == response("80 00 10 00 01 00 04 05")
+    assert bench.ask("A4 00 10 00 7F") == response("C6 00 10 00 04 00 00 00")
 
 
 def test_a_repeated_initiate_is_answered_again(bench: Bench) -> None:

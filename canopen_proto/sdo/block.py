@@ -1,0 +1,147 @@
+"""Block transfer: the frames, and what both of its sides share.
+
+Theory of operation
+-------------------
+In a block transfer up to 127 segments of seven bytes go one behind the other, a *sub-block*, before the receiver acknowledges
+them all with one frame, in which it also says how long the next sub-block may be. So 1 MiB takes 149 797 segments and 1180
+acknowledgements; a segmented transfer takes twice as many frames, each waiting for the one before.
+CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16.
+
+                          download (client to server)           upload (server to client)         bytes 1..7
+    initiate              C 110x xcs0    S 101x xs00            C 101x xc00    S 110x xcs0        index (2), subindex, then below
+    start                                                       C 1010 0011
+    segment               C fqqq qqqq                           S fqqq qqqq                       7 of data
+    acknowledgement       S 1010 0010                           C 1010 0010                       ackseq, block size
+    end                   C 110n nn01                           S 110n nn01                       CRC (2)
+    end response          S 1010 0001                           C 1010 0001
+
+    c CRC is supported   s size is indicated   f final segment   q sequence number, 1..127   n unused bytes of the final segment
+
+    initiate: byte 4 is the block size where the receiver sends it, bytes 4..7 are the size where the sender does; an upload's
+    request has the protocol switch threshold (pst) in byte 5.
+
+After the initiation both directions are alike, so there are two machines and not four: `BlockSender` (block_sender.py) for the
+side that has the data, `BlockReceiver` (block_receiver.py) for the other; block_client.py and block_server.py begin and end
+them. Each belongs to a `Party`, the SdoClient or SdoServer whose channel it uses.
+
+Loss. The receiver takes segments in order only. Where one is missing it acknowledges those before the gap, at the end of the
+sub-block or when no more come, and the sender goes on behind them. What is repeated is numbered from 1 again.
+
+Copies. CAN can deliver a frame twice, immediately. The second copy of a segment does not have the number that is due. (With a
+block size of 1 it has: a receiver asks for that only where both CRC and size protect the transfer.) The second copy of an
+acknowledgement is known by this: none of the next sub-block has been sent yet. That is why an acknowledgement sends nothing by
+itself; the sub-block goes out in the turn after, or `copy_guard` later.
+
+Bursts. 127 segments at once overflow a transmit queue (a SocketCAN interface has room for ten frames by default). In one turn at
+most `max_burst` segments go into the outbox, and the deadline is set for the rest: `burst_interval` later, which is 0 by default:
+at once, that is as soon as the driver has sent what it drained. A driver whose sending waits for room is so never ahead of the
+bus by more than `max_burst` frames; one that queues without bound holds a sub-block at most, 127 frames; one that can do neither
+sets burst_interval to the time which a burst takes on its bus (8 frames: 1 ms at 1 Mbit/s, 9 ms at 125 kbit/s).
+
+The CRC is that of CCITT: polynomial 0x1021, initial value 0, over the data without what is unused of the last segment.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Final, Protocol
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, Outbox, Time
+from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.codec import BLOCK_UPLOAD, INITIATE
+
+MAX_BLOCK_SIZE: Final = 127
+"""Segments in a sub-block: their numbers have seven bits."""
+SEGMENT_SIZE: Final = 7
+"""Bytes of data in a segment."""
+SUB_BLOCK_SIZE: Final = MAX_BLOCK_SIZE * SEGMENT_SIZE
+"""Bytes of data in the longest sub-block: what has to be held for repetition, and the largest piece of a stream."""
+
+MAX_BURST: Final = 8
+"""Segments that go out in one turn: a SocketCAN interface queues ten frames by default, and others want to send too."""
+SEGMENT_TIMEOUT: Final = 100 * MILLISECOND
+"""After so long a silence within a sub-block its end must have been lost: what came is acknowledged. A burst has no such gaps
+(a frame takes 13 ms at 10 kbit/s), and senders wait 300 ms and more for an acknowledgement."""
+SUB_BLOCK_TIMEOUT: Final = 250 * MILLISECOND
+"""After so long a silence before its first segment, all of a (short) sub-block must have been lost."""
+STREAM_TIMEOUT: Final = 5 * SECOND
+"""How long whoever feeds or takes a stream may need for each piece: reading and writing files takes less."""
+MAX_STALLS: Final = 10
+"""Times that nothing of a sub-block arrives in order, one behind the other, before its sender gives up."""
+
+# Command bytes (codec.py has BLOCK_UPLOAD and BLOCK_DOWNLOAD) and their bits
+END_RESPONSE: Final = 0xA1
+ACKNOWLEDGEMENT: Final = 0xA2
+START_UPLOAD: Final = 0xA3
+END: Final = 0xC1
+KIND: Final = 0xE3
+"""The bits that tell these four apart."""
+FINAL: Final = 0x80
+SEQUENCE: Final = 0x7F
+CRC_BIT: Final = 0x04
+BLOCK_SIZE_BIT: Final = 0x02
+"""The size of the data is indicated, in an initiate frame of the sender."""
+
+ACKNOWLEDGE: Final = struct.Struct("<BBB5x")
+"""Command, ackseq, block size."""
+END_FRAME: Final = struct.Struct("<BH5x")
+"""Command, CRC."""
+INITIATE_BY_RECEIVER: Final = struct.Struct("<BHBBB2x")
+"""Command, index, subindex, block size, protocol switch threshold (in an upload's request)."""
+
+HEADS: Final = tuple(bytes((sequence,)) for sequence in range(128))
+"""The first byte of a segment that is not the final one, by its number."""
+
+
+class Party(Protocol):
+    """Whose channel a block transfer uses: an SdoClient or SdoServer. Limits are in ns, segments and bytes."""
+
+    out: Outbox
+    deadline: Time
+    _wake: Time
+    timeout: Time
+    copy_guard: Time
+    max_burst: int
+    burst_interval: Time
+    block_size: int
+    _send_can_id: int
+    _send_flags: int
+    _last: bytes
+
+    @property
+    def stream_timeout(self) -> Time: ...
+
+    def _arm(self, deadline: Time) -> None: ...
+
+    def _send(self, payload: bytes) -> None: ...
+
+    def _fail(self, abort_code: int, origin: AbortOrigin, now: Time) -> None: ...
+
+    def _ignore(self, frame: Frame, reason: str) -> None: ...
+
+
+def sender_initiate(specifier: int, index: int, subindex: int, size: int | None, crc: bool) -> bytes:
+    """The initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13"""
+    command = specifier | (CRC_BIT if crc else 0) | (0 if size is None else BLOCK_SIZE_BIT)
+    return INITIATE.pack(command, index, subindex, size or 0)
+
+
+def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool, threshold: int = 0) -> bytes:
+    """The initiate frame of the other side: a server's for a download, a client's for an upload (with its pst). .9, .13"""
+    return INITIATE_BY_RECEIVER.pack(BLOCK_UPLOAD | (CRC_BIT if crc else 0), index, subindex, block_size, threshold)
+
+
+def chosen_block_size(block_size: int, is_safe: bool) -> int:
+    """What a receiver asks for: 1..127; at least 2 where CRC or size is not known, see "Copies"."""
+    return max(1 if is_safe else 2, min(block_size, MAX_BLOCK_SIZE))
+
+
+def least_frames(size: int) -> tuple[int, int]:
+    """The frames that a block download and a block upload of `size` bytes take at least, with sub-blocks of 127 segments.
+
+    Initiate (2), segments, one acknowledgement per sub-block, end (2); an upload has a start besides.
+    """
+    segments = max(1, -(-size // SEGMENT_SIZE))
+    download = 4 + segments + -(-segments // MAX_BLOCK_SIZE)
+    return download, download + 1

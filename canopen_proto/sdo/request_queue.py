@@ -1,0 +1,177 @@
+"""The requests of an SDO client: they wait in line, one at a time is served, each ends in exactly one outcome.
+
+`RequestQueue` is the part of SdoClient (client.py) that does not depend on how a transfer goes: commands that take requests back,
+the order (first in, first out; urgent ones before all others), and the pause that `copy_guard` wants between two transfers.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
+from canopen_proto.machine import (
+    MILLISECOND,
+    NEVER,
+    FrameIgnored,
+    LocalProtocolError,
+    Machine,
+    Outbox,
+    Outcome,
+    RequestId,
+    Time,
+    check_node_id,
+)
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.sdo.codec import ABORT, INITIATE
+from canopen_proto.sdo.events import SdoAborted
+from canopen_proto.sdo.request import Request
+
+TIMEOUT: Final = 500 * MILLISECOND
+"""How long a server may take for each response: devices that write flash on the way take 100 ms and more."""
+MAX_QUEUE: Final = 256
+"""Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
+
+IDLE: Final = 0
+"""The state in which no transfer is under way."""
+
+
+class RequestQueue(Machine):
+    """See this module's text."""
+
+    __slots__ = (
+        "_ended", "_last", "_queue", "_request", "_response_key", "_send_can_id", "_send_flags", "_state", "_unsettled",
+        "_urgent", "copy_guard", "max_queue", "node_id", "timeout",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        out: Outbox,
+        node_id: int,
+        request_key: int | None,
+        response_key: int | None,
+        timeout: Time,
+        max_queue: int,
+        copy_guard: Time,
+    ) -> None:
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.timeout = timeout
+        self.max_queue = max_queue
+        self.copy_guard = copy_guard
+        request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
+        self._response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
+        self._send_can_id = request_key & 0x1FFFFFFF
+        self._send_flags = request_key >> 29
+        self._urgent: deque[Request] = deque()
+        self._queue: deque[Request] = deque()
+        self._state = IDLE
+        self._request = Request(0, 0, bytes(8))  # while idle: the one before
+        # What is remembered of responses and of the transfer before
+        self._last = b""  # the last accepted response; empty once its copy was seen
+        self._unsettled = False  # the transfer before ended without its last response
+        self._ended: Time = -NEVER
+
+    # ---- commands ----
+
+    def cancel(self, request_id: RequestId, now: Time) -> bool:
+        """Give a request up: SdoAborted with origin CANCELLED follows at once. False if it is not open (any more).
+
+        Of a request that waits nothing was sent and nothing is. A running transfer is aborted on the wire with 0x08000000, and
+        the next request goes out at once.
+        """
+        if self._state != IDLE and self._request.request_id == request_id:
+            self._fail(AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED, now)
+            return True
+        for queue in (self._urgent, self._queue):
+            for request in queue:
+                if request.request_id == request_id:
+                    queue.remove(request)
+                    self.out.events.append(self._aborted(request, AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED))
+                    if self._state == IDLE:
+                        self._begin_next(now)  # copy_guard may have held back the one that is gone
+                    return True
+        return False
+
+    def abort_all(self, abort_code: int, now: Time) -> None:
+        """End all requests (the server is gone): SdoAborted with origin LOCAL for each; the running one is aborted on the bus."""
+        if not 0 <= abort_code <= 0xFFFFFFFF:
+            raise LocalProtocolError(f"node {self.node_id}: {abort_code} is no abort code (0..0xFFFFFFFF)")
+        waiting = [*self._urgent, *self._queue]
+        self._urgent.clear()
+        self._queue.clear()
+        if self._state != IDLE:
+            self._fail(abort_code, AbortOrigin.LOCAL, now)
+        for request in waiting:
+            self.out.events.append(self._aborted(request, abort_code, AbortOrigin.LOCAL))
+        self.deadline = NEVER
+
+    # ---- getters ----
+
+    @property
+    def busy(self) -> bool:
+        """Whether any request is running or waiting."""
+        return self._state != IDLE or bool(self._queue or self._urgent)
+
+    @property
+    def waiting(self) -> int:
+        """The number of requests that wait."""
+        return len(self._queue) + len(self._urgent)
+
+    def can_ids(self) -> tuple[int, ...]:
+        return (self._response_key,)
+
+    # ---- inside ----
+
+    def _submit(self, request: Request, urgent: bool, now: Time) -> RequestId:
+        queue = self._urgent if urgent else self._queue
+        if len(queue) >= self.max_queue:
+            raise LocalProtocolError(f"{request}, node {self.node_id}: {len(queue)} requests are waiting already")
+        request.request_id = request_id = self.out.next_request_id()
+        if self._state == IDLE and not queue and not self.copy_guard:
+            self._begin(request, now)
+        else:
+            queue.append(request)
+            if self._state == IDLE:
+                self._begin_next(now)
+        return request_id
+
+    def _find(self, request_id: RequestId) -> Request | None:
+        """The request, if it is open."""
+        if self._state != IDLE and self._request.request_id == request_id:
+            return self._request
+        return next((request for request in (*self._urgent, *self._queue) if request.request_id == request_id), None)
+
+    def _begin_next(self, now: Time) -> None:
+        """Begin the transfer whose turn it is, if there is one."""
+        queue = self._urgent or self._queue
+        if not queue:
+            self.deadline = NEVER
+            return
+        request = queue[0]
+        if now < self._ended + self.copy_guard and (self._unsettled or self._request.is_like(request)):
+            self._arm(self._ended + self.copy_guard)
+            return
+        self._begin(queue.popleft(), now)
+
+    def _begin(self, request: Request, now: Time) -> None:
+        raise NotImplementedError
+
+    def _fail(self, abort_code: int, origin: AbortOrigin, now: Time) -> None:
+        """Abort the running transfer on the wire (CiA 301 v4.2.0, 7.2.4.3.17) and begin the next one."""
+        request = self._request
+        self._send(INITIATE.pack(ABORT, request.index, request.subindex, abort_code))
+        self._unsettled = True
+        self._end(self._aborted(request, abort_code, origin), now)
+
+    def _end(self, outcome: Outcome, now: Time) -> None:
+        raise NotImplementedError
+
+    def _aborted(self, request: Request, abort_code: int, origin: AbortOrigin) -> SdoAborted:
+        return SdoAborted(self.node_id, request.request_id, request.index, request.subindex, abort_code, origin)
+
+    def _send(self, payload: bytes) -> None:
+        self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
+
+    def _ignore(self, frame: Frame, reason: str) -> None:
+        self.out.events.append(FrameIgnored(self.node_id, frame, reason))
