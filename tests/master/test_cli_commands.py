@@ -234,6 +234,8 @@ def test_info(run: Run) -> None:
         assert fact in outcome.out
     document = run("info", "3", *DEMO, "--json").json
     assert (document["node"], document["device_type"], document["supported_modes"]) == (3, 0x20192, 0x43)
+    assert document["RPDO1"] == {"can_id": 0x203, "transmission_type": 1, "objects": ["6040:00", "6042:00", "60C1:01"]}
+    assert "0x183, type 1: statusword, torque_actual_value, position_actual_value" in outcome.out
 
 
 def test_info_of_a_drive_in_fault(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:

@@ -1,4 +1,4 @@
-"""`canopen info`: what a node is, and how it is: identity, NMT state, errors; of a drive also its state, mode and position."""
+"""`canopen info`: what a node is, and how it is: identity, NMT state, errors, PDOs; of a drive its state, mode and position too."""
 
 from __future__ import annotations
 
@@ -12,16 +12,24 @@ from canopen_master.cli.device_types import DRIVE_PROFILE, device_type_text, pro
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
-from canopen_master.cli.session import open_session
+from canopen_master.cli.session import Session, open_session
 from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
+from canopen_proto.dictionary import Direction
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.error_codes import error_text, register_names
+from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
+from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.steps import SdoFailed
 
 IDENTITY = ((1, "vendor-ID"), (2, "product code"), (3, "revision"), (4, "serial number"))
 MAX_HISTORY = 8
+MAX_PDOS_SHOWN = 8
+"""In each direction; a device may have 512, and the first ones tell how it is meant."""
 MAX_WAIT = 2.0
 """Seconds for a heartbeat that shows the NMT state."""
 
@@ -60,6 +68,7 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
             if isinstance(number, int):
                 facts[name] = (number, f"0x{number:08X}")
         await _add_health(node, facts)
+        await _add_pdos(session, node, facts)
         if profile_of(device_type) == DRIVE_PROFILE:
             await _add_drive(node, facts)
         return facts
@@ -87,6 +96,36 @@ async def _add_health(node: Node, facts: Facts) -> None:
             history.append(entry & 0xFFFF)
     if history:
         facts["last errors"] = (history, ", ".join(f"0x{code:04X} {error_text(code)}" for code in history))
+
+
+async def _add_pdos(session: Session, node: Node, facts: Facts) -> None:
+    """The PDOs that the device has set up; those that are not valid are left out."""
+    for direction in Direction:
+        for number in range(1, MAX_PDOS_SHOWN + 1):
+            try:
+                settings = await session.master.run(read_pdo(node.remote, direction, number))
+            except SdoFailed as failed:
+                if failed.abort_code in ABSENT:
+                    break
+                raise
+            except StrangePdo as strange:
+                facts[f"{direction}{number}"] = (None, str(strange))
+                continue
+            if not settings.cob_id & COB_ID_INVALID:
+                facts[f"{direction}{number}"] = _pdo(settings)
+
+
+def _pdo(settings: PdoSettings) -> tuple[dict[str, Any], str]:
+    objects = [f"{entry >> 16:04X}:{entry >> 8 & 0xFF:02X}" for entry in settings.entries]
+    can_id = settings.cob_id & 0x1FFFFFFF
+    raw = {"can_id": can_id, "transmission_type": settings.transmission_type, "objects": objects}
+    names = [_object_name(entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
+    return raw, f"0x{can_id:X}, type {settings.transmission_type}: {', '.join(names) or 'nothing'}"
+
+
+def _object_name(index: int, subindex: int) -> str:
+    variable = find_standard(index, subindex)
+    return f"{index:04X}:{subindex:02X}" if variable is None else variable.name
 
 
 async def _add_drive(node: Node, facts: Facts) -> None:
