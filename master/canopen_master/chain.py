@@ -172,6 +172,11 @@ class Chain:
         """How many of these cycles brought no new set-point, though a loop over `cycles` was there to give it."""
         return self._set_points.missed_cycles
 
+    @property
+    def skipped_cycles(self) -> int:
+        """Periods in which no SYNC was sent while it followed set-points, because this process was late."""
+        return self._set_points.skipped_cycles
+
     # ---- what it does ----
 
     async def initialise(self) -> None:

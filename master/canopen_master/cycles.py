@@ -33,8 +33,11 @@ class Cycle:
 
 
 class SetPoints:
-    """What a chain is told to follow. sync_cycles: SYNCs while it followed; missed_cycles: those of them without a new set-point;
-    missed_in_row: the last ones of these. sent: the set-points that went out last; empty while none are followed.
+    """What a chain is told to follow.
+
+    sync_cycles: SYNCs while it followed; missed_cycles: those of them without a new set-point; missed_in_row: the last ones of
+    these; skipped_cycles: periods in which no SYNC was sent, because this process was late. sent: the set-points that went out
+    last; empty while none are followed.
     """
 
     def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
@@ -43,6 +46,7 @@ class SetPoints:
         self.max_step = max_step
         self.sync_cycles = 0
         self.missed_cycles = 0
+        self.skipped_cycles = 0
         self.missed_in_row = 0
         self.sent: list[float] = []
         self.tick = trio.lowlevel.ParkingLot()
@@ -82,6 +86,7 @@ class SetPoints:
         """A SYNC went out, and the images behind it."""
         self.number += 1 + skipped
         self.sync_cycles += 1
+        self.skipped_cycles += skipped
         self.sent = [device.desired_position for device in self.devices]
         for device, position in zip(self.devices, self.sent, strict=True):
             device.command_sent(position)

@@ -19,6 +19,7 @@ from canopen_master import (
     open_master,
     standard_drives,
 )
+from canopen_master.cycles import SetPoints
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
@@ -164,6 +165,14 @@ async def test_cycles_are_counted_on_the_grid_of_sync() -> None:
                 break
         assert seen == [(0, 0, 0), (1, 0, 0.01), (4, 2, 0.04), (5, 0, 0.05)]
         assert arm.missed_cycles == 2  # the set-point of cycle 1 went out behind SYNC 2; behind 3 and 4 it was repeated
+
+
+def test_periods_without_a_sync_are_counted_too() -> None:
+    set_points = SetPoints((), 0.01, None)
+    set_points.begin()
+    for skipped in (0, 3, 0):
+        set_points.on_sync(skipped)
+    assert (set_points.number, set_points.sync_cycles, set_points.skipped_cycles) == (6, 3, 3)
 
 
 @virtual_time

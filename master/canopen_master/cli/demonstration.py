@@ -105,6 +105,7 @@ class Demonstration:
         self.results: list[JointResult] = []
         self.sync_cycles = 0
         self.missed_cycles = 0
+        self.skipped_cycles = 0
         self.description = self._chosen_chain()
         self._check_fault()
         self._stage = "the drives were booting, and nothing had moved"
@@ -195,6 +196,7 @@ class Demonstration:
                 await self._move(arm, view)
                 self._stage = "all was done, and the drives were being shut down"
                 self.missed_cycles, self.sync_cycles = arm.missed_cycles, arm.sync_cycles
+                self.skipped_cycles = arm.skipped_cycles
                 await arm.shut_down()
                 nursery.cancel_scope.cancel()
         self.results = [
@@ -251,6 +253,8 @@ class Demonstration:
             if cycle.number % refresh == 0:  # right behind a SYNC: drawing takes 3 ms, and must not delay the next one
                 self._redraw(view)
         missed = f"{arm.missed_cycles} missed" if arm.missed_cycles else "none missed"
+        if arm.skipped_cycles:
+            missed += f"; {arm.skipped_cycles} more were skipped: this computer was late"
         view.done(step, f"{plan.seconds:g} s along a smooth path, {arm.sync_cycles} SYNC cycles of {_ms(plan.cycle)}, {missed}")
 
     def _break(self, node_id: int) -> None:
@@ -323,6 +327,7 @@ class Demonstration:
             "cycle_ms": self.plan.cycle / MILLISECOND,
             "sync_cycles": self.sync_cycles,
             "missed_cycles": self.missed_cycles,
+            "skipped_cycles": self.skipped_cycles,
             "joints": [
                 {
                     "joint": result.name,

@@ -1,4 +1,4 @@
-"""`canopen info`: what a node is, and how it is: identity, NMT state, errors, PDOs; of a drive its state, mode and position too."""
+"""`canopen info`: what a node is, and how it is: identity, NMT state, errors, PDOs; of a drive what it does, too."""
 
 from __future__ import annotations
 
