@@ -282,9 +282,7 @@ def test_a_communication_object_of_another_type_is_as_if_it_were_not_there() -> 
     """EDS files describe 0x1008 and the like by text; nothing keeps one from describing 0x1005 so."""
     dictionary = io_device()
     text = dictionary.variable((0x2003, 0))
-    odd = type(dictionary.objects[0x1000]).of(
-        "odd", [type(text)(0x1005, 0, "odd", text.data_type, default="abc")]
-    )
+    odd = type(dictionary.objects[0x1000]).of("odd", [type(text)(0x1005, 0, "odd", text.data_type, default="abc")])
     bench = DeviceBench(dictionary.with_objects([odd]))
     bench.tell(START)
     assert bench.tell("080#") == ["285#0000"]

@@ -62,9 +62,7 @@ def test_what_the_device_refuses() -> None:
     error = error_of(pair, read(remote, 0x1008))
     assert isinstance(error, SdoFailed)
     assert (error.abort_code, error.origin) == (AbortCode.NO_SUCH_OBJECT, AbortOrigin.PEER)
-    assert str(error) == (
-        "node 5 refused reading 0x1008:00: abort 0x06020000, object does not exist in the object dictionary"
-    )
+    assert str(error) == ("node 5 refused reading 0x1008:00: abort 0x06020000, object does not exist in the object dictionary")
     error = error_of(pair, write(remote, (0x1010, 1), 0x65766173))
     assert isinstance(error, SdoFailed)
     assert "refused writing 0x1010:01" in str(error)
