@@ -9,7 +9,9 @@ information of an entry in 0x1003 tells them apart (`EmcyProducer`), and so it d
     0x8130   life guarding: nobody asks the node any more       0
     0x8210   an RPDO was too short and was not processed        the number of the RPDO, 1..512
     0x8220   an RPDO was too long (where that is to be told)    the same
+    0x8230   an MPDO was for an object that we lack             the same
     0x8250   an RPDO did not come within its event time         the same
+    0x8240   a SYNC had another length than 0x1019 says (likewise)
 
 `CommunicationErrors` is that bookkeeping, and nothing else: what the node does about an error (0x1029) is the node's business.
 
@@ -27,19 +29,22 @@ EMCY_CONNECTION_LOST: Final = 0x8130
 """Life guard error or heartbeat error. CiA 301 v4.2.0, 7.2.7.1, table 26."""
 COMMUNICATION_ERROR_BIT: Final = 0x10
 """Of the error register: communication error (overrun, error state). CiA 301 v4.2.0, 7.5.2.2."""
+EMCY_SYNC_LENGTH: Final = 0x8240
 _OUR_MASTER: Final = 0
 """Stands where a lost node's ID would: life guarding does not say who should have asked."""
 
 
 class CommunicationErrors:
-    """The errors of communication that stand now. lost_nodes: IDs of monitored nodes. rpdos: EMCY codes by the RPDO's number."""
+    """The errors of communication that stand now. lost_nodes: IDs of monitored nodes. rpdos: EMCY codes by the RPDO's number.
+    sync_length: the last SYNC had a wrong length, and that was told."""
 
-    __slots__ = ("_emcy", "lost_nodes", "rpdos")
+    __slots__ = ("_emcy", "lost_nodes", "rpdos", "sync_length")
 
     def __init__(self, emcy: EmcyProducer) -> None:
         self._emcy = emcy
         self.lost_nodes: set[int] = set()
         self.rpdos: dict[int, set[int]] = {}
+        self.sync_length = False
 
     def node_lost(self, node_id: int, now: Time) -> None:
         """A monitored heartbeat is lost: EMCY 0x8130, whose first vendor byte is the node-ID."""
@@ -64,10 +69,23 @@ class CommunicationErrors:
         self.rpdos.setdefault(number, set()).add(emcy_code)
         self._emcy.raise_error(emcy_code, COMMUNICATION_ERROR_BIT, b"", now, number)
 
-    def rpdo_good(self, number: int, now: Time) -> None:
-        """An RPDO came as it should, or is another one from now on."""
-        for emcy_code in sorted(self.rpdos.pop(number, ())):
+    def rpdo_good(self, number: int, now: Time, *, but: int | None = None) -> None:
+        """An RPDO came as it should, or is another one from now on. but: the code of an error that lasts all the same."""
+        codes = self.rpdos.pop(number, set())
+        if but in codes:
+            self.rpdos[number] = {but}
+        for emcy_code in sorted(codes - {but}):
             self._emcy.clear(emcy_code, now, number)
+
+    def sync_failed(self, now: Time) -> None:
+        """A SYNC had a wrong length."""
+        self.sync_length = True
+        self._emcy.raise_error(EMCY_SYNC_LENGTH, COMMUNICATION_ERROR_BIT, b"", now)
+
+    def sync_good(self, now: Time) -> None:
+        """A SYNC had the right length."""
+        self.sync_length = False
+        self._emcy.clear(EMCY_SYNC_LENGTH, now)
 
     def clear(self, now: Time) -> None:
         """All are gone: the communication begins anew."""
@@ -76,3 +94,4 @@ class CommunicationErrors:
         for number in sorted(self.rpdos):
             self.rpdo_good(number, now)
         self.life_guarding_back(now)
+        self.sync_good(now)

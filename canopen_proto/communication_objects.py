@@ -22,7 +22,7 @@ producer's own, and are copied into the values when they are read (`refresh`).
 
 A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40).
 
-Left out: 0x1007 (window) has no effect yet.
+The synchronous window (0x1007) and the PDO parameters are in pdo/parameters.py.
 
 Source: CiA 301 v4.2.0, the clause at each row.
 """
@@ -34,13 +34,13 @@ from typing import Final
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Values, mux
 from canopen_proto.emcy import EmcyProducer
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, key_of_cob_id
 from canopen_proto.group import Members
 from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
 from canopen_proto.nmt import SERVICES, NmtState, Service
-from canopen_proto.pdo.parameters import RESTRICTED_CAN_IDS
+from canopen_proto.pdo.rules import CAN_ID_AND_FRAME, check_can_id
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
@@ -49,7 +49,6 @@ SYNC_PRODUCER_BIT: Final = 1 << 30
 TIME_PRODUCER_BIT: Final = 1 << 30
 TIME_CONSUMER_BIT: Final = 1 << 31
 _TIME_BITS: Final = TIME_PRODUCER_BIT | TIME_CONSUMER_BIT
-_CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF  # bits 0..29
 
 ERROR_REGISTER: Final = mux(0x1001)
 ERROR_HISTORY: Final = mux(0x1003)
@@ -271,13 +270,8 @@ class CommunicationObjects:
 
 def _check_cob_id(value: int, standing: int, *, in_use: bool) -> AbortCode | None:
     """Whether a COB-ID may take the place of the standing one. in_use: its CAN-ID may not change."""
-    if not value & COB_ID_EXTENDED:
-        can_id = value & 0x1FFF_FFFF
-        if can_id > 0x7FF or any(can_id in each for each in RESTRICTED_CAN_IDS):
-            return AbortCode.INVALID_VALUE
-    if in_use and (value ^ standing) & _CAN_ID_AND_FRAME:
-        return AbortCode.DEVICE_STATE
-    return None
+    changes = in_use and (value ^ standing) & CAN_ID_AND_FRAME
+    return check_can_id(value) or (AbortCode.DEVICE_STATE if changes else None)
 
 
 def _is_overflow(value: int) -> bool:

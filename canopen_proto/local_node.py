@@ -16,7 +16,9 @@ What follows from what:
     PDO received               the application is told of each value
     heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); 0x1029's behaviour, by default pre-operational
     life guarding: not asked   the same, for no node
-    PDO too short, or overdue  EMCY 0x8210, 0x8250, until one of the right length comes (a PDO that is too long is used: no EMCY)
+    PDO too short, or overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack
+    PDO too long               it is used; EMCY 0x8220 where that is wished (`optional_emcy`); 0x8240 for a SYNC's length likewise
+    remote request of a TPDO   the application brings its values up to date, and the TPDO is sent
     drive fault                EMCY, 0x1001 and 0x1003
 
 Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
@@ -27,22 +29,30 @@ from __future__ import annotations
 import datetime
 from typing import Final, Protocol
 
-from canopen_proto.communication_errors import CommunicationErrors
+from canopen_proto.communication_errors import EMCY_SYNC_LENGTH, CommunicationErrors
 from canopen_proto.communication_objects import COB_ID_TIME, CommunicationObjects
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Direction, ObjectDictionary, Values
+from canopen_proto.dictionary import Direction, ObjectDictionary, Values, mux
+from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
-from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError, PdoOverdue, PdoReceived
+from canopen_proto.pdo.consumer import (
+    EMCY_PDO_LENGTH_EXCEEDED,
+    EMCY_PDO_NOT_PROCESSED,
+    PdoLengthError,
+    PdoOverdue,
+    PdoReceived,
+)
+from canopen_proto.pdo.multiplexed import MpdoNotProcessed, MpdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.pdo.settings import place_of
 from canopen_proto.sdo.abort import AbortCode, text_of
 from canopen_proto.sdo.server import PENDING, Pending, SdoServer
 from canopen_proto.sdo.store import ValuesStore
-from canopen_proto.sync import SyncReceived, SyncSent
+from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
 
 COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 """The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
@@ -86,6 +96,7 @@ class LocalNode(Group):
         "deferred",
         "nmt",
         "node_id",
+        "optional_emcy",
         "pdos",
         "sdo",
         "values",
@@ -101,6 +112,8 @@ class LocalNode(Group):
         self._store = ValuesStore(self.values)
         self.sdo = SdoServer(self.inner, node_id, self)
         self.pdos = DevicePdos(self.inner, node_id, self.values)
+        self.optional_emcy: set[int] = set()
+        """EMCY codes that the standard leaves open and that are to be sent: 0x8220 (a PDO too long), 0x8240 (SYNC length)."""
         self.deferred: set[int] = set()
         """Indices that only the host can serve: ObjectAccessPending is reported, and it answers by `complete`."""
         self._members.attach(self.nmt)
@@ -119,6 +132,9 @@ class LocalNode(Group):
                 PdoReceived: self._on_pdo,
                 PdoLengthError: self._on_length_error,
                 PdoOverdue: self._on_pdo_error,
+                MpdoReceived: self._on_mpdo,
+                MpdoNotProcessed: self._on_pdo_error,
+                SyncLengthUnexpected: self._on_sync_length,
                 HeartbeatLost: self._on_heartbeat_lost,
                 HeartbeatRecovered: self._on_heartbeat_recovered,
                 LifeGuardingLost: self._on_life_guarding_lost,
@@ -180,6 +196,10 @@ class LocalNode(Group):
         """An error is gone. See EmcyProducer.clear."""
         self.communication.emcy.clear(code, now)
 
+    def send_mpdo(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
+        """Write an object of another node, or of all (0), by TPDO `number`, an MPDO. See MpdoProducer.send_to."""
+        return self.pdos.mpdo_producer.send_to(number, node_id, index, subindex, data, now)
+
     def send_time(self, time: datetime.datetime, now: Time) -> None:
         """Tell the bus what time it is. Event: TimeSent. See TimeProducer.send.
 
@@ -237,7 +257,7 @@ class LocalNode(Group):
     def _refusal(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Why the owner of an object does not take that value, right in type and limits, or None."""
         if index in COMMUNICATION_OBJECTS:
-            if place_of(index) is not None:
+            if self.pdos.owns(index):
                 return self.pdos.check_write(index, subindex, value)
             return self.communication.check_write(index, subindex, value)
         return None if self.application is None else self.application.check_write(index, subindex, value)
@@ -248,10 +268,10 @@ class LocalNode(Group):
             if self.application is not None:
                 self.application.written(index, subindex, now)
             return
-        place = place_of(index)
-        if place is not None:
+        if self.pdos.owns(index):
             self.pdos.apply(index, subindex, now)
-            if place.direction is Direction.RPDO:
+            place = place_of(index)
+            if place is not None and place.direction is Direction.RPDO:
                 self._errors.rpdo_good(place.number, now)  # it is another PDO from now on
             return
         self.communication.apply(index, subindex, now)
@@ -262,14 +282,22 @@ class LocalNode(Group):
 
     # ---- inputs ----
 
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.flags & REMOTE:
+            self._refresh(now)  # a TPDO may be asked for
+        super().receive(frame, now)
+
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
             return
+        self._refresh(now)  # an event timer may send what the application shows
+        super().handle_timeout(now)
+
+    def _refresh(self, now: Time) -> None:
         if self.application is not None:
             mark = len(self.inner.events)
-            self.application.refresh(now)  # an event timer may send what it shows
+            self.application.refresh(now)
             self._settle(mark, now)
-        super().handle_timeout(now)
 
     # ---- reactions ----
 
@@ -308,6 +336,8 @@ class LocalNode(Group):
     def _on_sync(self, sync: SyncReceived | SyncSent, now: Time) -> None:
         if not self.nmt.allows(Service.SYNC):
             return
+        if self._errors.sync_length:
+            self._errors.sync_good(now)
         if self.application is not None:
             self.application.refresh(now)
         mark = len(self.inner.events)
@@ -325,18 +355,29 @@ class LocalNode(Group):
 
     def _on_values(self, report: PdoReceived, now: Time) -> None:
         if report.number in self._errors.rpdos:
-            self._errors.rpdo_good(report.number, now)
+            is_too_long = len(report.data) > report.mapping.byte_length
+            self._errors.rpdo_good(report.number, now, but=EMCY_PDO_LENGTH_EXCEEDED if is_too_long else None)
         for entry in report.mapping.components:
             if self.application is not None:
                 self.application.written(entry.index, entry.subindex, now)
             self.pdos.trigger(entry.mux, now)
 
+    def _on_mpdo(self, report: MpdoReceived, now: Time) -> None:
+        self._errors.rpdo_good(report.number, now)
+        if self.application is not None:
+            self.application.written(report.index, report.subindex, now)
+        self.pdos.trigger(mux(report.index, report.subindex), now)
+
     def _on_length_error(self, report: PdoLengthError, now: Time) -> None:
-        if report.emcy_code == EMCY_PDO_NOT_PROCESSED:
+        if report.emcy_code == EMCY_PDO_NOT_PROCESSED or report.emcy_code in self.optional_emcy:
             self._on_pdo_error(report, now)
 
-    def _on_pdo_error(self, report: PdoLengthError | PdoOverdue, now: Time) -> None:
+    def _on_pdo_error(self, report: PdoLengthError | PdoOverdue | MpdoNotProcessed, now: Time) -> None:
         self._errors.rpdo_failed(report.number, report.emcy_code, now)
+
+    def _on_sync_length(self, report: SyncLengthUnexpected, now: Time) -> None:
+        if EMCY_SYNC_LENGTH in self.optional_emcy and self.nmt.allows(Service.SYNC):
+            self._errors.sync_failed(now)
 
     def _on_heartbeat_lost(self, report: HeartbeatLost, now: Time) -> None:
         self._errors.node_lost(report.node_id, now)

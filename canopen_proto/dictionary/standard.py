@@ -104,6 +104,8 @@ _COMMUNICATION: Final = """
 1800-19FF 06    U8   rw    tpdo{n}_communication_parameter:sync_start_value
 1A00-1BFF 00    U8   rw    tpdo{n}_mapping_parameter:number_of_mapped_objects
 1A00-1BFF 01-40 U32  rw    tpdo{n}_mapping_parameter:object_{s}
+1FA0-1FCF 01-FE U32  rw    object_scanner_list_{n}:scan_{s}
+1FD0-1FFF 01-FE U64  rw    object_dispatching_list_{n}:dispatch_{s}
 """
 
 _DRIVE: Final = """
@@ -234,6 +236,7 @@ _TYPES: Final[dict[str, DataType]] = {
     "U8": DataType.UNSIGNED8,
     "U16": DataType.UNSIGNED16,
     "U32": DataType.UNSIGNED32,
+    "U64": DataType.UNSIGNED64,
     "VIS": DataType.VISIBLE_STRING,
     "OCT": DataType.OCTET_STRING,
     "DOM": DataType.DOMAIN,

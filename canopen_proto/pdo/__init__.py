@@ -1,8 +1,9 @@
 """Process data: what a PDO's bits mean (`mapping`), receiving and sending one (`consumer`, `producer`), a device's own PDOs
-(`parameters`) and how they are set up anew (`settings`)."""
+(`parameters`, by the `rules`), how they are set up anew (`settings`), and multiplexed ones (`multiplexed`)."""
 
-from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived
+from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived, PdoTooLate
 from canopen_proto.pdo.mapping import MappedEntry, Mapping, MappingError
+from canopen_proto.pdo.multiplexed import MpdoConsumer, MpdoMode, MpdoNotProcessed, MpdoProducer, MpdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.pdo.producer import PdoNotSent, PdoPeriodsSkipped, PdoProducer
 from canopen_proto.pdo.settings import PdoSettings, RemapStep, communication_index, mapping_index, objects_to_read, remap_steps
@@ -12,6 +13,11 @@ __all__ = [
     "MappedEntry",
     "Mapping",
     "MappingError",
+    "MpdoConsumer",
+    "MpdoMode",
+    "MpdoNotProcessed",
+    "MpdoProducer",
+    "MpdoReceived",
     "PdoConsumer",
     "PdoLengthError",
     "PdoNotSent",
@@ -20,6 +26,7 @@ __all__ = [
     "PdoProducer",
     "PdoReceived",
     "PdoSettings",
+    "PdoTooLate",
     "RemapStep",
     "communication_index",
     "mapping_index",

@@ -8,6 +8,9 @@ device is the memory of its dictionary, and `PdoReceived` tells of it. When they
     0..240      synchronous: the last data before a SYNC are held until that SYNC. `on_sync` is the SYNC.
     254, 255    event-driven: at once.
 
+With a synchronous window (0x1007, `set_window`) a synchronous PDO that comes later than that after the SYNC is dropped, until the
+next SYNC: `PdoTooLate`. Before the first SYNC there is no window.
+
 The frame's length is checked against the mapping (7.5.2.36): a shorter one is not processed, of a longer one the mapped bytes
 are used. Both are reported with the code of the EMCY that a device then sends.
 
@@ -18,7 +21,8 @@ PDOs live in NMT state Operational only. The owner says so by `set_enabled`; wha
 that is not valid (bit 31 of its COB-ID) or whose mapping is empty: then it asks for no frame at all.
 
 The master's view of a TPDO is made with type 255 whatever the device's own type is: the device has already waited for the SYNC,
-and waiting for the next would make every actual value one cycle older.
+and waiting for the next would make every actual value one cycle older. `request` asks for a TPDO by a remote frame; not every
+device answers, and some CAN controllers can't.
 
 Left out: the inhibit time of an RPDO, to which the standard gives no meaning.
 """
@@ -30,7 +34,7 @@ from typing import Final
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, PdoDescription
-from canopen_proto.frame import Frame
+from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id, event
 from canopen_proto.pdo.mapping import Mapping
 
@@ -85,6 +89,16 @@ class PdoLengthError(Event):
 
 
 @event
+class PdoTooLate(Event):
+    """A synchronous PDO came after the synchronous window and was dropped. late: ns behind its end. timestamp: of the frame."""
+
+    number: int
+    key: int
+    late: Time
+    timestamp: int | None
+
+
+@event
 class PdoOverdue(Event):
     """A PDO did not come within the event time after the last one. Reported once; the next one that comes is watched again."""
 
@@ -105,6 +119,8 @@ class PdoConsumer(Machine):
     __slots__ = (
         "_held",
         "_held_timestamp",
+        "_window",
+        "_window_end",
         "enabled",
         "event_time",
         "key",
@@ -134,6 +150,8 @@ class PdoConsumer(Machine):
         self.key: int | None = None
         self._held: bytes | None = None  # what waits for a SYNC
         self._held_timestamp: int | None = None
+        self._window: Time = 0
+        self._window_end: Time = NEVER
         self.configure(key, mapping, transmission_type, event_time)
 
     @classmethod
@@ -160,6 +178,21 @@ class PdoConsumer(Machine):
             self.enabled = enabled
             self._forget()
 
+    def set_window(self, window: Time) -> None:
+        """How long after a SYNC synchronous PDOs are taken, in ns; 0: until the next SYNC. It holds from the next SYNC on.
+
+        CiA 301 v4.2.0, 7.5.2.7
+        """
+        self._window = window
+        self._window_end = NEVER
+
+    def request(self, now: Time) -> bool:
+        """Ask for the PDO by a remote frame. False, and nothing is sent, where it is not live. CiA 301 v4.2.0, 7.2.2.5.2"""
+        if not self.enabled or self.key is None:
+            return False
+        self.out.frames.append(Frame(self.key & 0x1FFFFFFF, b"", self.key >> 29 | REMOTE, self.mapping.byte_length))
+        return True
+
     @property
     def is_live(self) -> bool:
         """Whether it would process a frame now: valid, mapped, and the node Operational."""
@@ -185,6 +218,10 @@ class PdoConsumer(Machine):
         if self.event_time:
             self._arm(now + self.event_time)
         if self.synchronous:
+            if now > self._window_end:
+                late = now - self._window_end
+                self.out.events.append(PdoTooLate(self.node_id, self.number, self.key, late, self.out.timestamp))
+                return
             self._held = data
             self._held_timestamp = self.out.timestamp
         else:
@@ -192,6 +229,8 @@ class PdoConsumer(Machine):
 
     def on_sync(self, counter: int | None, now: Time) -> None:
         """A SYNC came: data held for it go into the store, and `PdoReceived` is reported. counter: not used by consumers."""
+        if self._window:
+            self._window_end = now + self._window
         data = self._held
         if data is not None:
             self._held = None
@@ -222,4 +261,5 @@ class PdoConsumer(Machine):
 
     def _forget(self) -> None:
         self._held = None
+        self._window_end = NEVER
         self._arm(NEVER)

@@ -19,7 +19,7 @@ bytes and has the width of a C type, a precompiled `struct` does the same in one
 Values are those of `Values.store` (mux -> Python value), read and written here directly: a PDO and the dictionary are one
 memory. Range limits of objects are not looked at: the standard gives a PDO no way to refuse a value.
 
-Left out: multiplexed PDOs (MPDO, sub 0 = 0xFE and 0xFF), which no peer of ours speaks.
+Multiplexed PDOs (sub 0 = 0xFE and 0xFF) have no mapping: multiplexed.py.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Mapping:
         """The mapping that stands at `index` (0x1600..0x17FF, 0x1A00..0x1BFF) of a device. Raises MappingError."""
         count = number_at(values.store, index << 8)
         if count > MAX_ENTRIES:
-            raise MappingError(f"0x{index:04X}:00 = {count}: a PDO has {MAX_ENTRIES} entries at most; MPDOs are not supported")
+            raise MappingError(f"0x{index:04X}:00 = {count}: a PDO has {MAX_ENTRIES} entries at most")
         parameters = (number_at(values.store, index << 8 | subindex) for subindex in range(1, count + 1))
         return cls.from_parameters(parameters, values.dictionary)
 

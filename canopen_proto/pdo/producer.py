@@ -7,7 +7,13 @@ transmission type says (CiA 301 v4.2.0, 7.5.2.37):
 
     0           synchronous, acyclic: at the next SYNC after `trigger`
     1..240      synchronous, cyclic: at every n-th SYNC
+    252         on request, synchronous: sampled at each SYNC, sent when it is requested
+    253         on request: sampled and sent when it is requested
     254, 255    event-driven: at `trigger`, and when the event time has passed since it was last sent
+
+A request is a remote frame with the PDO's CAN-ID. Where the COB-ID allows it (bit 30 is 0, `answers_requests`), it is answered
+whatever the type: one of type 0 to 240 with the present values and besides its SYNCs, an event-driven one as if it were
+triggered. A PDO of type 252 that is requested before the first SYNC has present values too.
 
 `on_sync` is the SYNC. With a SYNC start value the first PDO goes at the SYNC with that counter, and the n-th ones are counted
 from there, so that the PDOs of several devices can be spread over the cycle; where SYNC has no counter the start value is not
@@ -20,21 +26,22 @@ the time is over, once, with the values of that moment. A late event timer sends
 
 PDOs live in NMT state Operational only. The owner says so by `set_enabled`, which starts the event timer; the first SYNC counted
 is the first one after it. A PDO that is not valid, or whose mapping is empty, is never sent.
-
-Left out here: remote requests, and with them the types 252 and 253.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
-from canopen_proto.frame import frame_for_key
+from canopen_proto.frame import KEY_REMOTE, Frame, frame_for_key
 from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time, check_node_id, event
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import Mapping
 
+SYNCHRONOUS_ON_REQUEST: Final = 252
+ON_REQUEST: Final = 253
 FIRST_EVENT_DRIVEN: Final = 254
 
 
@@ -61,7 +68,8 @@ class PdoProducer(Machine):
 
     node_id: the node that it is about: the device's own, or the one that the master sends to. number: 1..512, or 0. key: the
     routing key of its frames, None while the PDO is not valid. store: mux -> value; what it lacks is sent as zero.
-    inhibit_time, event_time: ns, 0 = none. sync_start: 1..240, 0 = none. Disabled until `set_enabled`.
+    inhibit_time, event_time: ns, 0 = none. sync_start: 1..240, 0 = none. Disabled until `set_enabled`; requests
+    are answered when `configure` says so.
     Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.37, 7.5.2.38.
     """
 
@@ -69,8 +77,10 @@ class PdoProducer(Machine):
         "_awaits_start",
         "_event_due",
         "_inhibited_until",
+        "_sample",
         "_syncs",
         "_triggered",
+        "answers_requests",
         "enabled",
         "event_time",
         "inhibit_time",
@@ -101,6 +111,9 @@ class PdoProducer(Machine):
         self.number = number
         self.store = store
         self.enabled = False
+        self.key: int | None = None
+        self.answers_requests = False
+        self._sample: bytes | None = None  # of type 252: the data of the last SYNC
         self._triggered = False  # of type 0: waits for the next SYNC
         self._syncs = 0  # since it was sent last
         self._awaits_start = False  # for the SYNC with the start value
@@ -123,9 +136,14 @@ class PdoProducer(Machine):
         inhibit_time: Time = 0,
         event_time: Time = 0,
         sync_start: int = 0,
+        *,
+        answers_requests: bool = False,
     ) -> None:
         """Take up other parameters. Triggers are forgotten, SYNCs are counted anew, the event timer starts anew."""
-        self.key = key if mapping.entries else None
+        key = key if mapping.entries else None
+        if (key, answers_requests) != (self.key, self.answers_requests):
+            self.key, self.answers_requests = key, answers_requests
+            self._reroute()
         self.mapping = mapping
         self.transmission_type = transmission_type
         self.inhibit_time = inhibit_time
@@ -149,8 +167,8 @@ class PdoProducer(Machine):
 
     @property
     def is_synchronous(self) -> bool:
-        """Whether it goes by SYNC."""
-        return self.transmission_type <= LAST_SYNCHRONOUS
+        """Whether SYNC concerns it."""
+        return self.transmission_type <= LAST_SYNCHRONOUS or self.transmission_type == SYNCHRONOUS_ON_REQUEST
 
     @property
     def is_event_driven(self) -> bool:
@@ -172,6 +190,23 @@ class PdoProducer(Machine):
             self._arm(self._event_due)
         return True
 
+    def can_ids(self) -> Iterable[int]:
+        return (self.key | KEY_REMOTE,) if self.answers_requests and self.key is not None else ()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Answer a remote request; see this module's text. `PdoNotSent` as in `trigger`. CiA 301 v4.2.0, 7.2.2.5.2"""
+        if not self.enabled or self.key is None:
+            return
+        if self.is_event_driven:
+            self.trigger(now)
+            return
+        if self._sample is None:
+            self._take_sample()
+        if self._sample is not None:
+            self.out.frames.append(frame_for_key(self.key, self._sample))
+        if self.transmission_type != SYNCHRONOUS_ON_REQUEST:
+            self._sample = None  # the next request has the values of its own moment
+
     def trigger(self, now: Time) -> None:
         """Its event happened: an event-driven PDO goes now or when the inhibit time is over, a PDO of type 0 at the next SYNC.
 
@@ -190,7 +225,11 @@ class PdoProducer(Machine):
 
     def on_sync(self, counter: int | None, now: Time) -> None:
         """A SYNC came, with this counter (None: without one). `PdoNotSent` as in `trigger`."""
-        if not self.enabled or self.key is None or self.transmission_type > LAST_SYNCHRONOUS:
+        if not self.enabled or self.key is None:
+            return
+        if self.transmission_type > LAST_SYNCHRONOUS:
+            if self.transmission_type == SYNCHRONOUS_ON_REQUEST:
+                self._take_sample()
             return
         if self.transmission_type == 0:
             if self._triggered:
@@ -226,15 +265,26 @@ class PdoProducer(Machine):
 
     def _send_due(self, now: Time) -> None:
         """Send where there is nobody to raise to: the fault becomes an event, and the turn has passed."""
-        assert self.key is not None
         try:
             self.send(now)
         except ValueRangeError as error:
             self._triggered = False
             self._arm(self._event_due)
-            self.out.events.append(PdoNotSent(self.node_id, self.number, self.key, str(error)))
+            self._report(error)
+
+    def _take_sample(self) -> None:
+        try:
+            self._sample = self.mapping.pack_from(self.store)
+        except ValueRangeError as error:
+            self._sample = None
+            self._report(error)
+
+    def _report(self, error: ValueRangeError) -> None:
+        assert self.key is not None  # nothing is due without one
+        self.out.events.append(PdoNotSent(self.node_id, self.number, self.key, str(error)))
 
     def _restart(self, now: Time) -> None:
+        self._sample = None
         self._triggered = False
         self._syncs = 0
         self._awaits_start = self.sync_start != 0

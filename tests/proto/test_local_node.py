@@ -388,7 +388,7 @@ def test_the_error_of_an_rpdo_ends_when_it_is_set_up_anew() -> None:
 def test_a_remote_frame_is_no_pdo_and_no_request() -> None:
     bench = DeviceBench()
     bench.tell(START)
-    assert bench.tell("205#R2", "605#R8", "185#R2", "000#R2", "080#R") == []
+    assert bench.tell("205#R2", "605#R8", "000#R2", "080#R", "705#R1") == []
     assert bench.node.state is NmtState.OPERATIONAL
 
 
@@ -628,6 +628,13 @@ def test_an_application_hears_of_pdos_at_once_or_with_their_sync() -> None:
     assert application.take() == []
     bench.tell(SYNC)
     assert application.take() == ["written 2001:00 = 6", "sync, output 6"]
+
+
+def test_an_application_hears_of_multiplexed_pdos() -> None:
+    own = [standard_object(0x1400, highest=2, defaults={1: 0x1C1}), standard_object(0x1600, highest=1, defaults={0: 0xFF})]
+    bench, application = with_application(io_device().with_objects(own))
+    bench.tell(START, "1C1#8501200005000000")
+    assert application.take() == ["written 2001:00 = 5"]
 
 
 def test_at_a_sync_tpdos_are_sampled_before_rpdos_are_taken() -> None:

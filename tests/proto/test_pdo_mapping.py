@@ -309,10 +309,10 @@ def test_parameters_without_sense(parameter: int, text: str) -> None:
 
 
 @pytest.mark.parametrize("count", [65, 0xFE, 0xFF])
-def test_multiplexed_pdos_are_refused(count: int) -> None:
+def test_more_entries_than_a_pdo_has_and_multiplexed_pdos_are_no_mapping(count: int) -> None:
     values = Values(dictionary(), 5)
     values.store[0x1A0000] = count
-    with pytest.raises(MappingError, match="MPDO"):
+    with pytest.raises(MappingError, match="64 entries at most"):
         Mapping.from_values(values, 0x1A00)
 
 

@@ -1,0 +1,371 @@
+"""Multiplexed PDOs: one CAN-ID that carries many objects, each frame saying which (CiA 301 v4.2.0, 7.2.3).
+
+Theory of operation
+-------------------
+An MPDO always has eight bytes: a node-ID with the address mode in bit 7, an object's index and subindex, and up to four bytes of
+its value. A PDO is an MPDO when sub 0 of its mapping parameter is not a number of entries but says which of the two modes it has:
+
+    0xFE   source address mode (bit 7 is 0): node-ID and object are the producer's. It sends an object when that changes, if it
+           stands in its object scanner list (0x1FA0 to 0x1FCF). A consumer looks the object up in its object dispatching list
+           (0x1FD0 to 0x1FFF), which says what object of its own takes the value; what is not listed is not for it.
+           A device has one such TPDO at most, and it is event-driven
+    0xFF   destination address mode (bit 7 is 1): node-ID (0: all) and object are the consumer's, as if by an SDO that nobody
+           confirms. It is sent when the application wants (`send_to`). A consumer that lacks the object reports it: EMCY 0x8230
+
+    0x1FA0 and on, UNSIGNED32     block size << 24 | index << 8 | subindex: that many subindices from this one on
+    0x1FD0 and on, UNSIGNED64     block size << 56 | local index << 40 | local subindex << 32
+                                  | producer's index << 16 | producer's subindex << 8 | producer's node-ID
+
+`MpdoConsumer` has all RPDOs of a device that are MPDOs, `MpdoProducer` all its TPDOs. Values go to and come from `Values`; limits
+are not looked at, as a PDO can't refuse. Only objects that may be mapped to a PDO of that direction, and have up to four bytes,
+take part.
+
+The inhibit time of a producer in source address mode is the least time between any two of its frames; objects that changed
+meanwhile wait, each once, and go with the values of their turn. With an event time it also sends the next object of its list
+when it sent nothing for that long. Frames in destination address mode are the application's, and go at once.
+
+MPDOs live in NMT state Operational only, like all PDOs.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import Access, Direction, ObjectDictionary, Values, Variable
+from canopen_proto.frame import MAX_NODE_ID, Frame, frame_for_key
+from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
+from canopen_proto.pdo.mapping import number_at
+from canopen_proto.pdo.producer import PdoNotSent
+
+SCANNER_LISTS: Final = range(0x1FA0, 0x1FD0)
+DISPATCHER_LISTS: Final = range(0x1FD0, 0x2000)
+
+ALL_NODES: Final = 0
+MAX_VALUE_BYTES: Final = 4
+EMCY_DESTINATION_NOT_AVAILABLE: Final = 0x8230
+
+MAPPABLE: Final = {
+    Direction.RPDO: (Access.RW, Access.RWW, Access.WO),
+    Direction.TPDO: (Access.RW, Access.RWR, Access.RO, Access.CONST),
+}
+"""Which access rights let an object be part of a PDO of that direction. CiA 301 v4.2.0, 7.4.8.3 and CiA 306."""
+
+_MPDO: Final = struct.Struct("<BHB4s")
+_DESTINATION_MODE: Final = 0x80
+
+
+class MpdoMode(IntEnum):
+    """Sub 0 of the mapping parameter of an MPDO. CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38."""
+
+    SOURCE = 0xFE
+    DESTINATION = 0xFF
+
+
+@event
+class MpdoReceived(Event):
+    """An MPDO's value is in the dictionary.
+
+    number, key: of the RPDO. producer: the node that sent it in source address mode, 0 in the other. index, subindex: of our own
+    object that took the value. timestamp: the transport's, if it has one.
+    """
+
+    number: int
+    key: int
+    producer: int
+    index: int
+    subindex: int
+    value: Value
+    timestamp: int | None
+
+
+@event
+class MpdoNotProcessed(Event):
+    """An MPDO in destination address mode was for an object that we lack, or that no MPDO can write. emcy_code: 0x8230."""
+
+    number: int
+    key: int
+    index: int
+    subindex: int
+    emcy_code: int
+
+
+class ScannerEntry(NamedTuple):
+    """One entry of an object scanner list: `block` subindices of an object, from `first` on."""
+
+    block: int
+    at: int
+    first: int
+
+    @classmethod
+    def of(cls, number: int) -> ScannerEntry:
+        """The entry that stands at 0x1FA0:01 and the like."""
+        return cls(number >> 24 & 0xFF, number >> 8 & 0xFFFF, number & 0xFF)
+
+
+class DispatcherEntry(NamedTuple):
+    """One entry of an object dispatching list: which subindices of a producer's object go to which of ours."""
+
+    local: ScannerEntry
+    at: int
+    first: int
+    producer: int
+
+    @classmethod
+    def of(cls, number: int) -> DispatcherEntry:
+        """The entry that stands at 0x1FD0:01 and the like."""
+        return cls(ScannerEntry.of(number >> 32), number >> 16 & 0xFFFF, number >> 8 & 0xFF, number & 0xFF)
+
+
+def suits_mpdo(variable: Variable, direction: Direction) -> bool:
+    """Whether an MPDO of that direction can carry an object: mappable, and not longer than four bytes."""
+    fits = variable.size is not None and variable.size <= MAX_VALUE_BYTES
+    return fits and variable.pdo_mappable and variable.access in MAPPABLE[direction]
+
+
+def listed(values: Values, lists: range) -> Iterator[int]:
+    """The entries of a device's scanner or dispatcher lists that are in use, in their order."""
+    for index in lists:
+        described = values.dictionary.objects.get(index)
+        for subindex in sorted(described.variables) if described is not None else ():
+            number = number_at(values.store, index << 8 | subindex) if subindex else 0
+            if number:
+                yield number
+
+
+class MpdoConsumer(Machine):
+    """A device's RPDOs that are MPDOs; see this module's text. enabled: the node is Operational; read-only outside."""
+
+    __slots__ = ("_dispatch", "_pdos", "_routes", "_values", "enabled", "node_id")
+
+    def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
+        """node_id: our own. values: what is written to."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.enabled = False
+        self._values = values
+        self._pdos: dict[int, tuple[int, MpdoMode]] = {}  # RPDO number -> key and mode
+        self._routes: dict[int, list[tuple[int, MpdoMode]]] = {}  # key -> numbers and modes
+        self._dispatch: dict[tuple[int, int], list[DispatcherEntry]] = {}  # by producer and its index
+
+    def can_ids(self) -> Iterable[int]:
+        return tuple(self._routes)
+
+    def set_pdo(self, number: int, key: int | None, mode: MpdoMode | None) -> None:
+        """Say what RPDO `number` is: an MPDO that is received by this key, or none (mode or key is None)."""
+        wanted = None if key is None or mode is None else (key, mode)
+        if wanted == self._pdos.get(number):
+            return
+        self._pdos.pop(number, None)
+        if wanted is not None:
+            self._pdos[number] = wanted
+        self._routes = {}
+        for each, (its_key, its_mode) in self._pdos.items():
+            self._routes.setdefault(its_key, []).append((each, its_mode))
+        self._reroute()
+
+    def reload_lists(self) -> None:
+        """Take up the dispatching lists as they stand in the values."""
+        self._dispatch = {}
+        for number in listed(self._values, DISPATCHER_LISTS):
+            entry = DispatcherEntry.of(number)
+            self._dispatch.setdefault((entry.producer, entry.at), []).append(entry)
+
+    def set_enabled(self, enabled: bool) -> None:
+        """Whether the node is in NMT state Operational."""
+        self.enabled = enabled
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Write the value of an MPDO to the object that it is for.
+
+        Events: MpdoReceived; MpdoNotProcessed; PdoLengthError for less than eight bytes; FrameIgnored for the wrong mode.
+        CiA 301 v4.2.0, 7.2.3
+        """
+        if not self.enabled:
+            return
+        key, data = frame.key, frame.data
+        for number, mode in self._routes.get(key, ()):
+            if len(data) < _MPDO.size:
+                stamp = self.out.timestamp
+                error = PdoLengthError(self.node_id, number, key, _MPDO.size, len(data), EMCY_PDO_NOT_PROCESSED, stamp)
+                self.out.events.append(error)
+                continue
+            address, index, subindex, content = _MPDO.unpack(data)
+            node_id = address & ~_DESTINATION_MODE
+            if (mode is MpdoMode.DESTINATION) != bool(address & _DESTINATION_MODE):
+                self.out.events.append(FrameIgnored(self.node_id, frame, f"not the address mode of RPDO {number}, {mode.name}"))
+            elif mode is MpdoMode.SOURCE:
+                self._dispatch_to(number, key, node_id, index, subindex, content)
+            elif node_id in (ALL_NODES, self.node_id) and not self._write(number, key, 0, index, subindex, content):
+                code = EMCY_DESTINATION_NOT_AVAILABLE
+                self.out.events.append(MpdoNotProcessed(self.node_id, number, key, index, subindex, code))
+
+    def _dispatch_to(self, number: int, key: int, producer: int, index: int, subindex: int, content: bytes) -> None:
+        for entry in self._dispatch.get((producer, index), ()):
+            offset = subindex - entry.first
+            if 0 <= offset < entry.local.block:
+                self._write(number, key, producer, entry.local.at, entry.local.first + offset, content)
+
+    def _write(self, number: int, key: int, producer: int, index: int, subindex: int, content: bytes) -> bool:
+        """Whether there was an object to take it."""
+        variable = self._values.dictionary.get(index, subindex)
+        if variable is None or not suits_mpdo(variable, Direction.RPDO):
+            return False
+        value = variable.decode(content[: variable.size])
+        self._values.store[variable.mux] = value
+        stamp = self.out.timestamp
+        self.out.events.append(MpdoReceived(self.node_id, number, key, producer, index, subindex, value, stamp))
+        return True
+
+
+class MpdoProducer(Machine):
+    """A device's TPDOs that are MPDOs; see this module's text. enabled: the node is Operational; read-only outside."""
+
+    __slots__ = (
+        "_destinations",
+        "_event_due",
+        "_event_time",
+        "_inhibit_time",
+        "_inhibited_until",
+        "_next",
+        "_pending",
+        "_scanned",
+        "_source",
+        "_values",
+        "enabled",
+        "node_id",
+    )
+
+    def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
+        """node_id: our own. values: what is read from."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.enabled = False
+        self._values = values
+        self._destinations: dict[int, int] = {}  # TPDO number -> key, in destination address mode
+        self._source: tuple[int, int] | None = None  # TPDO number and key, in source address mode
+        self._inhibit_time: Time = 0
+        self._event_time: Time = 0
+        self._inhibited_until: Time = -NEVER
+        self._event_due: Time = NEVER
+        self._scanned: dict[int, Variable] = {}  # by mux, in the order of the scanner lists
+        self._pending: dict[int, None] = {}  # muxes that wait for the inhibit time, in order
+        self._next = 0  # which of the scanned objects the event timer sends next
+
+    @property
+    def has_source(self) -> bool:
+        """Whether it would send what changes: there is a valid MPDO in source address mode, and the node is Operational."""
+        return self.enabled and self._source is not None
+
+    def set_pdo(
+        self, number: int, key: int | None, mode: MpdoMode | None, now: Time, inhibit_time: Time = 0, event_time: Time = 0
+    ) -> None:
+        """Say what TPDO `number` is: an MPDO that is sent by this key, or none (mode or key is None). Times: ns, 0 = none."""
+        self._destinations.pop(number, None)
+        was_source = self._source is not None and self._source[0] == number
+        if key is not None and mode is MpdoMode.DESTINATION:
+            self._destinations[number] = key
+        if key is not None and mode is MpdoMode.SOURCE:
+            self._source = (number, key)
+            self._inhibit_time, self._event_time = inhibit_time, event_time
+            self._restart(now)
+        elif was_source:
+            self._source = None
+            self._restart(now)
+
+    def reload_lists(self) -> None:
+        """Take up the scanner lists as they stand in the values."""
+        dictionary = self._values.dictionary
+        self._scanned = {variable.mux: variable for variable in scanned(dictionary, listed(self._values, SCANNER_LISTS))}
+        self._pending = {mux: None for mux in self._pending if mux in self._scanned}
+        self._next = 0
+
+    def set_enabled(self, enabled: bool, now: Time) -> None:
+        """Whether the node is in NMT state Operational. What waited is forgotten when it leaves."""
+        if enabled != self.enabled:
+            self.enabled = enabled
+            self._restart(now)
+
+    def trigger(self, mux: int, now: Time) -> None:
+        """The value at a mux changed: if it is scanned, it is sent, now or when the inhibit time is over.
+
+        `PdoNotSent` follows where the object cannot have that value.
+        """
+        if not self.has_source or mux not in self._scanned:
+            return
+        self._pending[mux] = None
+        if now >= self._inhibited_until:
+            self._send_next(now)
+        self._rearm()
+
+    def send_to(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
+        """Write an object of another node, or of all, by TPDO `number` in destination address mode. Nobody confirms it.
+
+        node_id: 1..127, or 0 for all. index, subindex: of the consumer's object. data: its 1 to 4 bytes, filled up with zeros.
+        False, and nothing is sent, where PDOs do not live now. Raises LocalProtocolError for values outside these, and where
+        that TPDO is no valid MPDO of this mode. CiA 301 v4.2.0, 7.2.3
+        """
+        key = self._destinations.get(number)
+        if key is None:
+            raise LocalProtocolError(f"TPDO {number} of node {self.node_id} is no valid MPDO in destination address mode")
+        if not ALL_NODES <= node_id <= MAX_NODE_ID:
+            raise LocalProtocolError(f"MPDO to node-ID {node_id}: outside 0 (all) to {MAX_NODE_ID}")
+        if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
+            raise LocalProtocolError(f"MPDO to object 0x{index:04X}:{subindex:02X}: there is no such address")
+        if not 1 <= len(data) <= MAX_VALUE_BYTES:
+            raise LocalProtocolError(f"an MPDO carries 1 to {MAX_VALUE_BYTES} bytes, not {len(data)}")
+        if self.enabled:
+            self.out.frames.append(frame_for_key(key, _MPDO.pack(node_id | _DESTINATION_MODE, index, subindex, data)))
+        return self.enabled
+
+    def handle_timeout(self, now: Time) -> None:
+        """The inhibit time is over and objects wait, or the event time has passed: one frame. `PdoNotSent` as in `trigger`."""
+        if now < self.deadline:
+            return
+        if not self._pending and self._scanned and now >= self._event_due:
+            muxes = tuple(self._scanned)
+            self._pending[muxes[self._next % len(muxes)]] = None
+            self._next = (self._next + 1) % len(muxes)
+        if self._pending and now >= self._inhibited_until:
+            self._send_next(now)
+        elif now >= self._event_due:
+            self._event_due = now + self._event_time  # nothing is scanned
+        self._rearm()
+
+    def _send_next(self, now: Time) -> None:
+        assert self._source is not None
+        number, key = self._source
+        mux = next(iter(self._pending))
+        del self._pending[mux]
+        try:
+            content = self._scanned[mux].encode(self._values.store[mux])
+        except ValueRangeError as error:
+            self.out.events.append(PdoNotSent(self.node_id, number, key, str(error)))
+            content = b""
+        if content:
+            self.out.frames.append(frame_for_key(key, _MPDO.pack(self.node_id, mux >> 8, mux & 0xFF, content)))
+            self._inhibited_until = now + self._inhibit_time
+        self._event_due = now + self._event_time if self._event_time else NEVER
+
+    def _restart(self, now: Time) -> None:
+        self._pending.clear()
+        self._inhibited_until = now
+        self._event_due = now + self._event_time if self.has_source and self._event_time else NEVER
+        self._rearm()
+
+    def _rearm(self) -> None:
+        self._arm(self._inhibited_until if self._pending else self._event_due)
+
+
+def scanned(dictionary: ObjectDictionary, entries: Iterable[int]) -> Iterator[Variable]:
+    """The objects that a scanner list's entries name and an MPDO can carry."""
+    for number in entries:
+        block, at, first = ScannerEntry.of(number)
+        described = dictionary.objects.get(at)
+        for subindex, variable in sorted(described.variables.items()) if described is not None else ():
+            if first <= subindex < first + block and suits_mpdo(variable, Direction.TPDO):
+                yield variable

@@ -1,0 +1,223 @@
+"""What may be written to the PDO parameters of a device, and when (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.40).
+
+Theory of operation
+-------------------
+`PdoRules.check_write` is asked before a value is stored and is a pure question: None, or the abort code with which the device
+refuses. The value is right in type and limits already.
+
+    COB-ID               while the PDO is valid, its CAN-ID may not change: 0x08000022. A restricted CAN-ID, or more than 11 bits
+                         without the frame bit: 0x06090030. A mapping that makes no sense: 0x06040043
+    transmission type    241..251: 0x06090030; 252 and 253 too for RPDOs, which nobody requests. One that goes by SYNC for an MPDO
+                         in source address mode: 0x06040043
+    inhibit time         while the PDO is valid: 0x08000022
+    SYNC start value     the same; beyond 240: 0x06090030 (an RPDO has none; such an object has no effect)
+    number of objects    while the PDO is valid: 0x08000022. Together more than 64 bits, more entries than there are: 0x06040042.
+                         An entry that is refused by itself (below): its code. 0xFE and 0xFF make an MPDO: source address mode is
+                         for devices that have the list for it (else 0x06040042), and for one event-driven TPDO (else 0x06040043)
+    mapping entry        while the PDO is valid or the mapping enabled (sub 0 is not 0): 0x08000022. No such object: 0x06020000.
+                         Not mappable, not in this direction, not in this width: 0x06040041. Too wide for any PDO: 0x06040042.
+                         Dummy entries are for RPDOs only
+    scanner list         no such object: 0x06020000. One that no MPDO can send: 0x06040041. No block size: 0x06090030
+    dispatching list     the same for our own object; no producer's node-ID: 0x06090030
+    window (0x1007)      nothing is refused
+
+A write that changes nothing is always allowed. So is destroying a PDO by bit 31, whatever the other bits are: many masters
+write a bare 0x80000000, and nothing is lost by it. An entry may be cleared with 0, but not counted then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import Final
+
+from canopen_proto.datatypes import DataType, Value
+from canopen_proto.dictionary import Direction, Values
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID
+from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
+from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES, may_have_width, number_at
+from canopen_proto.pdo.multiplexed import (
+    DISPATCHER_LISTS,
+    MAPPABLE,
+    SCANNER_LISTS,
+    DispatcherEntry,
+    MpdoMode,
+    ScannerEntry,
+    suits_mpdo,
+)
+from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, SYNCHRONOUS_ON_REQUEST
+from canopen_proto.pdo.settings import (
+    COB_ID,
+    INHIBIT_TIME,
+    MAX_PDOS,
+    SYNC_START,
+    TRANSMISSION_TYPE,
+    PdoPlace,
+    communication_index,
+    mapping_index,
+    place_of,
+)
+from canopen_proto.sdo.abort import AbortCode
+
+RESTRICTED_CAN_IDS: Final = (
+    range(0x080),  # NMT; reserved
+    range(0x101, 0x181),  # reserved
+    range(0x581, 0x600),  # default SDO, server to client
+    range(0x601, 0x680),  # default SDO, client to server
+    range(0x6E0, 0x700),  # reserved
+    range(0x701, 0x780),  # NMT error control
+    range(0x780, 0x800),  # reserved
+)
+"""CAN-IDs that no configurable communication object may take (CiA 301 v4.2.0, 7.3.5, table 40)."""
+
+CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF
+"""Bits 0 to 29 of a COB-ID, which may change only while it is not in use."""
+_LISTS: Final = {Direction.RPDO: DISPATCHER_LISTS, Direction.TPDO: SCANNER_LISTS}
+
+
+def check_can_id(cob_id: int) -> AbortCode | None:
+    """Whether the CAN-ID in a COB-ID is one that may be configured. CiA 301 v4.2.0, 7.3.5"""
+    if cob_id & COB_ID_EXTENDED:
+        return None
+    can_id = cob_id & 0x1FFF_FFFF
+    restricted = can_id > 0x7FF or any(can_id in each for each in RESTRICTED_CAN_IDS)
+    return AbortCode.INVALID_VALUE if restricted else None
+
+
+class PdoRules:
+    """The rules of one device. faults: the indices of mappings that stand there and make no sense."""
+
+    __slots__ = ("_faults", "_values")
+
+    def __init__(self, values: Values, faults: Container[int]) -> None:
+        self._values = values
+        self._faults = faults
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """What forbids writing this value there, or None. None for everything that is not a PDO parameter. Changes nothing."""
+        if not isinstance(value, int) or value == self._values.store.get(index << 8 | subindex):
+            return None
+        place = place_of(index)
+        if place is None:
+            return self._check_listed(index, value) if subindex and value else None
+        if place.is_mapping:
+            return self._check_entry(place, value) if subindex else self._check_count(place, value)
+        match subindex:
+            case _ if subindex == COB_ID:
+                return self._check_cob_id(place, value)
+            case _ if subindex == TRANSMISSION_TYPE:
+                return self._check_transmission_type(place, value)
+            case _ if subindex == SYNC_START and value > LAST_SYNCHRONOUS:
+                return AbortCode.INVALID_VALUE
+            case _ if subindex in (INHIBIT_TIME, SYNC_START) and self._is_valid(place):
+                return AbortCode.DEVICE_STATE
+        return None
+
+    # ---- communication parameter ----
+
+    def _at(self, place: PdoPlace, subindex: int, default: int = 0) -> int:
+        """A field of the communication parameter."""
+        return number_at(self._values.store, communication_index(place.direction, place.number) << 8 | subindex, default)
+
+    def _count(self, place: PdoPlace) -> int:
+        """Sub 0 of the mapping parameter."""
+        return number_at(self._values.store, mapping_index(place.direction, place.number) << 8)
+
+    def _is_valid(self, place: PdoPlace) -> bool:
+        return not self._at(place, COB_ID, COB_ID_INVALID) & COB_ID_INVALID
+
+    def _check_cob_id(self, place: PdoPlace, cob_id: int) -> AbortCode | None:
+        if cob_id & COB_ID_INVALID:
+            return None
+        refusal = check_can_id(cob_id)
+        if refusal is not None:
+            return refusal
+        standing = self._at(place, COB_ID, COB_ID_INVALID)
+        if not standing & COB_ID_INVALID and (standing ^ cob_id) & CAN_ID_AND_FRAME:
+            return AbortCode.DEVICE_STATE
+        if mapping_index(place.direction, place.number) in self._faults:
+            return AbortCode.PARAMETER_INCOMPATIBLE
+        return None
+
+    def _check_transmission_type(self, place: PdoPlace, value: int) -> AbortCode | None:
+        first = FIRST_EVENT_DRIVEN if place.direction == Direction.RPDO else SYNCHRONOUS_ON_REQUEST
+        if LAST_SYNCHRONOUS < value < first:
+            return AbortCode.INVALID_VALUE
+        is_source = place.direction == Direction.TPDO and self._count(place) == MpdoMode.SOURCE
+        return AbortCode.PARAMETER_INCOMPATIBLE if is_source and value < FIRST_EVENT_DRIVEN else None
+
+    # ---- mapping parameter ----
+
+    def _check_count(self, place: PdoPlace, count: int) -> AbortCode | None:
+        if self._is_valid(place):
+            return AbortCode.DEVICE_STATE
+        if count in (MpdoMode.SOURCE, MpdoMode.DESTINATION):
+            return self._check_mode(place) if count == MpdoMode.SOURCE else None
+        index = mapping_index(place.direction, place.number)
+        dictionary, store = self._values.dictionary, self._values.store
+        if count > MAX_ENTRIES or any(dictionary.get(index, subindex) is None for subindex in range(1, count + 1)):
+            return AbortCode.PDO_LENGTH_EXCEEDED
+        entries = [number_at(store, index << 8 | subindex) for subindex in range(1, count + 1)]
+        for entry in entries:
+            refusal = self._check_mapped(place.direction, entry)
+            if refusal is not None:
+                return refusal
+        return AbortCode.PDO_LENGTH_EXCEEDED if sum(entry & 0xFF for entry in entries) > MAX_BITS else None
+
+    def _check_mode(self, place: PdoPlace) -> AbortCode | None:
+        """Whether a PDO may be an MPDO in source address mode. CiA 301 v4.2.0, 7.2.3.2.2"""
+        if not any(index in self._values.dictionary.objects for index in _LISTS[place.direction]):
+            return AbortCode.PDO_LENGTH_EXCEEDED
+        if place.direction == Direction.RPDO:
+            return None
+        if self._at(place, TRANSMISSION_TYPE, FIRST_EVENT_DRIVEN) < FIRST_EVENT_DRIVEN:
+            return AbortCode.PARAMETER_INCOMPATIBLE
+        others = (PdoPlace(Direction.TPDO, number, True) for number in range(1, MAX_PDOS + 1))
+        has_one = any(self._count(other) == MpdoMode.SOURCE for other in others)
+        return AbortCode.PARAMETER_INCOMPATIBLE if has_one else None
+
+    def _check_entry(self, place: PdoPlace, entry: int) -> AbortCode | None:
+        if self._count(place) or self._is_valid(place):
+            return AbortCode.DEVICE_STATE
+        return self._check_mapped(place.direction, entry) if entry else None
+
+    def _check_mapped(self, direction: Direction, entry: int) -> AbortCode | None:
+        """Whether an entry can be part of a PDO of that direction."""
+        index, subindex, bit_length = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        if 0 < index <= LAST_DUMMY_INDEX:
+            dummy = DUMMY_TYPES.get(index)
+            if direction != Direction.RPDO or subindex or dummy is None or not may_have_width(dummy, bit_length):
+                return AbortCode.CANNOT_BE_MAPPED
+            return None
+        variable = self._values.dictionary.get(index, subindex)
+        if variable is None:
+            return AbortCode.NO_SUCH_OBJECT
+        if not variable.pdo_mappable or variable.access not in MAPPABLE[direction] or variable.data_type == DataType.DOMAIN:
+            return AbortCode.CANNOT_BE_MAPPED
+        if bit_length > MAX_BITS:
+            return AbortCode.PDO_LENGTH_EXCEEDED
+        return None if may_have_width(variable.data_type, bit_length) else AbortCode.CANNOT_BE_MAPPED
+
+    # ---- lists of MPDOs ----
+
+    def _check_listed(self, index: int, number: int) -> AbortCode | None:
+        """An entry of a scanner or dispatching list; other objects are nobody's business here."""
+        if index in SCANNER_LISTS:
+            return self._check_objects(Direction.TPDO, ScannerEntry.of(number))
+        if index in DISPATCHER_LISTS:
+            entry = DispatcherEntry.of(number)
+            if not 1 <= entry.producer <= MAX_NODE_ID:
+                return AbortCode.INVALID_VALUE
+            return self._check_objects(Direction.RPDO, entry.local)
+        return None
+
+    def _check_objects(self, direction: Direction, listed: ScannerEntry) -> AbortCode | None:
+        """Whether MPDOs can carry these objects of ours."""
+        if listed.block == 0:
+            return AbortCode.INVALID_VALUE
+        for subindex in range(listed.first, listed.first + listed.block):
+            variable = self._values.dictionary.get(listed.at, subindex) if subindex <= 0xFF else None
+            if variable is None:
+                return AbortCode.NO_SUCH_OBJECT
+            if not suits_mpdo(variable, direction):
+                return AbortCode.CANNOT_BE_MAPPED
+        return None
