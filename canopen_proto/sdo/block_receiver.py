@@ -5,14 +5,14 @@ byte might mean: the sequence number decides. Segments are taken in order only. 
 
     the last segment of the sub-block came          those in order, at once; behind a gap too, but not before
     silence, and some segment came                  those in order (SEGMENT_TIMEOUT): the end of the sub-block was lost
-    silence, and none came                          none (SUB_BLOCK_TIMEOUT), which asks for all of them, with CRC only
+    silence, and none came                          none (SUB_BLOCK_TIMEOUT), which asks for all: if a CRC guards us
 
 The last one is a guess: that our acknowledgement was lost looks the same, and then the sender repeats the sub-block *before*,
 which only a CRC reveals. Without one the transfer is given up instead. `timeout` ns after the last segment in order it is in any
 case. A segment of less than eight bytes counts as lost.
 
-A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0,
-so zeros at the beginning of the data do not count in it; the size does.
+A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0, so
+zeros at the beginning of the data do not count in it: as long as it is 0 it guards nothing, unless the size is known too.
 
 In a stream each sub-block is a piece, handed on before it is acknowledged, and the acknowledgement waits until the piece was
 taken. What the final sub-block holds is known only at the end, and goes with it.
@@ -110,7 +110,7 @@ class BlockReceiver:
             self._party._fail(AbortCode.CANNOT_TRANSFER, AbortOrigin.TIMEOUT, now)
         elif self._state != _RECEIVING or now >= self._give_up_at:
             self._party._fail(AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT, now)
-        elif self._received or self._heard or self.with_crc:
+        elif self._received or self._heard or (self.with_crc and (self._crc or self._size is not None)):
             self._end_sub_block(0, now)
         else:
             self._party._arm(self._give_up_at)

@@ -16,14 +16,12 @@ from typing import TYPE_CHECKING, Final
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.block import (
     ACKNOWLEDGEMENT,
     BLOCK_SIZE_BIT,
     CRC_BIT,
     END_RESPONSE,
     KIND,
-    MAX_BLOCK_SIZE,
     START_UPLOAD,
     receiver_initiate,
     sender_initiate,
@@ -124,11 +122,6 @@ def announced_size(request: bytes) -> int | None:
 def may_switch(request: bytes, size: int) -> bool:
     """Whether a block upload's initiate request allows a normal upload of so many bytes."""
     return 0 < request[5] >= size
-
-
-def refusal_of(request: bytes) -> AbortCode | None:
-    """What is wrong with a block upload's initiate request."""
-    return None if 1 <= request[4] <= MAX_BLOCK_SIZE else AbortCode.INVALID_BLOCK_SIZE
 
 
 def is_initiate(command: int) -> bool:

@@ -90,8 +90,8 @@ Block: TypeAlias = bool | Literal["auto"]
 
 # States; 0 is IDLE
 _UPLOAD_INITIATED: Final = 1
-_UPLOAD_SEGMENT: Final = 2
-_DOWNLOAD_INITIATED: Final = 3
+_DOWNLOAD_INITIATED: Final = 2
+_UPLOAD_SEGMENT: Final = 3  # these three have frames that do not name the object
 _DOWNLOAD_SEGMENT: Final = 4
 _BLOCK: Final = 5
 
@@ -243,18 +243,16 @@ class SdoClient(RequestQueue):
             data = completed
         command = data[0]
         state = self._state
-        if state == _UPLOAD_SEGMENT:
-            if command & ~0x0F == self._command:
-                self._on_upload_segment(command, data, now)
+        if state >= _UPLOAD_SEGMENT:
+            if self._transfer is not None:
+                self._transfer.receive(command, data, frame, now)
                 return
-        elif state == _DOWNLOAD_SEGMENT:
             if command & ~0x0F == self._command:
-                self._on_download_segment(data, now)
+                if state == _UPLOAD_SEGMENT:
+                    self._on_upload_segment(command, data, now)
+                else:
+                    self._on_download_segment(data, now)
                 return
-        elif state == _BLOCK:
-            assert self._transfer is not None
-            self._transfer.receive(command, data, frame, now)
-            return
         elif data[1:4] == self._multiplexer:
             if state == _UPLOAD_INITIATED:
                 if command & SPECIFIER == INITIATE_UPLOAD_RESPONSE:
@@ -389,14 +387,14 @@ class SdoClient(RequestQueue):
     def _begin(self, request: Request, now: Time) -> None:
         self._request = request
         self._multiplexer = request.first[1:4]
-        if request.first[0] == INITIATE_UPLOAD:
-            self._state = _UPLOAD_INITIATED
-        elif isinstance(request, BlockRequest):
-            self._state = _BLOCK
-            is_upload = request.first[0] & SPECIFIER == BLOCK_UPLOAD
-            self._transfer = BlockUpload(self, request) if is_upload else BlockDownload(self, request)
+        command = request.first[0]
+        if command < BLOCK_UPLOAD:
+            self._state = _UPLOAD_INITIATED if command == INITIATE_UPLOAD else _DOWNLOAD_INITIATED
         else:
-            self._state = _DOWNLOAD_INITIATED
+            assert isinstance(request, BlockRequest)
+            is_upload = command & SPECIFIER == BLOCK_UPLOAD
+            self._transfer = BlockUpload(self, request) if is_upload else BlockDownload(self, request)
+            self._state = _BLOCK
         self.out.frames.append(Frame(self._send_can_id, request.first, self._send_flags, 8))
         self.deadline = deadline = now + self.timeout
         if deadline < self._wake:

@@ -47,7 +47,6 @@ from canopen_proto.sdo.block_server import (
     announced_size,
     is_initiate,
     may_switch,
-    refusal_of,
 )
 from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
@@ -191,25 +190,18 @@ class SdoServer(ServerBase):
     # ---- upload ----
 
     def _on_initiate_upload(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        """CiA 301 v4.2.0, 7.2.4.3.6"""
+        """CiA 301 v4.2.0, 7.2.4.3.6; and of a block upload: 7.2.4.3.13"""
         if self._state != _IDLE and not self._replace(data, frame):
             return
-        self._block_request = b""
-        self._read(data, now)
-
-    def _on_initiate_block_upload(self, data: bytes, now: Time) -> None:
-        """CiA 301 v4.2.0, 7.2.4.3.13"""
-        refusal = refusal_of(data)
-        if refusal is not None:
-            self._index, self._subindex = MULTIPLEXER.unpack(data)
-            self._abort(refusal)
-            return
-        self._block_request = data
-        self._read(data, now)
-
-    def _read(self, data: bytes, now: Time) -> None:
         self._index, self._subindex = MULTIPLEXER.unpack(data)
         self._last = data
+        if command < BLOCK_UPLOAD:
+            self._block_request = b""
+        elif 1 <= data[4] <= MAX_BLOCK_SIZE:
+            self._block_request = data
+        else:
+            self._abort(AbortCode.INVALID_BLOCK_SIZE)
+            return
         content = self._store.read(self._index, self._subindex, now)
         if isinstance(content, bytes):
             self._respond_upload(content, now)
@@ -435,11 +427,10 @@ class SdoServer(ServerBase):
                 self._ignore(frame, "second copy of the last frame")
             else:
                 self._on_unknown(command, data, frame, now)
+        elif command & SPECIFIER == BLOCK_UPLOAD:
+            self._on_initiate_upload(command, data, frame, now)
         elif self._state == _IDLE or self._replace(data, frame):
-            if command & SPECIFIER == BLOCK_UPLOAD:
-                self._on_initiate_block_upload(data, now)
-            else:
-                self._on_initiate_block_download(data, now)
+            self._on_initiate_block_download(data, now)
 
     def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """What is not of the block transfer that is under way."""
