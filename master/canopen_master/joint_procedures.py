@@ -11,7 +11,7 @@ from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.drive import engage_brake, halt, shut_down
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
-from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 
 T = TypeVar("T")
 
@@ -52,7 +52,12 @@ def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFail
 def prepare(device: Device, pdos: tuple[PdoDescription, ...], define: bool, heartbeat_timeout: Time) -> Procedure[None]:
     """See whether the joint answers, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
     node = device.node.remote
-    yield from read(node, DEVICE_TYPE)
+    try:
+        yield from read(node, DEVICE_TYPE)
+    except SdoFailed as failed:
+        if failed.origin is not AbortOrigin.LOCAL:
+            raise
+        yield from read(node, DEVICE_TYPE)  # its boot-up came meanwhile: it was being switched on, and is there now
     for description in pdos:
         if define:
             yield from define_pdo(node, description)

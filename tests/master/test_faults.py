@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_master import Chain, ChainFault, ChainState, Host, open_master
+from canopen_master import Chain, ChainFault, ChainState, Host, open_master, powerballs, simulate
 from canopen_proto.cia402.states import State
 from canopen_proto.nmt import NmtCommand
+from canopen_transports import open_transport
 from tests.master.world import (
     BUS,
     arm_of,
@@ -131,6 +132,26 @@ async def test_a_fault_between_two_commands_is_told_by_the_next() -> None:
         await trio.sleep(0.5)
         with pytest.raises(ChainFault, match="0x4310"):
             await arm.home()
+
+
+@virtual_time
+async def test_a_joint_that_is_switched_on_just_now_is_initialised() -> None:
+    """Its boot-up aborts the first request, which was sent before it; the joint is there all the same."""
+    async with open_master(BUS) as master, trio.open_nursery() as nursery:
+        arm = arm_of(master, 3)
+        initialised = trio.Event()
+
+        async def initialise() -> None:
+            await arm.initialise()
+            initialised.set()
+
+        nursery.start_soon(initialise)
+        await trio.sleep(0.1)
+        await nursery.start(simulate, await open_transport(BUS), powerballs(3))
+        await initialised.wait()
+        assert arm.devices[0].state is State.OPERATION_ENABLED
+        await arm.shut_down()
+        nursery.cancel_scope.cancel()
 
 
 @virtual_time
