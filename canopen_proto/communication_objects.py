@@ -19,6 +19,9 @@ producer's own, and are copied into the values when they are read (`refresh`).
     0x1016   heartbeat consumers: node-ID << 16 | ms, one entry for each node at most                 7.5.2.19
     0x1017   producer heartbeat time in ms                                                            7.5.2.20
     0x1019   SYNC counter overflow: 0 or 2 to 240, only while 0x1006 is 0                             7.5.2.22
+    0x1028   EMCY consumers: the subindex is the node-ID; the CAN-ID may not change while it is
+             valid. 0, which no EMCY can have, counts as not valid                                  7.5.2.31
+    0x1029   error behaviour: 0, 1 or 2; the rest is reserved, or of manufacturers other than us      7.5.2.32
 
 A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40).
 
@@ -33,7 +36,7 @@ from typing import Final
 
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Values, mux
-from canopen_proto.emcy import EmcyProducer
+from canopen_proto.emcy import EmcyConsumer, EmcyProducer
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, key_of_cob_id
 from canopen_proto.group import Members
 from canopen_proto.guarding import GuardingSlave
@@ -59,9 +62,10 @@ LIFE_TIME_FACTOR: Final = mux(0x100D)
 COB_ID_TIME: Final = mux(0x1012)
 COB_ID_EMCY: Final = mux(0x1014)
 EMCY_INHIBIT_TIME: Final = mux(0x1015)
-CONSUMER_HEARTBEAT: Final = mux(0x1016)
 PRODUCER_HEARTBEAT: Final = mux(0x1017)
 SYNC_OVERFLOW: Final = mux(0x1019)
+LAST_ERROR_BEHAVIOUR: Final = 2
+"""Of 0x1029: 0 pre-operational, 1 no change, 2 stopped."""
 
 DEFAULT_HISTORY_LENGTH: Final = 8
 """Entries kept where the dictionary has no 0x1003."""
@@ -75,6 +79,7 @@ class CommunicationObjects:
         "_out",
         "_state",
         "emcy",
+        "emcy_consumers",
         "guarding",
         "heartbeat",
         "monitors",
@@ -99,6 +104,7 @@ class CommunicationObjects:
         self.heartbeat = HeartbeatProducer(out, node_id)
         self.guarding = GuardingSlave(out, node_id)
         self.monitors: dict[int, HeartbeatConsumer] = {}
+        self.emcy_consumers: dict[int, EmcyConsumer] = {}
         self.sync_producer = SyncProducer(out)
         self.sync_consumer = SyncConsumer(out)
         self.time_producer = TimeProducer(out)
@@ -123,6 +129,7 @@ class CommunicationObjects:
         self._set_monitors(now)
         self._set_sync(now)
         self._set_time()
+        self._set_emcy_consumers()
 
     def set_state(self, state: NmtState, now: Time) -> None:
         """The node's NMT state is another: services live or don't, and its heartbeat or guarding answers bear it."""
@@ -130,6 +137,7 @@ class CommunicationObjects:
         self.emcy.set_enabled(self._lives(Service.EMCY), now)
         self._set_sync(now)
         self._set_time()
+        self._set_emcy_consumers()
         self.heartbeat.set_state(state, now)
         self.guarding.set_state(state)
 
@@ -177,6 +185,10 @@ class CommunicationObjects:
                 if self._int(CYCLE_PERIOD):
                     return AbortCode.DEVICE_STATE
                 return None if _is_overflow(value) else AbortCode.INVALID_VALUE
+            case 0x1028 if not value & COB_ID_INVALID:
+                return _check_cob_id(value, standing, in_use=_is_valid(standing))
+            case 0x1029 if value > LAST_ERROR_BEHAVIOUR:
+                return AbortCode.INVALID_VALUE
         return None
 
     def apply(self, index: int, subindex: int, now: Time) -> None:
@@ -202,6 +214,8 @@ class CommunicationObjects:
             case 0x1017:
                 self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
                 self._set_guarding(now)
+            case 0x1028:
+                self._set_emcy_consumers()
 
     # ---- rules ----
 
@@ -209,22 +223,22 @@ class CommunicationObjects:
         node_id, period = value >> 16 & 0xFF, value & 0xFFFF
         if not 1 <= node_id <= MAX_NODE_ID or period == 0:
             return None  # an entry that is not used
-        for other, standing in self._monitor_entries().items():
+        for other, standing in self._entries(0x1016).items():
             if other != subindex and standing & 0xFFFF and standing >> 16 & 0xFF == node_id:
                 return AbortCode.PARAMETER_INCOMPATIBLE
         return None
 
-    def _monitor_entries(self) -> dict[int, int]:
-        """0x1016 by subindex."""
-        described = self.values.dictionary.objects.get(0x1016)
+    def _entries(self, index: int) -> dict[int, int]:
+        """The numbers of an array by subindex."""
+        described = self.values.dictionary.objects.get(index)
         subindices = [] if described is None else [subindex for subindex in described.variables if subindex]
-        return {subindex: self._int(CONSUMER_HEARTBEAT + subindex) for subindex in subindices}
+        return {subindex: self._int(mux(index, subindex)) for subindex in subindices}
 
     # ---- effects ----
 
     def _set_monitors(self, now: Time) -> None:
         wanted: dict[int, Time] = {}
-        for entry in self._monitor_entries().values():
+        for entry in self._entries(0x1016).values():
             node_id, period = entry >> 16 & 0xFF, entry & 0xFFFF
             if 1 <= node_id <= MAX_NODE_ID and period:
                 wanted.setdefault(node_id, period * MILLISECOND)
@@ -237,6 +251,16 @@ class CommunicationObjects:
                 self._members.attach(monitor)
             if monitor.timeout != timeout:
                 monitor.set_timeout(timeout, now)
+
+    def _set_emcy_consumers(self) -> None:
+        """While EMCY lives, one consumer for each valid entry of 0x1028, whose subindex is the node-ID."""
+        entries = self._entries(0x1028).items() if self._lives(Service.EMCY) else ()
+        wanted = {node_id: key_of_cob_id(entry) for node_id, entry in entries if node_id <= MAX_NODE_ID and _is_valid(entry)}
+        for node_id in [each for each, consumer in self.emcy_consumers.items() if wanted.get(each) != consumer.key]:
+            self._members.detach(self.emcy_consumers.pop(node_id))
+        for node_id in sorted(wanted.keys() - self.emcy_consumers.keys()):
+            consumer = self.emcy_consumers[node_id] = EmcyConsumer(self._out, node_id, wanted[node_id])
+            self._members.attach(consumer)
 
     def _set_guarding(self, now: Time) -> None:
         store = self.values.store
@@ -276,3 +300,7 @@ def _check_cob_id(value: int, standing: int, *, in_use: bool) -> AbortCode | Non
 
 def _is_overflow(value: int) -> bool:
     return value == 0 or 2 <= value <= MAX_COUNTER
+
+
+def _is_valid(cob_id: int) -> bool:
+    return cob_id != 0 and not cob_id & COB_ID_INVALID

@@ -19,7 +19,8 @@ What follows from what:
     PDO too short, or overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack
     PDO too long               it is used; EMCY 0x8220 where that is wished (`optional_emcy`); 0x8240 for a SYNC's length likewise
     remote request of a TPDO   the application brings its values up to date, and the TPDO is sent
-    drive fault                EMCY, 0x1001 and 0x1003
+    an error of the device     EMCY, 0x1001 and 0x1003; where it has a class in 0x1029, what stands there
+    CAN was off the bus        what 0x1029:01 says, and EMCY 0x8140 when it is back
 
 Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
 """
@@ -27,9 +28,10 @@ Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
 from __future__ import annotations
 
 import datetime
-from typing import Final, Protocol
+from typing import Final
 
-from canopen_proto.communication_errors import EMCY_SYNC_LENGTH, CommunicationErrors
+from canopen_proto.application import Application
+from canopen_proto.communication_errors import COMMUNICATION_ERROR_BIT, EMCY_SYNC_LENGTH, CommunicationErrors
 from canopen_proto.communication_objects import COB_ID_TIME, CommunicationObjects
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, mux
@@ -57,32 +59,11 @@ from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
 COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 """The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
 
-ERROR_BEHAVIOUR: Final = 0x1029_01
-
-
-class Application(Protocol):
-    """What a device does besides communicating: it shares the node's values, and is told of what concerns it.
-
-    It is a Machine too (made with the node's `inner` outbox), so that time drives it.
-    """
-
-    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Whether it would take this value, right in type and limits already: None, or the abort code. Changes nothing."""
-
-    def written(self, index: int, subindex: int, now: Time) -> None:
-        """A value was stored, by SDO or PDO (perhaps the same as before)."""
-
-    def refresh(self, now: Time) -> None:
-        """Bring the values that it shows up to date: they are about to be read."""
-
-    def on_sync(self, now: Time) -> None:
-        """A SYNC came; synchronous RPDOs were taken."""
-
-    def connection_lost(self, now: Time) -> None:
-        """A heartbeat that the node monitors was lost, nobody guards it any more, or it was stopped while Operational."""
-
-    def reset(self, now: Time) -> None:
-        """Power-on: the values are back at their defaults."""
+ERROR_BEHAVIOUR: Final = 0x1029
+COMMUNICATION_ERROR: Final = 1
+"""Subindex of 0x1029: CAN off the bus, a lost heartbeat, life guarding. The further ones are the device profile's: in CiA 401
+output errors (2) and input errors (3). CiA 301 v4.2.0, 7.5.2.32"""
+EMCY_BUS_OFF_RECOVERED: Final = 0x8140
 
 
 class LocalNode(Group):
@@ -188,13 +169,34 @@ class LocalNode(Group):
         self.pdos.trigger(variable.mux, now)
         self._settle(mark, now)
 
-    def raise_error(self, code: int, register_bits: int, vendor_data: bytes, now: Time) -> None:
-        """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error."""
+    def raise_error(
+        self, code: int, register_bits: int, vendor_data: bytes, now: Time, *, error_class: int | None = None
+    ) -> None:
+        """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error.
+
+        error_class: subindex of 0x1029 that says what follows for the NMT state (1 a communication error, 2.. by the device
+        profile, such as an output error); pre-operational where the dictionary lacks it. None: nothing follows.
+        """
+        mark = len(self.inner.events)
         self.communication.emcy.raise_error(code, register_bits, vendor_data, now)
+        if error_class is not None:
+            self._behave(error_class, now)
+            self._settle(mark, now)
 
     def clear_error(self, code: int, now: Time) -> None:
         """An error is gone. See EmcyProducer.clear."""
         self.communication.emcy.clear(code, now)
+
+    def bus_off(self, now: Time) -> None:
+        """The CAN controller went off the bus: the application hears of it, and 0x1029:01 says what the node does."""
+        mark = len(self.inner.events)
+        self._on_connection_lost(now)
+        self._settle(mark, now)
+
+    def bus_recovered(self, now: Time) -> None:
+        """It is back: EMCY 0x8140, and as the error is over with that, the EMCY that says so. CiA 301 v4.2.0, 7.2.7.1"""
+        self.communication.emcy.raise_error(EMCY_BUS_OFF_RECOVERED, COMMUNICATION_ERROR_BIT, b"", now)
+        self.communication.emcy.clear(EMCY_BUS_OFF_RECOVERED, now)
 
     def send_mpdo(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
         """Write an object of another node, or of all (0), by TPDO `number`, an MPDO. See MpdoProducer.send_to."""
@@ -396,8 +398,11 @@ class LocalNode(Group):
     def _on_connection_lost(self, now: Time) -> None:
         if self.application is not None:
             self.application.connection_lost(now)
-        # 0x1029:01: 0 pre-operational (only from operational), 1 no change, 2 stopped. CiA 301 v4.2.0, 7.5.2.32
-        behaviour = self.values.store.get(ERROR_BEHAVIOUR, 0)
+        self._behave(COMMUNICATION_ERROR, now)
+
+    def _behave(self, error_class: int, now: Time) -> None:
+        """What 0x1029 says: 0 pre-operational, but only from operational; 1 nothing; 2 stopped. CiA 301 v4.2.0, 7.5.2.32"""
+        behaviour = self.values.store.get(mux(ERROR_BEHAVIOUR, error_class), 0)
         if behaviour == 0 and self.state is NmtState.OPERATIONAL:
             self.nmt.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now)
         elif behaviour == 2:

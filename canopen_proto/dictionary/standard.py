@@ -77,7 +77,7 @@ _COMMUNICATION: Final = """
 1026      02    U8   ro+   os_prompt:std_out
 1026      03    U8   ro+   os_prompt:std_err
 1027      01-FE U16  ro    module_list:module_{s}
-1028      01-7F U32  rw    emergency_consumer:consumer_{s}
+1028      01-7F U32  rw    emergency_consumer:consumer_{s} = 0x80000000
 1029      01    U8   rw    error_behavior:communication_error
 1029      02-FE U8   rw    error_behavior:specific_error_{s}
 1200      01    U32  ro    sdo_server_parameter:cob_id_client_to_server = 0x600 + node

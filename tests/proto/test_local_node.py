@@ -10,9 +10,7 @@ import pytest
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.emcy import EmcySent
 from canopen_proto.frame import Frame
-from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
 from canopen_proto.network import Network
@@ -428,98 +426,6 @@ def test_a_pdo_is_not_remapped_against_the_rules(step: tuple[int, int, int, int]
     assert bench.write(*step) == abort_code
     bench.tell("205#0700")
     assert bench.node.values.store[OUTPUT << 8] == 7
-
-
-# ---- errors of communication ----
-
-
-def monitoring(milliseconds: int = 100) -> DeviceBench:
-    """A device that monitors node 9 and has heard it."""
-    bench = DeviceBench()
-    assert bench.write(0x1016, 1, 9 << 16 | milliseconds, 4) is None
-    bench.tell(START, "709#05")
-    return bench
-
-
-def test_a_lost_heartbeat_is_an_emcy_and_leads_to_pre_operational() -> None:
-    bench = monitoring()
-    assert bench.wait(150) == ["100 085#3081110900000000"]
-    assert [event.node_id for event in bench.seen(HeartbeatLost)] == [9]
-    assert bench.node.state is NmtState.PRE_OPERATIONAL
-    assert bench.number(0x1001) == 0x11
-    assert bench.number(0x1003, 1) == 0x0009_8130
-    assert bench.tell("709#05") == ["085#0000000000000000"]
-    assert bench.number(0x1001) == 0
-    assert bench.node.state is NmtState.PRE_OPERATIONAL  # back only by NMT
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "from_state", "state"),
-    [
-        (0, START, NmtState.PRE_OPERATIONAL),
-        (0, STOP, NmtState.STOPPED),
-        (1, START, NmtState.OPERATIONAL),
-        (2, START, NmtState.STOPPED),
-        (2, PRE_OPERATIONAL, NmtState.STOPPED),
-    ],
-)
-def test_error_behaviour(behaviour: int, from_state: str, state: NmtState) -> None:
-    bench = monitoring()
-    assert bench.write(0x1029, 1, behaviour, 1) is None
-    bench.tell(from_state)
-    bench.wait(150)
-    assert bench.node.state is state
-
-
-def test_without_0x1029_a_lost_heartbeat_leads_to_pre_operational() -> None:
-    dictionary = ObjectDictionary(each for index, each in io_device().objects.items() if index != 0x1029)
-    bench = DeviceBench(dictionary)
-    bench.write(0x1016, 1, 9 << 16 | 100, 4)
-    bench.tell(START, "709#05")
-    bench.wait(150)
-    assert bench.node.state is NmtState.PRE_OPERATIONAL
-
-
-def test_each_lost_node_is_told_of_and_the_error_ends_with_the_last_one() -> None:
-    bench = monitoring()
-    bench.write(0x1016, 2, 10 << 16 | 200, 4)
-    bench.tell("70A#05")
-    assert bench.wait(300) == ["100 085#3081110900000000", "200 085#3081110A00000000"]
-    assert bench.tell("709#05") == []
-    assert bench.tell("70A#7F") == ["085#0000000000000000"]
-
-
-def test_a_lost_node_that_is_no_longer_monitored_is_no_error() -> None:
-    bench = monitoring()
-    bench.wait(150)
-    assert bench.write(0x1016, 1, 0, 4) is None
-    assert bench.others == ["085#0000000000000000"]
-    assert bench.wait(1000) == []
-
-
-def test_monitoring_begins_anew_after_a_reset() -> None:
-    dictionary = io_device().with_objects([standard_object(0x1016, highest=2, defaults={1: 9 << 16 | 100})])
-    bench = DeviceBench(dictionary)
-    bench.tell("709#05")
-    bench.wait(150)
-    assert bench.number(0x1001) == 0x11
-    assert bench.tell(RESET_COMMUNICATION) == ["705#00", "085#0000000000000000"]
-    assert bench.number(0x1001) == 0
-    assert bench.wait(1000) == []  # until it is heard
-    bench.tell("709#05")
-    assert bench.wait(200) == [f"{150 + 1000 + 100} 085#3081110900000000"]
-
-
-def test_errors_reported_by_the_device_itself() -> None:
-    bench = DeviceBench()
-    bench.node.raise_error(0x2310, 0x02, b"\x01\x02", 0)
-    bench.node.raise_error(0x4210, 0x08, b"", 0)
-    assert bench.take() == ["085#1023030102000000", "085#10420B0000000000"]
-    bench.node.clear_error(0x2310, 0)
-    assert bench.take() == []
-    bench.node.clear_error(0x4210, 0)
-    assert bench.take() == ["085#0000000000000000"]
-    assert [event.code for event in bench.seen(EmcySent)] == [0x2310, 0x4210, 0]
 
 
 # ---- dictionaries of all kinds ----

@@ -1,0 +1,39 @@
+"""What a device does besides communicating, as its `LocalNode` sees it.
+
+A `LocalNode` is complete without an application: then its objects are plain memory. With one (the simulated drive is such) they
+are shared: the application reads and writes the node's values, is asked before a client changes one of its objects, and is told
+of whatever it has to act on. Nothing here is called by the host.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from canopen_proto.datatypes import Value
+from canopen_proto.machine import Time
+from canopen_proto.sdo.abort import AbortCode
+
+
+class Application(Protocol):
+    """What a device does besides communicating: it shares the node's values, and is told of what concerns it.
+
+    It is a Machine too (made with the node's `inner` outbox), so that time drives it.
+    """
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """Whether it would take this value, right in type and limits already: None, or the abort code. Changes nothing."""
+
+    def written(self, index: int, subindex: int, now: Time) -> None:
+        """A value was stored, by SDO or PDO (perhaps the same as before)."""
+
+    def refresh(self, now: Time) -> None:
+        """Bring the values that it shows up to date: they are about to be read."""
+
+    def on_sync(self, now: Time) -> None:
+        """A SYNC came; synchronous RPDOs were taken."""
+
+    def connection_lost(self, now: Time) -> None:
+        """A heartbeat that the node monitors was lost, nobody guards it any more, or it was stopped while Operational."""
+
+    def reset(self, now: Time) -> None:
+        """Power-on: the values are back at their defaults."""
