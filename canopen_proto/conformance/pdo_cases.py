@@ -1,47 +1,255 @@
-"""Chapter 3 of the conformance test: PDO."""
+"""Chapter 3 of the conformance test: PDO. What its parameters hold, and when TPDOs are sent (CiA 301 v4.2.0, 7.2.2, 7.5.2.37).
+
+The cases 3 to 8 set each TPDO up in one way and look at it in Operational; 9 to 14 do the same in Stopped and 15 to 20 in
+Pre-operational, where nothing may come. What is written to mappings is in pdo_mapping_cases.py.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final, TypeAlias
 
-from canopen_proto.conformance.case import Case
+from canopen_proto.conformance.bench import REACTION_TIME, Bench
+from canopen_proto.conformance.case import Body, Case, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_proto.conformance.pdo_tools import (
+    Pdo,
+    all_pdos,
+    create,
+    destroy,
+    has,
+    key_of,
+    length_of,
+    mapped_variable,
+    set_up,
+    usable,
+)
+from canopen_proto.conformance.probe import FrameHeard
+from canopen_proto.conformance.sdo_cases import NO_OBJECT
+from canopen_proto.dictionary import Direction
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
+from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
+from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
+from canopen_proto.procedures.steps import Procedure
 
-_NEXT: Final = "this chapter"
+SYNC_OVERFLOW: Final = 0x1019
+
+ACYCLIC: Final = 0
+ON_REQUEST: Final = 253
+MANUFACTURER_EVENTS: Final = 254
+PROFILE_EVENTS: Final = 255
+EVENT_TYPES: Final = (MANUFACTURER_EVENTS, PROFILE_EVENTS)
+
+EVENT_TIME: Final = 100 * MILLISECOND
+
+UNFORCED: Final = "no stimulus: no event could be brought about"
+
+_COMMANDS: Final = {NmtState.OPERATIONAL: NmtCommand.START, NmtState.STOPPED: NmtCommand.STOP}
+
+
+def scan(direction: Direction, bench: Bench) -> Procedure[str]:
+    """3.1 and 3.2: each PDO has the communication parameter that the dictionary says, two valid ones have two CAN-IDs, none of
+    them restricted, and there are no more PDOs than described."""
+    pdos, owners = all_pdos(bench, direction), dict[int, Pdo]()
+    for pdo in pdos:
+        fields = bench.dictionary.objects[pdo.communication].variables
+        for subindex in fields:
+            expected = bench.default(pdo.communication, subindex)
+            yield from bench.expect_number(pdo.communication, subindex, expected, f"after a reset, {pdo}")
+        cob_id = bench.default(pdo.communication, COB_ID)
+        if not cob_id & COB_ID_INVALID:
+            if not cob_id & COB_ID_EXTENDED:
+                is_restricted = any(cob_id & 0x1FFF_FFFF in each for each in RESTRICTED_CAN_IDS)
+                expect(not is_restricted, f"{pdo} has the restricted CAN-ID 0x{cob_id & 0x7FF:03X}")
+            other = owners.setdefault(key_of(bench, pdo), pdo)
+            expect(other is pdo, f"{other} and {pdo} have the same CAN-ID")
+    beyond = pdos[-1].number + 1
+    if beyond <= MAX_PDOS:
+        index = Pdo(direction, beyond).communication
+        expect_refusal((yield from bench.refusal_of_read(index, COB_ID)), NO_OBJECT, f"reading 0x{index:04X}:01")
+    return f"{len(pdos)} PDOs"
+
+
+# ---- when TPDOs are sent ----
+
+Look: TypeAlias = Callable[[Bench, Pdo, bool], Procedure[str | None]]
+"""Looks whether a TPDO that is set up comes as it must, or (False) not at all. A remark where it could not look."""
+
+
+def expect_data(bench: Bench, pdo: Pdo, heard: list[FrameHeard]) -> None:
+    """Look at the length of what came."""
+    for each in heard:
+        expect_equal(len(each.frame.data), length_of(bench, pdo), f"the length of {pdo} ({each.frame})")
+
+
+def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[str | None]:
+    """Lead the device to a state, look at the TPDO, and lead it back to where it can be set up."""
+    command = _COMMANDS.get(state)
+    if command is not None:
+        yield from bench.command(command)
+    bench.probe.listen_also(key_of(bench, pdo))
+    remark = yield from look(bench, pdo, state is NmtState.OPERATIONAL)
+    yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    return remark
+
+
+def answers_requests(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.3, 3.9, 3.15: a TPDO that allows remote requests answers them, in Operational only; one that forbids them does not."""
+    count = 0
+    for pdo in usable(bench, Direction.TPDO):
+        for transmission_type in (PROFILE_EVENTS, ON_REQUEST):
+            if (yield from set_up(bench, pdo, transmission_type, requests=True)):
+                count += 1
+                yield from in_state(bench, state, pdo, _look_for_answers)
+        yield from destroy(bench, pdo)
+        if (yield from create(bench, pdo)) is None:
+            yield from in_state(bench, state, pdo, _look_for_no_answers)
+    if not count:
+        does_not_apply("no TPDO allows remote requests")
+    return f"{count} times"
+
+
+def _look_for_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    key = key_of(bench, pdo)
+    yield from bench.send_remote(key, length_of(bench, pdo))
+    heard = yield from bench.frames_within(key, REACTION_TIME)
+    expect_equal(len(heard), int(live), f"the number of answers to a remote request of {pdo}")
+    expect_data(bench, pdo, heard)
+
+
+def _look_for_no_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    yield from _look_for_answers(bench, pdo, False)
+
+
+def _each_tpdo(
+    bench: Bench, state: NmtState, types: tuple[int, ...], look: Look, *, event_time: int = 0, sync_start: int = 0
+) -> Procedure[str]:
+    count, remarks = 0, set[str]()
+    for pdo in usable(bench, Direction.TPDO):
+        if (event_time and not has(bench, pdo, EVENT_TIMER)) or (sync_start and not has(bench, pdo, SYNC_START)):
+            continue
+        for transmission_type in types:
+            if (yield from set_up(bench, pdo, transmission_type, event_time=event_time, sync_start=sync_start)):
+                count += 1
+                remark = yield from in_state(bench, state, pdo, look)
+                remarks.add(remark or "")
+                yield from destroy(bench, pdo)
+    if not count:
+        does_not_apply("no TPDO supports it")
+    return "; ".join((f"{count} times", *sorted(remarks - {""})))
+
+
+def event_driven(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.4, 3.10, 3.16: an event-driven TPDO goes at its event."""
+    return (yield from _each_tpdo(bench, state, EVENT_TYPES, _look_for_event))
+
+
+def _look_for_event(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    variable = mapped_variable(bench, pdo)
+    bench.probe.forget(key_of(bench, pdo))
+    if variable is None or not (yield from bench.stimulate(variable)):
+        return UNFORCED
+    heard = yield from bench.frames_within(key_of(bench, pdo), REACTION_TIME)
+    expect_equal(len(heard), int(live), f"the number of {pdo} for one event")
+    expect_data(bench, pdo, heard)
+    return None
+
+
+def event_timer(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.5, 3.11, 3.17: an event-driven TPDO with an event timer goes each time that it has run down."""
+    return (yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_period, event_time=EVENT_TIME))
+
+
+def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
+    if live:
+        expected = SECOND // EVENT_TIME
+        expect(abs(len(heard) - expected) <= 1, f"{pdo} came {len(heard)} times in 1 s, with an event time of 0.1 s")
+    else:
+        expect_equal(len(heard), 0, f"the number of {pdo} by its event timer")
+    expect_data(bench, pdo, heard)
+
+
+def cyclic(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.6, 3.12, 3.18: a TPDO of type n goes at each n-th SYNC."""
+    each = yield from _each_tpdo(bench, state, (1,), partial(_look_for_nth_sync, 1))
+    third = yield from _each_tpdo(bench, state, (3,), partial(_look_for_nth_sync, 3))
+    return f"each SYNC: {each}; each third: {third}"
+
+
+def _look_for_nth_sync(period: int, bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    came = yield from _after_syncs(bench, pdo, [None] * 2 * period)
+    if live:
+        expect(
+            sum(came) == 2 and came[:period] == came[period:], f"{pdo} of type {period} came {came} times after {len(came)} SYNCs"
+        )
+    else:
+        expect_equal(sum(came), 0, f"the number of {pdo} after {len(came)} SYNCs")
+
+
+def _after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Procedure[list[int]]:
+    """How many times the PDO came after each SYNC."""
+    came = []
+    for counter in counters:
+        bench.probe.forget(key_of(bench, pdo))
+        yield from bench.sync(counter)
+        heard = bench.probe.take_all(key_of(bench, pdo))
+        expect_data(bench, pdo, heard)
+        came.append(len(heard))
+    return came
+
+
+def acyclic(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.7, 3.13, 3.19: a TPDO of type 0 goes at the SYNC behind its event, and at no other."""
+    return (yield from _each_tpdo(bench, state, (ACYCLIC,), _look_for_event_and_sync))
+
+
+def _look_for_event_and_sync(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    variable, key = mapped_variable(bench, pdo), key_of(bench, pdo)
+    yield from bench.sync()  # entering Operational may be an event
+    bench.probe.forget(key)
+    if variable is None or not (yield from bench.stimulate(variable)):
+        yield from bench.expect_silence(key, REACTION_TIME, f"{pdo} of type 0, without SYNC")
+        return UNFORCED
+    yield from bench.expect_silence(key, REACTION_TIME, f"{pdo} of type 0, before SYNC")
+    came = yield from _after_syncs(bench, pdo, [None, None])
+    expect_equal(came, [int(live), 0], f"the number of {pdo} at the SYNC behind its event, and at the next,")
+    return None
+
+
+def sync_start_value(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.8, 3.14, 3.20: a TPDO of type 2 with the SYNC start value 3 goes at the counters 3, 5, 7."""
+    yield from bench.write(SYNC_OVERFLOW, 0, 10)
+    return (yield from _each_tpdo(bench, state, (2,), _look_for_start, sync_start=3))
+
+
+def _look_for_start(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    came = yield from _after_syncs(bench, pdo, [1, 2, 3, 4, 5, 6, 7])
+    expected = [0, 0, 1, 0, 1, 0, 1] if live else [0] * 7
+    expect_equal(came, expected, f"the number of {pdo} at the SYNC counters 1 to 7")
+
+
+_KINDS: Final[tuple[tuple[str, Callable[[NmtState, Bench], Procedure[str | None]], tuple[int, ...]], ...]] = (
+    ("request TPDOs by RTR, if allowed", answers_requests, ()),
+    ("configure TPDOs for event-driven mode", event_driven, ()),
+    ("configure the event timer of TPDOs", event_timer, ()),
+    ("configure TPDOs for SYNC (cyclic) mode", cyclic, (0x1005,)),
+    ("configure TPDOs for SYNC (acyclic) mode", acyclic, (0x1005,)),
+    ("configure TPDOs for SYNC (cyclic) mode and a SYNC start value", sync_start_value, (0x1005, SYNC_OVERFLOW)),
+)
+_STATES: Final = ((3, NmtState.OPERATIONAL), (9, NmtState.STOPPED), (15, NmtState.PRE_OPERATIONAL))
+
+
+def _case(number: int, state: NmtState, kind: int) -> Case:
+    title, body, needs = _KINDS[kind]
+    run: Body = partial(body, state)
+    return Case(f"3.{number}", f"PDO {number:02}", f"{state.name.capitalize()}: {title}", run, needs)
+
 
 CASES: Final = (
-    Case("3.1", "PDO 01", "Scan for RPDOs: the communication parameters", None, waits_for=_NEXT),
-    Case("3.2", "PDO 02", "Scan for TPDOs: the communication parameters", None, waits_for=_NEXT),
-    Case("3.3", "PDO 03", "Operational: request TPDOs by RTR, if allowed", None, waits_for=_NEXT),
-    Case("3.4", "PDO 04", "Operational: configure TPDOs for event-driven mode", None, waits_for=_NEXT),
-    Case("3.5", "PDO 05", "Operational: configure the event timer of TPDOs", None, waits_for=_NEXT),
-    Case("3.6", "PDO 06", "Operational: configure TPDOs for SYNC (cyclic) mode", None, waits_for=_NEXT),
-    Case("3.7", "PDO 07", "Operational: configure TPDOs for SYNC (acyclic) mode", None, waits_for=_NEXT),
-    Case("3.8", "PDO 08", "Operational: configure TPDOs for SYNC (cyclic) mode and a SYNC start value", None, waits_for=_NEXT),
-    Case("3.9", "PDO 09", "Stopped: request TPDOs by RTR, if allowed", None, waits_for=_NEXT),
-    Case("3.10", "PDO 10", "Stopped: configure TPDOs for event-driven mode", None, waits_for=_NEXT),
-    Case("3.11", "PDO 11", "Stopped: configure the event timer of TPDOs", None, waits_for=_NEXT),
-    Case("3.12", "PDO 12", "Stopped: configure TPDOs for SYNC (cyclic) mode", None, waits_for=_NEXT),
-    Case("3.13", "PDO 13", "Stopped: configure TPDOs for SYNC (acyclic) mode", None, waits_for=_NEXT),
-    Case("3.14", "PDO 14", "Stopped: configure TPDOs for SYNC (cyclic) mode and a SYNC start value", None, waits_for=_NEXT),
-    Case("3.15", "PDO 15", "Pre-operational: request TPDOs by RTR, if allowed", None, waits_for=_NEXT),
-    Case("3.16", "PDO 16", "Pre-operational: configure TPDOs for event-driven mode", None, waits_for=_NEXT),
-    Case("3.17", "PDO 17", "Pre-operational: configure the event timer of TPDOs", None, waits_for=_NEXT),
-    Case("3.18", "PDO 18", "Pre-operational: configure TPDOs for SYNC (cyclic) mode", None, waits_for=_NEXT),
-    Case("3.19", "PDO 19", "Pre-operational: configure TPDOs for SYNC (acyclic) mode", None, waits_for=_NEXT),
-    Case(
-        "3.20", "PDO 20", "Pre-operational: configure TPDOs for SYNC (cyclic) mode and a SYNC start value", None, waits_for=_NEXT
-    ),
-    Case("3.21", "PDO 21", "Read the default mappings and look for their objects in the dictionary", None, waits_for=_NEXT),
-    Case("3.22", "PDO 22", "Write a new correct mapping with the mapping procedure", None, waits_for=_NEXT),
-    Case("3.23", "PDO 23", "Try to write a new mapping without the mapping procedure", None, waits_for=_NEXT),
-    Case("3.24", "PDO 24", "Try to write a new mapping to a valid PDO", None, waits_for=_NEXT),
-    Case("3.25", "PDO 25", "Try to write an incorrect mapping: too many objects", None, waits_for=_NEXT),
-    Case("3.26", "PDO 26", "Try to write an incorrect mapping: objects too long", None, waits_for=_NEXT),
-    Case("3.27", "PDO 27", "Map an rww or wo object to an RPDO", None, waits_for=_NEXT),
-    Case("3.28", "PDO 28", "Try to map an rwr or ro object to an RPDO", None, waits_for=_NEXT),
-    Case("3.29", "PDO 29", "Try to map an object that is not mappable to an RPDO", None, waits_for=_NEXT),
-    Case("3.30", "PDO 30", "Map an rwr or ro object to a TPDO", None, waits_for=_NEXT),
-    Case("3.31", "PDO 31", "Try to map an rww or wo object to a TPDO", None, waits_for=_NEXT),
-    Case("3.32", "PDO 32", "Try to map an object that is not mappable to a TPDO", None, waits_for=_NEXT),
-    Case("3.33", "PDO 33", "Map a dummy object to an RPDO, if dummy objects are supported", None, waits_for=_NEXT),
+    Case("3.1", "PDO 01", "Scan for RPDOs: the communication parameters", partial(scan, Direction.RPDO)),
+    Case("3.2", "PDO 02", "Scan for TPDOs: the communication parameters", partial(scan, Direction.TPDO)),
+    *(_case(first + kind, state, kind) for first, state in _STATES for kind in range(len(_KINDS))),
 )
