@@ -124,11 +124,16 @@ class Members:
         """Wake each member whose deadline has come, once, in the order of their deadlines."""
         self.refresh()
         heap = self._heap
+        due = []
         while heap and heap[0][0] <= now:
             wake, _, machine = heappop(heap)
-            if machine._wake != wake:
-                continue  # superseded by a nearer one, or detached
-            machine._wake = NEVER
+            if machine._wake == wake:  # else superseded by a nearer one, or detached
+                machine._wake = NEVER
+                due.append(machine)
+        # Only now, so that one that arms itself for a time that has passed already does not come up again in this turn.
+        for machine in due:
+            if machine not in self._keys:
+                continue  # detached by what another one did
             if machine.deadline <= now:
                 machine.handle_timeout(now)
             else:

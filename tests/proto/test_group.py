@@ -497,3 +497,20 @@ class Nest(RuleBasedStateMachine):
 
 TestNest = Nest.TestCase
 TestNest.settings = settings(max_examples=150, stateful_step_count=40, deadline=None, derandomize=True)
+
+
+def test_a_machine_that_arms_itself_for_a_past_time_is_woken_once_a_turn() -> None:
+    """An older entry of the heap for just that time must not wake it again in the same turn."""
+    out = Outbox()
+    members = Members(out)
+    alarm = Alarm(out)
+    members.attach(alarm)
+    alarm.set(1)
+    members.refresh()
+    alarm.set(0)
+    alarm.then = [1]
+    members.handle_timeout(1)
+    assert alarm.rang_at == [1]
+    assert members.next_deadline() == 1
+    members.handle_timeout(1)
+    assert alarm.rang_at == [1, 1]

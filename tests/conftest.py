@@ -1,0 +1,12 @@
+"""For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
+
+To search further: `pytest --hypothesis-profile=search tests/proto/test_group.py`.
+"""
+
+from __future__ import annotations
+
+import hypothesis
+
+hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("search", max_examples=2000, deadline=None, print_blob=True)
+hypothesis.settings.load_profile("same")
