@@ -12,6 +12,7 @@ What follows from what:
 
     NMT state changes          services live or don't (`nmt.SERVICES`); the heartbeat bears the new state; the application hears
     NMT reset                  values (all, or 0x1000 to 0x1FFF) as at power-on, errors (all, or those below) gone; boot-up
+    "save", "load" written     ObjectAccessPending; when the host has stored: other values at power-on (`storage`)
     SYNC heard or sent         TPDOs are sampled, RPDOs held for it take effect, the application makes its step: in this order
     PDO received               the application is told of each value
     heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); 0x1029's behaviour, by default pre-operational
@@ -41,6 +42,7 @@ from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
+from canopen_proto.parameter_storage import SIGNATURES, ParameterStorage
 from canopen_proto.pdo.consumer import (
     EMCY_PDO_LENGTH_EXCEEDED,
     EMCY_PDO_NOT_PROCESSED,
@@ -52,10 +54,11 @@ from canopen_proto.pdo.multiplexed import MpdoNotProcessed, MpdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.pdo.settings import place_of
 from canopen_proto.sdo.abort import AbortCode, text_of
-from canopen_proto.sdo.server import PENDING, Pending, SdoServer
+from canopen_proto.sdo.server import PENDING, ObjectAccessPending, ObjectWritten, Pending, SdoServer, SdoServerAborted
 from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
 
+ALL_OBJECTS: Final = range(0x10000)
 COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 """The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
 
@@ -80,6 +83,7 @@ class LocalNode(Group):
         "optional_emcy",
         "pdos",
         "sdo",
+        "storage",
         "values",
     )
 
@@ -89,6 +93,7 @@ class LocalNode(Group):
         self.node_id = check_node_id(node_id)
         self.values = Values(dictionary, node_id)
         self.application: Application | None = None
+        self.storage = ParameterStorage(self.values)
         self.nmt = NmtSlave(self.inner, node_id)
         self._store = ValuesStore(self.values)
         self.sdo = SdoServer(self.inner, node_id, self)
@@ -108,6 +113,9 @@ class LocalNode(Group):
             {
                 NmtStateChanged: self._on_state,
                 NmtResetRequested: self._on_reset,
+                ObjectAccessPending: self._on_pending,
+                ObjectWritten: self._on_written,
+                SdoServerAborted: self._on_aborted,
                 SyncReceived: self._on_sync,
                 SyncSent: self._on_sync,
                 PdoReceived: self._on_pdo,
@@ -228,6 +236,8 @@ class LocalNode(Group):
         if index not in COMMUNICATION_OBJECTS:
             if self.application is not None:
                 self.application.refresh(now)
+        elif (capability := self.storage.capability(index, subindex)) is not None:
+            self.values.store[mux(index, subindex)] = capability
         elif index <= 0x1003:
             refusal = self.communication.refresh(index, subindex)
             if refusal is not None:
@@ -251,6 +261,8 @@ class LocalNode(Group):
         refusal = self._refusal(index, subindex, value)
         if refusal is not None:
             return refusal
+        if index in SIGNATURES:
+            return PENDING
         self.values.store[variable.mux] = value
         self._obey(index, subindex, now)
         self.pdos.trigger(variable.mux, now)
@@ -261,6 +273,8 @@ class LocalNode(Group):
         if index in COMMUNICATION_OBJECTS:
             if self.pdos.owns(index):
                 return self.pdos.check_write(index, subindex, value)
+            if index in SIGNATURES:
+                return self.storage.check_write(index, subindex, value)
             return self.communication.check_write(index, subindex, value)
         return None if self.application is None else self.application.check_write(index, subindex, value)
 
@@ -312,14 +326,28 @@ class LocalNode(Group):
         emcy = self.communication.emcy
         if request.command is NmtCommand.RESET_NODE:
             self.values.reset()
+            self.storage.put_back(ALL_OBJECTS)
             emcy.reset()
             if self.application is not None:
                 self.application.reset(now)
         else:
             self.values.reset(COMMUNICATION_OBJECTS.start, COMMUNICATION_OBJECTS.stop - 1)
+            self.storage.put_back(COMMUNICATION_OBJECTS)
             emcy.clear_history()
         self._errors.clear(now)
         self._start(now)
+
+    def _on_pending(self, report: ObjectAccessPending, now: Time) -> None:
+        if report.index in SIGNATURES and report.index not in self.deferred:
+            self.storage.begin(report.index, report.subindex)
+
+    def _on_written(self, report: ObjectWritten, now: Time) -> None:
+        if report.index in SIGNATURES:
+            self.storage.commit(report.index, report.subindex)
+
+    def _on_aborted(self, report: SdoServerAborted, now: Time) -> None:
+        if report.index in SIGNATURES:
+            self.storage.forget(report.index, report.subindex)
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
         allows = self.nmt.allows
