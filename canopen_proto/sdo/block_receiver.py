@@ -8,11 +8,11 @@ byte might mean: the sequence number decides. Segments are taken in order only. 
     silence, and none came                          none (SUB_BLOCK_TIMEOUT), which asks for all: if a CRC guards us
 
 The last one is a guess: that our acknowledgement was lost looks the same, and then the sender repeats the sub-block *before*,
-which only a CRC reveals. Without one the transfer is given up instead. `timeout` ns after the last segment in order it is in any
-case. A segment of less than eight bytes counts as lost.
+which only a CRC reveals. Without one the transfer is given up instead. `timeout` ns after the last segment in order it is in
+any case. A segment of less than eight bytes counts as lost.
 
-A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0, so
-zeros at the beginning of the data do not count in it: as long as it is 0 it guards nothing, unless the size is known too.
+A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0,
+so zeros at the beginning of the data do not count in it: while it is 0 it guards nothing, unless the size is known too.
 
 In a stream each sub-block is a piece, handed on before it is acknowledged, and the acknowledgement waits until the piece was
 taken. What the final sub-block holds is known only at the end, and goes with it.

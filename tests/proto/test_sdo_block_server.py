@@ -1,0 +1,470 @@
+"""The server's side of block transfers: frames as in the standard, and what a client may do (CiA 301, 7.2.4.3.8 to .16)."""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+
+import pytest
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.sdo.block import SEGMENT_TIMEOUT, SUB_BLOCK_TIMEOUT
+from canopen_proto.sdo.server import ACCESS_TIMEOUT, TIMEOUT, ObjectAccessPending, ObjectWritten, SdoServerAborted
+from tests.proto.block_bench import ServerBench, frames, segments
+from tests.proto.block_pair import pattern
+
+TEXT = b"Hello, blocks"
+UPLOAD = "A4 00 20 00 7F 00"
+DOWNLOAD = "C6 00 20 00 0D 00 00 00"
+
+
+def crc_bytes(content: bytes) -> str:
+    return crc_hqx(content, 0).to_bytes(2, "little").hex()
+
+
+# ---- upload ----
+
+
+def test_an_upload() -> None:
+    bench = ServerBench(TEXT)
+    assert bench.tell(UPLOAD) == frames("C6 00 20 00 0D 00 00 00")
+    assert bench.tell("A3") == frames("01 48 65 6C 6C 6F 2C 20", "82 62 6C 6F 63 6B 73 00")
+    assert bench.tell("A2 02 7F") == frames("C5" + crc_bytes(TEXT))
+    assert bench.tell("A1") == []
+    assert bench.events() == []
+    assert not bench.server.busy
+    assert bench.server.deadline == NEVER
+
+
+@pytest.mark.parametrize(("server_crc", "request_"), [(False, UPLOAD), (True, "A0 00 20 00 7F")])
+def test_an_upload_without_crc(server_crc: bool, request_: str) -> None:
+    bench = ServerBench(TEXT, crc=server_crc)
+    assert bench.tell(request_) == frames("C2 00 20 00 0D 00 00 00")
+    bench.tell("A3")
+    assert bench.tell("A2 02 7F") == frames("C5")
+
+
+@pytest.mark.parametrize(
+    ("size", "threshold", "answer"),
+    [
+        (2, 0, "C6 00 20 00 02"),  # trap 15: 0 forbids the change
+        (2, 1, "C6 00 20 00 02"),
+        (2, 2, "4B 00 20 00 01 01"),
+        (5, 4, "C6 00 20 00 05"),
+        (5, 5, "41 00 20 00 05"),
+        (255, 255, "41 00 20 00 FF"),
+        (256, 255, "C6 00 20 00 00 01"),
+        (0, 0, "C6 00 20 00"),
+        (0, 1, "41 00 20 00"),
+    ],
+)
+def test_a_normal_upload_where_the_threshold_allows_it(size: int, threshold: int, answer: str) -> None:
+    bench = ServerBench(bytes([1]) * size)
+    assert bench.tell(f"A4 00 20 00 7F {threshold:02X}") == frames(answer)
+    if answer.startswith("41"):
+        assert len(bench.tell("60")) == 1
+
+
+@pytest.mark.parametrize("block_size", [0, 128, 255])
+def test_bad_block_sizes(block_size: int) -> None:
+    bench = ServerBench(pattern(60))
+    assert bench.tell(f"A4 00 20 00 {block_size:02X}") == frames("80 00 20 00 02 00 04 05")
+    assert bench.aborted() == (0x05040002, AbortOrigin.LOCAL)
+    bench.tell("A4 00 20 00 04", "A3")
+    assert bench.tell(f"A2 04 {block_size:02X}") == frames("80 00 20 00 02 00 04 05")
+    assert bench.aborted() == (0x05040002, AbortOrigin.LOCAL)
+
+
+@pytest.mark.parametrize("acknowledged", [5, 127, 128, 255])
+def test_bad_sequence_numbers(acknowledged: int) -> None:
+    bench = ServerBench(pattern(60))
+    bench.tell("A4 00 20 00 04", "A3")
+    assert bench.tell(f"A2 {acknowledged:02X} 04") == frames("80 00 20 00 03 00 04 05")
+    assert bench.aborted() == (0x05040003, AbortOrigin.LOCAL)
+
+
+def test_the_start_may_be_lost() -> None:
+    """A client that asks for the first sub-block gets it."""
+    bench = ServerBench(TEXT)
+    bench.tell(UPLOAD)
+    assert bench.tell("A2 00 01") == segments(TEXT, 1, final=False)
+
+
+@pytest.mark.parametrize("heard", [[], ["A3"], ["A3", "A2 02 7F"]], ids=len)
+@pytest.mark.parametrize("wrong", ["60", "00", "C1", "E0", "A1", "A2 03 04"])
+def test_other_frames_in_an_upload(heard: list[str], wrong: str) -> None:
+    bench = ServerBench(TEXT)
+    bench.tell(UPLOAD, *heard)
+    if (len(heard), wrong) == (2, "A1"):
+        return
+    code = "03" if (len(heard), wrong) == (1, "A2 03 04") else "01"
+    assert bench.tell(wrong) == frames(f"80 00 20 00 {code} 00 04 05")
+
+
+@pytest.mark.parametrize("heard", [[], ["A3"], ["A3", "A2 02 7F"]], ids=len)
+def test_silence_aborts_and_a_new_request_in_an_upload(heard: list[str]) -> None:
+    bench = ServerBench(TEXT)
+    bench.tell(UPLOAD, *heard)
+    assert bench.server.deadline == bench.now + TIMEOUT
+    assert bench.wait() == frames("80 00 20 00 00 00 04 05")
+    assert bench.aborted() == (0x05040000, AbortOrigin.TIMEOUT)
+    bench.tell(UPLOAD, *heard)
+    assert bench.tell("80 00 00 00 00 00 00 08") == []
+    assert bench.aborted() == (0x08000000, AbortOrigin.PEER)
+    bench.tell(UPLOAD, *heard)
+    assert bench.tell("A4 00 20 00 05") == frames("C6 00 20 00 0D")
+    assert bench.outcome() == SdoServerAborted(12, 0x2000, 0, 0x08000000, AbortOrigin.REPLACED)
+
+
+def test_second_copies_in_an_upload() -> None:
+    bench = ServerBench(pattern(60))
+    assert bench.tell_at_once(*["A4 00 20 00 04"] * 2) == frames("C6 00 20 00 3C") * 2
+    assert bench.tell_at_once("A3", "A3") == segments(pattern(60), 4, final=False)
+    assert bench.tell_at_once("A2 04 05", "A2 04 05") == segments(pattern(60)[28:], 5)
+    assert bench.tell_at_once("A2 05 05", "A2 05 05") == frames("CD" + crc_bytes(pattern(60)))
+    assert bench.tell_at_once("A1", "A1") == []
+    assert {type(report) for report in bench.events()} == {FrameIgnored}
+    assert bench.tell("A1") == frames("80 00 00 00 01 00 04 05")  # a third one is none
+
+
+# ---- download ----
+
+
+def test_a_download() -> None:
+    bench = ServerBench()
+    assert bench.tell(DOWNLOAD) == frames("A4 00 20 00 7F")
+    assert bench.tell(*segments(TEXT)) == frames("A2 02 7F")
+    assert bench.tell("C5" + crc_bytes(TEXT)) == frames("A1")
+    assert bench.outcome() == ObjectWritten(12, 0x2000, 0)
+    assert bench.store.written == [TEXT]
+    assert bench.server.deadline == NEVER
+
+
+@pytest.mark.parametrize(
+    ("server_crc", "request_", "answer"),
+    [
+        (False, DOWNLOAD, "A0 00 20 00 7F"),
+        (True, "C2 00 20 00 0D", "A0 00 20 00 7F"),
+        (True, "C4 00 20 00", "A4 00 20 00 7F"),
+        (True, "C0 00 20 00", "A0 00 20 00 7F"),
+    ],
+)
+def test_downloads_without_crc_and_of_unknown_size(server_crc: bool, request_: str, answer: str) -> None:
+    bench = ServerBench(crc=server_crc)
+    assert bench.tell(request_) == frames(answer)
+    bench.tell(*segments(TEXT))
+    assert bench.tell("C5" + (crc_bytes(TEXT) if answer.startswith("A4") else "")) == frames("A1")
+    assert bench.store.written == [TEXT]
+
+
+def test_a_download_of_nothing() -> None:
+    bench = ServerBench()
+    bench.tell("C6 00 20 00", "81")
+    assert bench.tell("DD") == frames("A1")
+    assert bench.store.written == [b""]
+
+
+def test_the_block_size_is_the_servers_and_may_change() -> None:
+    bench = ServerBench(block_size=3)
+    content = pattern(70)
+    assert bench.tell("C6 00 20 00 46") == frames("A4 00 20 00 03")
+    bench.server.block_size = 200
+    assert bench.tell(*segments(content, 3, final=False)) == frames("A2 03 7F")
+    bench.tell(*segments(content[21:]))
+    assert bench.tell("C1" + crc_bytes(content)) == frames("A1")
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [("C6 00 20 00 0D", "A4 00 20 00 01"), ("C4 00 20 00", "A4 00 20 00 02"), ("C2 00 20 00 0D", "A0 00 20 00 02")],
+)
+def test_a_block_size_of_1_where_copies_cannot_do_harm(request_: str, answer: str) -> None:
+    assert ServerBench(block_size=1).tell(request_) == frames(answer)
+    assert ServerBench(block_size=0).tell(request_) == frames(answer)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2, 3])
+def test_a_segment_is_lost(lost: int) -> None:
+    bench, content = ServerBench(block_size=4), pattern(60)
+    bench.tell("C6 00 20 00 3C")
+    block = segments(content, 4, final=False)
+    said = bench.tell(*block[:lost], *block[lost + 1 :])
+    if lost == 3:
+        assert said == []
+        assert bench.server.deadline == bench.now + SEGMENT_TIMEOUT
+        said = bench.wait()
+    assert said == frames(f"A2 {lost:02X} 04")
+    assert bench.tell(*segments(content[lost * 7 :], 4, final=False)) == frames("A2 04 04")
+
+
+def test_a_last_segment_that_is_alone_is_asked_for_with_crc_only() -> None:
+    for request_, says in [("C6 00 20 00 0F", frames("A2 00 02")), ("C2 00 20 00 0F", []), ("C4 00 20 00", frames("A2 00 02"))]:
+        bench = ServerBench(block_size=2)
+        bench.tell(request_)
+        bench.tell(*segments(pattern(15), 2, final=False))
+        assert bench.server.deadline == bench.now + SUB_BLOCK_TIMEOUT
+        assert bench.wait() == says
+
+
+def test_an_acknowledgement_that_is_lost_shows_in_the_crc() -> None:
+    """The client repeats what the server has already, when it is asked."""
+    bench, content = ServerBench(block_size=2), pattern(28)
+    bench.tell("C6 00 20 00 1C")
+    bench.tell(*segments(content, 2, final=False))
+    assert bench.wait() == frames("A2 00 02")
+    bench.tell(*segments(content, 2, final=False))
+    bench.tell(*segments(content[14:]))
+    assert bench.aborted() == (AbortCode.LENGTH_TOO_HIGH, AbortOrigin.LOCAL)
+    assert bench.store.written == []
+
+
+@pytest.mark.parametrize(
+    ("end", "code"),
+    [
+        ("C5 12 34", AbortCode.CRC_ERROR),
+        ("C1" + crc_bytes(TEXT + b"\x00"), AbortCode.LENGTH_TOO_HIGH),
+        ("C9" + crc_bytes(TEXT[:-1]), AbortCode.LENGTH_TOO_LOW),
+    ],
+)
+def test_what_is_not_right_is_not_written(end: str, code: AbortCode) -> None:
+    bench = ServerBench()
+    bench.tell(DOWNLOAD, *segments(TEXT))
+    assert bench.tell(end) == frames("80 00 20 00" + code.to_bytes(4, "little").hex())
+    assert bench.aborted() == (code, AbortOrigin.LOCAL)
+    assert bench.store.written == []
+
+
+def test_too_much() -> None:
+    bench = ServerBench(max_download=20)
+    assert bench.tell("C6 00 20 00 15") == frames("80 00 20 00 05 00 04 05")
+    bench.tell("C6 00 20 00 07")
+    assert bench.tell(*segments(pattern(21))) == frames("80 00 20 00 12 00 07 06")
+    bench.tell("C4 00 20 00")
+    assert bench.tell(*segments(pattern(35))) == frames("80 00 20 00 05 00 04 05")
+    assert bench.tell("C6 01 30 00 07") == frames("80 01 30 00 00 00 02 06")
+    assert bench.store.written == []
+
+
+@pytest.mark.parametrize("sequence", ["00", "05", "7F", "FF"])
+def test_bad_sequence_numbers_in_a_download(sequence: str) -> None:
+    bench = ServerBench(block_size=4)
+    bench.tell("C6 00 20 00 3C")
+    assert bench.tell(sequence) == frames("80 00 20 00 03 00 04 05")
+    assert bench.aborted() == (0x05040003, AbortOrigin.LOCAL)
+
+
+def test_silence_in_a_download() -> None:
+    bench = ServerBench()
+    bench.tell("C2 00 20 00 0D")
+    start = bench.now
+    assert [bench.wait(), bench.wait()] == [[], frames("80 00 20 00 00 00 04 05")]
+    assert bench.now == start + TIMEOUT
+    assert bench.aborted() == (0x05040000, AbortOrigin.TIMEOUT)
+    bench.tell(DOWNLOAD, *segments(TEXT))
+    assert bench.wait() == frames("80 00 20 00 00 00 04 05")
+    assert bench.aborted() == (0x05040000, AbortOrigin.TIMEOUT)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_the_client_aborts(count: int) -> None:
+    bench = ServerBench()
+    bench.tell(DOWNLOAD, *segments(TEXT)[:count])
+    assert bench.tell("80 00 20 00 00 00 00 08") == []
+    assert bench.aborted() == (0x08000000, AbortOrigin.PEER)
+    assert bench.tell("4F 00 20 00") == frames("41 00 20 00")  # at once
+
+
+def test_a_new_request_where_the_end_is_due() -> None:
+    bench = ServerBench(b"\x01")
+    bench.tell(DOWNLOAD, *segments(TEXT))
+    assert bench.tell("40 00 20 00") == frames("4F 00 20 00 01")
+    assert bench.outcome() == SdoServerAborted(12, 0x2000, 0, 0x08000000, AbortOrigin.REPLACED)
+    bench.tell(DOWNLOAD, *segments(TEXT))
+    assert bench.tell("60") == frames("80 00 20 00 01 00 04 05")
+
+
+def test_second_copies_in_a_download() -> None:
+    bench, content = ServerBench(block_size=4), pattern(33)
+    assert bench.tell_at_once(*["C6 00 20 00 21"] * 2) == frames("A4 00 20 00 04")
+    assert bench.tell_at_once(*[frame for frame in segments(content, 4, final=False) for _ in range(2)]) == frames("A2 04 04")
+    assert bench.tell_at_once(*segments(content[28:]) * 2) == frames("A2 01 04")
+    assert bench.tell_at_once(*["C9" + crc_bytes(content)] * 2) == frames("A1")
+    assert bench.store.written == [content]
+
+
+def test_segments_still_on_the_way_are_no_requests() -> None:
+    """Number 0x23 looks like an expedited download of whatever object its data name."""
+    bench = ServerBench(bytes(4), block_size=60)
+    content = bytes.fromhex("00 20 00 01 02 03 04") * 60
+    bench.tell("C6 00 20 00" + len(content).to_bytes(4, "little").hex(), *segments(content, 0x21, final=False))
+    bench.server.reset()  # by NMT
+    on_the_way = segments(content, 60, final=False)
+    assert bench.tell(*on_the_way[0x21:0x24], *on_the_way[0x26:0x30]) == []  # two of them are lost, too
+    assert bench.store.written == []
+    assert bench.tell("40 00 20 00") == frames("43 00 20 00")  # whatever does not go on where it stopped is a request
+    bench.now += SEGMENT_TIMEOUT
+    assert bench.tell("23 00 20 00 01 02 03 04") == frames("60 00 20 00")
+
+
+def test_short_segments_are_lost() -> None:
+    bench = ServerBench()
+    bench.tell(DOWNLOAD)
+    first, _ = segments(TEXT)
+    bench.server.receive(Frame(0x60C, bytes.fromhex(first)[:7]), bench.now)
+    assert bench.said() == []
+    assert bench.wait() == frames("A2 00 7F")
+
+
+# ---- in pieces, by the host ----
+
+
+def pending(bench: ServerBench) -> ObjectAccessPending:
+    report = bench.outcome()
+    assert isinstance(report, ObjectAccessPending)
+    return report
+
+
+def test_a_block_download_in_pieces() -> None:
+    bench, content = ServerBench(block_size=3), pattern(45)
+    bench.tell("C4 01 20 00")
+    assert bench.tell(*segments(content, 3, final=False)) == []
+    access = pending(bench)
+    assert access == ObjectAccessPending(12, access.access_id, 0x2001, 0, content[:21], True, 0)
+    assert bench.server.deadline == bench.now + ACCESS_TIMEOUT
+    assert bench.tell(segments(content, 3, final=False)[-1]) == []  # its copy
+    bench.events()
+    with pytest.raises(LocalProtocolError, match="0x2001:00, node 12: None or an AbortCode expected"):
+        bench.server.complete(access.access_id, b"", bench.now)
+    assert bench.server.complete(access.access_id, None, bench.now)
+    assert bench.said() == frames("A2 03 03")
+    first, _, third = segments(content[21:], 3, final=False)
+    bench.tell(first, third)  # the second is lost
+    access = pending(bench)
+    assert (access.data, access.more, access.offset) == (content[21:28], True, 21)
+    bench.server.complete(access.access_id, None, bench.now)
+    assert bench.said() == frames("A2 01 03")
+    assert bench.tell(*segments(content[28:])) == frames("A2 03 03")
+    assert bench.tell("D1" + crc_bytes(content)) == []
+    access = pending(bench)
+    assert (access.data, access.more, access.offset) == (content[28:], False, 28)
+    assert bench.server.complete(access.access_id, None, bench.now)
+    assert bench.said() == frames("A1")
+    assert bench.outcome() == ObjectWritten(12, 0x2001, 0)
+
+
+def test_the_host_refuses_a_piece_or_stays_silent() -> None:
+    for silent in (False, True):
+        bench = ServerBench(block_size=3)
+        bench.tell("C4 01 20 00", *segments(pattern(45), 3, final=False))
+        access = pending(bench)
+        if silent:
+            assert bench.wait() == frames("80 01 20 00 20 00 00 08")
+            assert not bench.server.complete(access.access_id, None, bench.now)
+        else:
+            assert bench.server.complete(access.access_id, AbortCode.HARDWARE_ERROR, bench.now)
+            assert bench.said() == frames("80 01 20 00 00 00 06 06")
+        assert isinstance(bench.outcome(), SdoServerAborted)
+
+
+def test_a_block_upload_in_pieces() -> None:
+    bench, content = ServerBench(), pattern(40)
+    assert bench.tell("A4 01 20 00 02 FF") == []  # the threshold does not matter: the size is not known
+    access = pending(bench)
+    assert (access.data, access.more, access.offset) == (None, False, 0)
+    assert bench.tell("A4 01 20 00 02 FF") == []  # its copy
+    bench.events()
+    bench.server.complete(access.access_id, content[:10], bench.now, more=True)
+    assert bench.said() == frames("C4 01 20 00")
+    assert bench.tell("A3") == []  # not all of the first sub-block is there
+    access = pending(bench)
+    assert (access.more, access.offset) == (True, 10)
+    bench.server.complete(access.access_id, content[10:27], bench.now, more=True)
+    bench.turn()
+    assert bench.said() == segments(content, 2, final=False)
+    access = pending(bench)
+    assert access.offset == 27
+    assert bench.tell("A2 02 02") == []
+    assert bench.events() == []  # it has been asked
+    bench.server.complete(access.access_id, content[27:], bench.now)
+    bench.turn()
+    assert bench.said() == segments(content[14:], 2, final=False)
+    assert bench.tell("A2 02 02") == segments(content[28:])
+    assert bench.tell("A2 02 02") == frames("C9" + crc_bytes(content))
+    bench.tell("A1")
+    assert not bench.server.busy
+
+
+def test_a_host_that_gives_no_more() -> None:
+    bench = ServerBench()
+    bench.tell("A4 01 20 00 7F")
+    bench.server.complete(pending(bench).access_id, b"12345678", bench.now, more=True, size=1000)
+    assert bench.said() == frames("C6 01 20 00 E8 03")
+    bench.tell("A3")
+    assert bench.wait() == frames("80 01 20 00 20 00 00 08")
+
+
+def test_a_segmented_upload_in_pieces() -> None:
+    bench, content = ServerBench(), pattern(20)
+    bench.tell("40 01 20 00")
+    bench.server.complete(pending(bench).access_id, content[:3], bench.now, more=True, size=20)
+    assert bench.said() == frames("41 01 20 00 14")
+    assert bench.tell("60") == []
+    access = pending(bench)
+    assert (access.more, access.offset) == (True, 3)
+    assert bench.tell("60") == []  # its copy
+    bench.events()
+    bench.server.complete(access.access_id, content[3:16], bench.now, more=True)
+    assert bench.said() == frames("00" + content[:7].hex())
+    assert bench.tell("70") == frames("10" + content[7:14].hex())
+    assert bench.tell("60") == []
+    bench.server.complete(pending(bench).access_id, content[16:], bench.now)
+    assert bench.said() == frames("03" + content[14:].hex())
+    assert not bench.server.busy
+
+
+@pytest.mark.parametrize("size", [None, 1000])
+def test_a_segmented_download_in_pieces(size: int | None) -> None:
+    bench, content = ServerBench(), pattern(1000)
+    assert bench.tell("20 01 20 00" if size is None else "21 01 20 00 E8 03") == frames("60 01 20 00")
+    toggle, taken = 0, b""
+    for offset in range(0, 1000, 7):
+        piece = content[offset : offset + 7]
+        command = toggle | (7 - len(piece)) << 1 | (1 if offset + 7 >= 1000 else 0)
+        said = bench.tell(bytes((command,)).hex() + piece.hex())
+        if not said:
+            access = pending(bench)
+            assert access.data is not None
+            assert access.offset == len(taken)
+            taken += access.data
+            assert access.more == (offset + 7 < 1000)
+            bench.server.complete(access.access_id, None, bench.now)
+            said = bench.said()
+        assert said == frames("30" if toggle else "20")
+        toggle ^= 0x10
+    assert taken == content
+    assert isinstance(bench.outcome(), ObjectWritten)
+    assert not bench.server.busy
+
+
+def test_a_segmented_download_in_pieces_that_nobody_takes() -> None:
+    bench = ServerBench()
+    bench.tell("20 01 20 00", *[f"{number % 2 << 4:02X}01020304050607" for number in range(127)])
+    assert isinstance(bench.events()[-1], ObjectAccessPending)
+    assert bench.wait() == frames("80 01 20 00 20 00 00 08")
+
+
+def test_expedited_downloads_of_such_an_object() -> None:
+    bench = ServerBench()
+    assert bench.tell("22 01 20 00 01 02 03 04") == []
+    access = pending(bench)
+    assert (access.data, access.more) == (b"\x01\x02\x03\x04", False)
+    bench.server.complete(access.access_id, None, bench.now)
+    assert bench.said() == frames("60 01 20 00")
+
+
+def test_copy_guard_of_a_server() -> None:
+    bench = ServerBench(pattern(60), copy_guard=MILLISECOND)
+    bench.tell("A4 00 20 00 04")
+    assert bench.tell("A3") == []
+    assert bench.wait() == segments(pattern(60), 4, final=False)
