@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
 
 import pytest
 
@@ -12,11 +11,11 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
+from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, LocalProtocolError, Outbox
 from canopen_proto.network import Network
 from canopen_proto.nmt import SERVICES, NmtCommand, NmtState, NmtStateChanged, Service
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
-from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten, SdoServerAborted
+from canopen_proto.sdo.server import SdoServerAborted
 from tests.proto.device_bench import (
     PRE_OPERATIONAL,
     RESET_COMMUNICATION,
@@ -223,56 +222,6 @@ def test_a_value_that_the_device_itself_spoiled_is_an_abort_and_not_an_exception
     assert bench.read(INPUT) == AbortCode.INTERNAL_INCOMPATIBILITY
 
 
-def test_objects_that_only_the_host_can_serve() -> None:
-    dictionary = with_object(io_device(), 0x1010, DataType.UNSIGNED32, Access.RW)
-    bench = DeviceBench(dictionary)
-    bench.node.deferred.add(0x1010)
-
-    assert bench.tell("605#4010100000000000") == []
-    (access,) = bench.seen(ObjectAccessPending)
-    assert (access.node_id, access.index, access.subindex, access.data) == (5, 0x1010, 0, None)
-    bench.node.complete(access.access_id, b"\x01\x00\x00\x00", bench.now)
-    assert bench.take() == ["585#4310100001000000"]
-
-    assert bench.tell("605#2310100073617665") == []
-    (access,) = bench.seen(ObjectAccessPending)
-    assert access.data == b"save"
-    bench.node.complete(access.access_id, None, bench.now)
-    assert bench.take() == ["585#6010100000000000"]
-    assert [(event.index, event.subindex) for event in bench.seen(ObjectWritten)] == [(0x1010, 0)]
-
-    bench.tell("605#2310100073617665")
-    (access,) = bench.seen(ObjectAccessPending)
-    bench.node.complete(access.access_id, AbortCode.HARDWARE_ERROR, bench.now)
-    assert bench.take() == ["585#8010100000000606"]
-
-    bench.tell("605#2310100073617665")
-    assert bench.wait(6000) == ["5000 585#8010100020000008"]
-    bench.node.complete(access.access_id, None, bench.now)  # too late: no fault, no frame
-    assert bench.take() == []
-
-
-def test_a_deferred_object_keeps_its_access_right_and_length() -> None:
-    dictionary = with_object(io_device(), 0x2100, DataType.UNSIGNED32, Access.WO)
-    bench = DeviceBench(with_object(dictionary, 0x2101, DataType.UNSIGNED32, Access.RO))
-    bench.node.deferred |= {0x2100, 0x2101}
-    assert bench.read(0x2100) == AbortCode.WRITE_ONLY
-    assert bench.write(0x2101, 0, 1, 4) == AbortCode.READ_ONLY
-    assert bench.write(0x2100, 0, 1, 2) == AbortCode.LENGTH_TOO_LOW
-    assert bench.seen(ObjectAccessPending) == []
-
-
-def test_a_host_that_answers_after_a_reset_answers_nobody() -> None:
-    bench = DeviceBench()
-    bench.node.deferred.add(TEXT)
-    bench.tell("605#4003200000000000")
-    (access,) = bench.seen(ObjectAccessPending)
-    assert bench.tell(RESET_NODE) == ["705#00"]
-    bench.node.complete(access.access_id, b"late", bench.now)
-    assert bench.take() == []
-    assert bench.wait(10_000) == []
-
-
 # ---- PDO ----
 
 
@@ -474,112 +423,11 @@ def test_a_default_that_no_client_could_write_does_not_keep_a_device_from_starti
     assert bench.node.pdos.faults == {0x1600: "object 0x2FFF:00 is not in the dictionary"}
 
 
-# ---- the application ----
-
-
-class Recorder(Machine):
-    """An application that writes down what it is told, and refuses 13."""
-
-    def __init__(self, out: Outbox, node: LocalNode) -> None:
-        super().__init__(out)
-        self.node = node
-        self.log: list[str] = []
-
-    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        return AbortCode.LOCAL_CONTROL if value == 13 else None
-
-    def written(self, index: int, subindex: int, now: Time) -> None:
-        self.log.append(f"written {index:04X}:{subindex:02X} = {self.node.values.store[index << 8 | subindex]}")
-
-    def refresh(self, now: Time) -> None:
-        self.node.values.store[INPUT << 8] = now // MILLISECOND % 1000
-
-    def on_sync(self, now: Time) -> None:
-        self.log.append(f"sync, output {self.node.values.store[OUTPUT << 8]}")
-
-    def connection_lost(self, now: Time) -> None:
-        self.log.append(f"connection lost, {self.node.state.name}")
-
-    def reset(self, now: Time) -> None:
-        self.log.append("reset")
-
-    def take(self) -> Iterable[str]:
-        taken, self.log = self.log, []
-        return taken
-
-
-def with_application(dictionary: ObjectDictionary | None = None) -> tuple[DeviceBench, Recorder]:
-    bench = DeviceBench(dictionary)
-    recorder = Recorder(bench.node.inner, bench.node)
-    bench.node.application = recorder
-    return bench, recorder
-
-
-def test_an_application_is_asked_before_a_value_is_stored_and_told_behind_it() -> None:
-    bench, application = with_application()
-    assert bench.write(LIMITED, 0, 12, 1) is None
-    assert application.take() == ["written 2002:00 = 12"]
-    assert bench.write(LIMITED, 0, 13, 1) == AbortCode.LOCAL_CONTROL
-    assert bench.write(LIMITED, 0, 99, 1) == AbortCode.VALUE_TOO_HIGH  # not asked
-    assert bench.number(LIMITED) == 12
-    assert application.take() == []
-    assert bench.write(0x1017, 0, 13, 2) is None  # the node's own
-
-
-def test_an_application_hears_of_pdos_at_once_or_with_their_sync() -> None:
-    bench, application = with_application()
-    bench.tell(START, "205#0500")
-    assert application.take() == ["written 2001:00 = 5"]
-    bench.tell("305#0600")
-    assert application.take() == []
-    bench.tell(SYNC)
-    assert application.take() == ["written 2001:00 = 6", "sync, output 6"]
-
-
-def test_an_application_hears_of_multiplexed_pdos() -> None:
-    own = [standard_object(0x1400, highest=2, defaults={1: 0x1C1}), standard_object(0x1600, highest=1, defaults={0: 0xFF})]
-    bench, application = with_application(io_device().with_objects(own))
-    bench.tell(START, "1C1#8501200005000000")
-    assert application.take() == ["written 2001:00 = 5"]
-
-
-def test_at_a_sync_tpdos_are_sampled_before_rpdos_are_taken() -> None:
-    dictionary = io_device().with_objects([standard_object(0x1A01, highest=2, defaults={0: 1, 1: 0x20010010})])
-    bench = DeviceBench(dictionary)
-    assert bench.tell(START, "305#0600", SYNC, SYNC) == ["285#0000", "285#0600"]
-
-
-def test_what_an_application_shows_is_up_to_date_wherever_it_is_read() -> None:
-    bench, _ = with_application()
-    bench.write(0x1800, 5, 30, 2)
-    bench.tell(START)
-    bench.wait(7)
-    assert bench.number(INPUT) == 7
-    assert bench.tell(SYNC) == ["285#0700"]
-    assert bench.wait(30) == ["30 185#1E00"]  # by the event timer
-
-
-def test_an_application_hears_of_lost_connections_and_resets() -> None:
-    bench, application = with_application()
-    bench.tell(PRE_OPERATIONAL, STOP)
-    assert application.take() == []
-    bench.tell(START, STOP)
-    assert application.take() == ["connection lost, STOPPED"]
-    bench.tell(RESET_COMMUNICATION)
-    assert application.take() == []
-    bench.tell(RESET_NODE)
-    assert application.take() == ["reset"]
-    bench.tell(START, PRE_OPERATIONAL)
-    assert application.take() == ["connection lost, PRE_OPERATIONAL"]
-    bench.write(0x1016, 1, 9 << 16 | 100, 4)
-    bench.write(0x1029, 1, 1, 1)
-    bench.tell(START, "709#05")
-    bench.wait(150)
-    assert application.take() == ["connection lost, OPERATIONAL"]
+# ---- the rest ----
 
 
 def test_time_that_comes_early_does_nothing() -> None:
-    bench, _ = with_application(io_device(heartbeat_ms=100))
+    bench = DeviceBench(io_device(heartbeat_ms=100))
     bench.node.handle_timeout(99 * MILLISECOND)
     assert bench.take() == []
     bench.now = 10 * SECOND  # late: one heartbeat, not a hundred

@@ -1,34 +1,25 @@
-"""A device's PDO parameters: what may be written when, what follows, and the remap order (CiA 301 v4.2.0, 7.5.2.35 to 38)."""
+"""A device's PDO parameters: what may be written when, and what follows (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38)."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError
-from canopen_proto.dictionary import Access, Direction, Filler, Object, ObjectDictionary, PdoDescription, Values, Variable
+from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError, Machine, Outbox
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Machine, Outbox
 from canopen_proto.pdo import (
     DevicePdos,
-    MappedEntry,
-    MappingError,
     PdoConsumer,
     PdoProducer,
     PdoReceived,
-    PdoSettings,
-    remap_steps,
 )
 from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
-from canopen_proto.pdo.settings import communication_index, mapping_index, objects_to_read, place_of
+from canopen_proto.pdo.settings import communication_index
 from canopen_proto.sdo.abort import AbortCode
+from tests.proto.pdo_device import NODE_ID, OFF, Device, communication, dictionary, mapping
 
-U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
-NODE_ID = 12
-OFF = 0x80000000
 RPDO, TPDO = Direction.RPDO, Direction.TPDO
 
 INVALID_VALUE = AbortCode.INVALID_VALUE  # 0x06090030
@@ -37,83 +28,6 @@ NO_SUCH_OBJECT = AbortCode.NO_SUCH_OBJECT  # 0x06020000
 CANNOT_BE_MAPPED = AbortCode.CANNOT_BE_MAPPED  # 0x06040041
 LENGTH_EXCEEDED = AbortCode.PDO_LENGTH_EXCEEDED  # 0x06040042
 INCOMPATIBLE = AbortCode.PARAMETER_INCOMPATIBLE  # 0x06040043
-
-
-def communication(index: int, cob_base: int, transmission_type: int) -> Object:
-    names = {1: U32, 2: U8, 3: U16, 5: U16, 6: U8}
-    fields = [Variable(index, 0, f"{index:X}:count", U8, Access.CONST, 6)]
-    for subindex, data_type in names.items():
-        default = {1: cob_base, 2: transmission_type}.get(subindex)
-        adds = subindex == 1 and not cob_base & OFF
-        fields.append(Variable(index, subindex, f"{index:X}:{subindex}", data_type, default=default, adds_node_id=adds))
-    return Object.of(f"{index:X}", fields)
-
-
-def mapping(index: int, *entries: int, room: int = 8) -> Object:
-    fields = [Variable(index, 0, f"{index:X}:count", U8, default=len(entries))]
-    for subindex in range(1, room + 1):
-        default = entries[subindex - 1] if subindex <= len(entries) else 0
-        fields.append(Variable(index, subindex, f"{index:X}:{subindex}", U32, default=default))
-    return Object.of(f"{index:X}", fields)
-
-
-def variable(index: int, data_type: DataType, access: Access, mappable: bool = True) -> Object:
-    return Object.of(f"o{index:X}", [Variable(index, 0, f"o{index:X}", data_type, access, pdo_mappable=mappable)])
-
-
-def dictionary() -> ObjectDictionary:
-    return ObjectDictionary(
-        [
-            communication(0x1400, 0x200, 1),
-            communication(0x1401, OFF | 0x300, 255),
-            communication(0x1800, 0x40000180, 1),
-            communication(0x1801, OFF | 0x280, 255),
-            mapping(0x1600, 0x60400010, 0x00060010, 0x607A0020),
-            mapping(0x1601),
-            mapping(0x1A00, 0x60410010, 0x60640020),
-            mapping(0x1A01, room=4),
-            variable(0x6040, U16, Access.RWW),
-            variable(0x607A, DataType.INTEGER32, Access.RW),
-            variable(0x6041, U16, Access.RO),
-            variable(0x6064, DataType.INTEGER32, Access.RO),
-            variable(0x2000, U8, Access.RW),
-            variable(0x2001, U8, Access.RWR),
-            variable(0x2002, U8, Access.WO),
-            variable(0x2003, U8, Access.CONST),
-            variable(0x2004, U8, Access.RW, mappable=False),
-            variable(0x2005, DataType.DOMAIN, Access.RW),
-            variable(0x2006, DataType.REAL32, Access.RW),
-            variable(0x2007, DataType.VISIBLE_STRING, Access.RW),
-            variable(0x2008, DataType.REAL64, Access.RW),
-            Object.of("1000", [Variable(0x1000, 0, "device_type", U32, Access.RO)]),
-        ]
-    )
-
-
-class Device:
-    """What a LocalNode does with a write: check, store, apply."""
-
-    def __init__(self) -> None:
-        self.out = Outbox()
-        self.values = Values(dictionary(), NODE_ID)
-        self.pdos = DevicePdos(self.out, NODE_ID, self.values)
-        self.pdos.set_enabled(True, 0)
-
-    def write(self, index: int, subindex: int, value: Value, now: int = 0) -> AbortCode | None:
-        refusal = self.pdos.check_write(index, subindex, value)
-        if refusal is None:
-            self.values[index << 8 | subindex] = value
-            self.pdos.apply(index, subindex, now)
-        return refusal
-
-    def write_all(self, *writes: tuple[int, int, int]) -> None:
-        for index, subindex, value in writes:
-            assert self.write(index, subindex, value) is None, f"{index:04X}:{subindex:02X} = {value:X}"
-
-    def sent(self) -> list[str]:
-        frames = [str(frame) for frame in self.out.frames]
-        self.out.frames.clear()
-        return frames
 
 
 @pytest.fixture
@@ -304,6 +218,11 @@ def test_times_take_effect(device: Device) -> None:
     assert device.sent() == ["18C#000000000000"]
 
 
+def test_the_event_timer_does_not_run_for_a_destroyed_pdo(device: Device) -> None:
+    device.write_all((0x1A01, 1, 0x60410010), (0x1A01, 0, 1), (0x1801, 5, 20))
+    assert device.pdos.producers[2].deadline == NEVER
+
+
 # ---- mapping
 
 
@@ -438,99 +357,3 @@ def test_no_sequence_of_writes_raises_or_leaves_a_pdo_without_sense(data: st.Dat
         at = communication_index(RPDO if isinstance(pdo, PdoConsumer) else TPDO, pdo.number)
         valid = not int(device.values.read((at, 1))) & OFF  # type: ignore[arg-type]
         assert (pdo.key is not None) == (valid and pdo.mapping.entries != ())
-
-
-# ---- the remap order
-
-
-def test_where_the_records_stand() -> None:
-    assert [communication_index(RPDO, 1), mapping_index(RPDO, 1)] == [0x1400, 0x1600]
-    assert [communication_index(TPDO, 512), mapping_index(TPDO, 512)] == [0x19FF, 0x1BFF]
-    for number in (0, 513, -1):
-        with pytest.raises(LocalProtocolError, match="1..512"):
-            communication_index(TPDO, number)
-    every = [(RPDO, False), (RPDO, True), (TPDO, False), (TPDO, True)]
-    expected = [(direction, number, is_mapping) for direction, is_mapping in every for number in range(1, 513)]
-    assert [place_of(index) for index in range(0x1400, 0x1C00)] == expected
-    assert place_of(0x13FF) is None
-    assert place_of(0x1C00) is None
-
-
-def test_remap_steps() -> None:
-    entries: list[int | MappedEntry] = [0x60400010, MappedEntry(6, 0, 16, U16), 0x60C10120]
-    steps = remap_steps(1, RPDO, entries, 1, 0x20C, current_cob_id=0x222)
-    assert [(f"{index:04X}:{subindex:02X}", data.hex()) for index, subindex, data in steps] == [
-        ("1400:01", "22020080"),  # destroy, the CAN-ID unchanged
-        ("1600:00", "00"),
-        ("1600:01", "10004060"),
-        ("1600:02", "10000600"),
-        ("1600:03", "2001c160"),
-        ("1600:00", "03"),
-        ("1400:02", "01"),
-        ("1400:01", "0c020000"),  # create
-    ]
-    steps = remap_steps(2, TPDO, [], 255, 0x4000028C, inhibit_time_100us=10, event_time_ms=1000)
-    assert [(f"{index:04X}:{subindex:02X}", data.hex()) for index, subindex, data in steps] == [
-        ("1801:01", "8c0200c0"),
-        ("1A01:00", "00"),
-        ("1A01:00", "00"),
-        ("1801:02", "ff"),
-        ("1801:03", "0a00"),
-        ("1801:05", "e803"),
-        ("1801:01", "8c020040"),
-    ]
-
-
-def test_remap_steps_refuses_nonsense() -> None:
-    with pytest.raises(MappingError, match="RPDO 1: 65 entries"):
-        remap_steps(1, RPDO, [0x20000001] * 65, 1, 0x20C)
-    with pytest.raises(LocalProtocolError, match="PDOs have the numbers"):
-        remap_steps(0, RPDO, [], 1, 0x20C)
-    with pytest.raises(ValueRangeError, match="0x1400:02: 256 is outside"):
-        remap_steps(1, RPDO, [], 256, 0x20C)
-    with pytest.raises(ValueRangeError, match="0x1801:05"):
-        remap_steps(2, TPDO, [], 255, 0x28C, event_time_ms=65536)
-
-
-def read_all(device: Device, number: int, direction: Direction) -> Iterator[tuple[tuple[int, int], bytes]]:
-    fixed = objects_to_read(number, direction)
-    count = device.values.raw(*fixed[-1])[0]
-    for place in objects_to_read(number, direction, count):
-        yield place, device.values.raw(*place)
-
-
-def test_a_device_takes_the_steps_and_the_old_settings_come_back(device: Device) -> None:
-    for number, direction in ((1, RPDO), (2, RPDO), (1, TPDO), (2, TPDO)):
-        old = PdoSettings.from_read(number, direction, dict(read_all(device, number, direction)))
-        new = PdoSettings(number, direction, 0x345, 254, (0x20000008, 0x607A0020))
-        for settings, current in ((new, old.cob_id), (old, new.cob_id)):
-            for index, subindex, data in settings.steps(current):
-                assert device.write(index, subindex, int.from_bytes(data, "little")) is None
-            assert PdoSettings.from_read(number, direction, dict(read_all(device, number, direction))) == settings
-
-
-def test_from_read_of_a_device_that_answers_nonsense(device: Device) -> None:
-    read = dict(read_all(device, 1, TPDO))
-    with pytest.raises(MappingError, match="0x1A00:02 was not read"):
-        PdoSettings.from_read(1, TPDO, {place: data for place, data in read.items() if place != (0x1A00, 2)})
-    with pytest.raises(MappingError, match="0x1800:01 was not read"):
-        PdoSettings.from_read(1, TPDO, {})
-    with pytest.raises(MappingError, match="254 mapped objects"):
-        PdoSettings.from_read(1, TPDO, read | {(0x1A00, 0): b"\xfe"})
-
-
-def test_settings_from_a_description() -> None:
-    status, text = Variable(0x6041, 0, "statusword", U16), Variable(0x2007, 0, "text", DataType.VISIBLE_STRING)
-    tpdo = PdoDescription("t", 0x180, TPDO, 1, (status, Filler("notused16", 16)))
-    assert PdoSettings.from_description(tpdo, 12, 1) == PdoSettings(1, TPDO, 0x4000018C, 1, (0x60410010, 0x00060010))
-    rpdo = PdoDescription("r", 0x6A0, RPDO, None, (status,))
-    assert PdoSettings.from_description(rpdo, 12, 255, number=3) == PdoSettings(3, RPDO, 0x6AC, 255, (0x60410010,))
-    with pytest.raises(LocalProtocolError, match="r: say which RPDO"):
-        PdoSettings.from_description(rpdo, 12, 255)
-    with pytest.raises(MappingError, match="text"):
-        PdoSettings.from_description(PdoDescription("x", 0x180, TPDO, 1, (text,)), 12, 1)
-
-
-def test_the_event_timer_does_not_run_for_a_destroyed_pdo(device: Device) -> None:
-    device.write_all((0x1A01, 1, 0x60410010), (0x1A01, 0, 1), (0x1801, 5, 20))
-    assert device.pdos.producers[2].deadline == NEVER
