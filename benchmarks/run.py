@@ -1,9 +1,10 @@
 """canopen-proto against `canopen` 2.4.1, in one run: prints a Markdown table with ratios.
 
-    python benchmarks/run.py                # all cases, about a minute
+    python benchmarks/run.py                # all cases, about two minutes
     python benchmarks/run.py pdo --rounds 3 # those with "pdo" in their title
 
-What is compared, and what makes it fair, stands in each module (sdo_transfers, pdos, heartbeats); how it is measured, in measure.
+What is compared, and what makes it fair, stands in each module (sdo_transfers, block_transfers, pdos, heartbeats); how it is
+measured, in measure.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ import argparse
 import os
 import platform
 
+import block_transfers
 import heartbeats
 import pdos
 import sdo_transfers
 from direct import VERSION
 from measure import measure, table
 
-MODULES = (sdo_transfers, pdos, heartbeats)
+MODULES = (sdo_transfers, block_transfers, pdos, heartbeats)
 
 
 def main() -> None:
