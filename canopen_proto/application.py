@@ -32,8 +32,9 @@ class Application(Protocol):
     def on_sync(self, now: Time) -> None:
         """A SYNC came; synchronous RPDOs were taken."""
 
-    def connection_lost(self, now: Time) -> None:
-        """A heartbeat that the node monitors was lost, nobody guards it any more, or it was stopped while Operational."""
+    def connection_lost(self, now: Time, error_code: int) -> None:
+        """A heartbeat that the node monitors was lost, nobody guards it any more, CAN was off the bus (0x8130), or the node was
+        taken out of Operational (0x8100). error_code: what to report where that is a fault."""
 
     def reset(self, now: Time) -> None:
         """Power-on: the values are back at their defaults."""

@@ -25,6 +25,7 @@ from typing import Final
 from canopen_proto.emcy import EmcyProducer
 from canopen_proto.machine import Time
 
+EMCY_COMMUNICATION: Final = 0x8100
 EMCY_CONNECTION_LOST: Final = 0x8130
 """Life guard error or heartbeat error. CiA 301 v4.2.0, 7.2.7.1, table 26."""
 COMMUNICATION_ERROR_BIT: Final = 0x10

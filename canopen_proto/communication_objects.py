@@ -48,6 +48,9 @@ from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
 
+MIN_SYNC_PERIOD_US: Final = 100
+"""The shortest communication cycle period that a client may set: two empty frames at 1 Mbit/s. Less would only flood the bus."""
+
 SYNC_PRODUCER_BIT: Final = 1 << 30
 TIME_PRODUCER_BIT: Final = 1 << 30
 TIME_CONSUMER_BIT: Final = 1 << 31
@@ -175,6 +178,8 @@ class CommunicationObjects:
         match index:
             case 0x1005:
                 return _check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
+            case 0x1006 if value and value < MIN_SYNC_PERIOD_US:
+                return AbortCode.INVALID_VALUE
             case 0x1012:
                 return _check_cob_id(value, standing, in_use=bool(standing & _TIME_BITS and value & _TIME_BITS))
             case 0x1014 if not value & COB_ID_INVALID:

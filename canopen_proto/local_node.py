@@ -32,10 +32,17 @@ import datetime
 from typing import Final
 
 from canopen_proto.application import Application
-from canopen_proto.communication_errors import COMMUNICATION_ERROR_BIT, EMCY_SYNC_LENGTH, CommunicationErrors
-from canopen_proto.communication_objects import COB_ID_TIME, CommunicationObjects
+from canopen_proto.communication_errors import (
+    COMMUNICATION_ERROR_BIT,
+    EMCY_COMMUNICATION,
+    EMCY_CONNECTION_LOST,
+    EMCY_SYNC_LENGTH,
+    CommunicationErrors,
+)
+from canopen_proto.communication_objects import COB_ID_TIME, ERROR_REGISTER, CommunicationObjects
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, mux
+from canopen_proto.emcy import EmcySent
 from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
@@ -113,6 +120,7 @@ class LocalNode(Group):
             {
                 NmtStateChanged: self._on_state,
                 NmtResetRequested: self._on_reset,
+                EmcySent: self._on_emcy_sent,
                 ObjectAccessPending: self._on_pending,
                 ObjectWritten: self._on_written,
                 SdoServerAborted: self._on_aborted,
@@ -164,6 +172,7 @@ class LocalNode(Group):
         """
         variable = self.dictionary.variable((index, subindex))
         variable.encode(value)
+        variable.check_limits(value)
         if index not in COMMUNICATION_OBJECTS:
             self.values.store[variable.mux] = value
             self.pdos.trigger(variable.mux, now)
@@ -189,11 +198,13 @@ class LocalNode(Group):
         self.communication.emcy.raise_error(code, register_bits, vendor_data, now)
         if error_class is not None:
             self._behave(error_class, now)
-            self._settle(mark, now)
+        self._settle(mark, now)
 
     def clear_error(self, code: int, now: Time) -> None:
         """An error is gone. See EmcyProducer.clear."""
+        mark = len(self.inner.events)
         self.communication.emcy.clear(code, now)
+        self._settle(mark, now)
 
     def bus_off(self, now: Time) -> None:
         """The CAN controller went off the bus: the application hears of it, and 0x1029:01 says what the node does."""
@@ -203,8 +214,10 @@ class LocalNode(Group):
 
     def bus_recovered(self, now: Time) -> None:
         """It is back: EMCY 0x8140, and as the error is over with that, the EMCY that says so. CiA 301 v4.2.0, 7.2.7.1"""
+        mark = len(self.inner.events)
         self.communication.emcy.raise_error(EMCY_BUS_OFF_RECOVERED, COMMUNICATION_ERROR_BIT, b"", now)
         self.communication.emcy.clear(EMCY_BUS_OFF_RECOVERED, now)
+        self._settle(mark, now)
 
     def send_mpdo(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
         """Write an object of another node, or of all (0), by TPDO `number`, an MPDO. See MpdoProducer.send_to."""
@@ -361,13 +374,14 @@ class LocalNode(Group):
         self.pdos.set_enabled(allows(Service.PDO), now)
         left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
         if left_operational and self.application is not None:
-            self.application.connection_lost(now)
+            self.application.connection_lost(now, EMCY_COMMUNICATION)
 
     def _on_sync(self, sync: SyncReceived | SyncSent, now: Time) -> None:
         if not self.nmt.allows(Service.SYNC):
             return
         if self._errors.sync_length:
             self._errors.sync_good(now)
+        self.communication.refresh(0x1001, 0)
         if self.application is not None:
             self.application.refresh(now)
         mark = len(self.inner.events)
@@ -398,6 +412,10 @@ class LocalNode(Group):
             self.application.written(report.index, report.subindex, now)
         self.pdos.trigger(mux(report.index, report.subindex), now)
 
+    def _on_emcy_sent(self, sent: EmcySent, now: Time) -> None:
+        self.communication.refresh(0x1001, 0)
+        self.pdos.trigger(ERROR_REGISTER, now)
+
     def _on_length_error(self, report: PdoLengthError, now: Time) -> None:
         if report.emcy_code == EMCY_PDO_NOT_PROCESSED or report.emcy_code in self.optional_emcy:
             self._on_pdo_error(report, now)
@@ -425,7 +443,7 @@ class LocalNode(Group):
 
     def _on_connection_lost(self, now: Time) -> None:
         if self.application is not None:
-            self.application.connection_lost(now)
+            self.application.connection_lost(now, EMCY_CONNECTION_LOST)
         self._behave(COMMUNICATION_ERROR, now)
 
     def _behave(self, error_class: int, now: Time) -> None:

@@ -51,6 +51,7 @@ STEP: Final = 10 * MILLISECOND
 FOLLOWING_ERROR: Final = 0x8611
 HEARTBEAT_ERROR: Final = 0x8130
 COMMUNICATION_ERROR: Final = 0x8100
+_CONNECTION_FAULTS: Final = frozenset((HEARTBEAT_ERROR, COMMUNICATION_ERROR))
 
 
 @event
@@ -234,22 +235,20 @@ class Drive(Machine):
             self._publish()
             self._schedule()
 
-    def connection_lost(self, now: Time, error_code: int = HEARTBEAT_ERROR) -> None:
-        """The master fell silent: act by 6007h. error_code: of the fault, where it says fault."""
+    def connection_lost(self, now: Time, error_code: int) -> None:
+        """The master fell silent, or took the node out of Operational: act by 6007h. error_code: of the fault, where that says
+        fault; a lost heartbeat that leads out of Operational is one fault, not two."""
         self._advance(now)
         match self._servo.parameter(objects.ABORT_CONNECTION_OPTION_CODE):
             case 1:
-                self._fault(error_code)
+                if not _CONNECTION_FAULTS.intersection(self._faults):
+                    self._fault(error_code)
             case 2:
                 self._execute(Command.DISABLE_VOLTAGE)
             case 3:
                 self._execute(Command.QUICK_STOP)
         self._publish()
         self._schedule()
-
-    def nmt_stopped(self, now: Time) -> None:
-        """The node was put into NMT state Stopped: act by 6007h."""
-        self.connection_lost(now, COMMUNICATION_ERROR)
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
         """Something is wrong in the drive (what a test or demo wants to see): transition 13, DriveFault.

@@ -54,10 +54,10 @@ class DriveNode(LocalNode):
         self._settle(mark, now)
 
     def _on_fault(self, fault: DriveFault, now: Time) -> None:
-        self.raise_error(fault.error_code, fault.error_register, b"", now)
+        self.communication.emcy.raise_error(fault.error_code, fault.error_register, b"", now)
 
     def _on_fault_cleared(self, cleared: DriveFaultCleared, now: Time) -> None:
-        self.clear_error(cleared.error_code, now)
+        self.communication.emcy.clear(cleared.error_code, now)
 
     def _on_statusword(self, change: StatuswordChanged, now: Time) -> None:
         self.pdos.trigger(STATUSWORD, now)

@@ -47,7 +47,7 @@ def test_before_power_on_nothing_happens_and_nothing_raises() -> None:
     drive = Drive(Outbox(), NODE_ID, Values(drive_dictionary(), NODE_ID), DriveSettings())
     drive.written(0x6040, 0, 5)
     drive.on_sync(6)
-    drive.connection_lost(7)
+    drive.connection_lost(7, 0x8130)
     drive.raise_fault(0x5000, 8)
     drive.block(True, 9)
     drive.refresh(10)
@@ -293,10 +293,10 @@ def test_abort_connection_option_code(option: int, from_enabled: list[int], from
         bench.write(0x6007, option)
         bench.control(*words)
         bench.events()
-        bench.drive.connection_lost(bench.now)
+        bench.drive.connection_lost(bench.now, 0x8130)
         assert bench.transitions() == expected
-        bench.drive.connection_lost(bench.now)  # NMT stop, and the heartbeat is lost too: once is enough
-        bench.drive.nmt_stopped(bench.now)
+        bench.drive.connection_lost(bench.now, 0x8130)  # NMT stop, and the heartbeat is lost too: once is enough
+        bench.drive.connection_lost(bench.now, 0x8100)
         bench.run(100)
         assert [each for each in bench.transitions() if each != 9] == []
 
@@ -304,11 +304,11 @@ def test_abort_connection_option_code(option: int, from_enabled: list[int], from
 def test_a_lost_connection_as_a_fault_has_its_own_error_code() -> None:
     bench = Bench()
     bench.write(0x6007, 1)
-    bench.drive.connection_lost(bench.now)
+    bench.drive.connection_lost(bench.now, 0x8130)
     assert bench.reported(DriveFault) == [DriveFault(NODE_ID, 0x8130, 0x11)]
     bench = Bench()
     bench.write(0x6007, 1)
-    bench.drive.nmt_stopped(bench.now)
+    bench.drive.connection_lost(bench.now, 0x8100)
     assert bench.reported(DriveFault) == [DriveFault(NODE_ID, 0x8100, 0x11)]
 
 
@@ -457,7 +457,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def lose_the_master(self) -> None:
-        self.bench.drive.connection_lost(self.bench.now)
+        self.bench.drive.connection_lost(self.bench.now, 0x8130)
         self.check(first=(7, 9, 10, 11, 12, 13))
 
     @rule(blocked=st.booleans())
