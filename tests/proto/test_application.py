@@ -44,7 +44,7 @@ class Recorder(Machine):
     def on_sync(self, now: Time) -> None:
         self.log.append(f"sync, output {self.node.values.store[OUTPUT << 8]!r}")
 
-    def connection_lost(self, now: Time) -> None:
+    def connection_lost(self, now: Time, error_code: int) -> None:
         self.log.append(f"connection lost, {self.node.state.name}")
 
     def reset(self, now: Time) -> None:
