@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
+from concurrent.futures import Future
 
 import pytest
 import trio
@@ -210,6 +211,27 @@ def test_a_context_that_ends_by_itself_ends_the_calls_with_its_reason(background
         background.call(Place.answer)
 
 
+@pytest.mark.parametrize("turn", range(30))
+def test_a_call_that_meets_the_very_end_of_the_context_is_told_so(background: Background[Place], place: Place, turn: int) -> None:
+    """trio mixes up the order of what is due: this end and that call come in either order, in some of the turns."""
+    late: list[Future[int]] = []
+
+    async def end(place: Place) -> None:
+        place.failure = OSError("cable")
+        place.scope.cancel()
+        try:
+            await trio.sleep_forever()
+        finally:
+            late.append(Future())
+            background._soon(lambda: background._begin(Place.answer, trio.CancelScope(), late[0]))
+
+    with pytest.raises(OSError, match="cable"):
+        background.call(end)
+    with pytest.raises(OSError, match="cable"):
+        late[0].result(LIMIT)
+    until(lambda: "left" in place.log)
+
+
 def test_a_call_in_the_thread_itself_is_refused(background: Background[Place]) -> None:
     async def call_again(place: Place) -> None:
         background.call(Place.answer)
@@ -225,6 +247,21 @@ def test_an_interrupt_takes_the_call_back_and_waits_for_its_clean_up(background:
     assert place.log == ["waiting", "cleaned up"]
     thread.join(LIMIT)
     assert background.call(Place.answer) == 42
+
+
+def test_an_interrupt_while_the_thread_begins_leaves_none(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    background = Background(lambda: context(place))
+    begin = background._thread.start
+
+    def interrupted() -> None:
+        begin()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(background._thread, "start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        background.start()
+    assert place.log == ["left"]
+    assert not background._thread.is_alive()
 
 
 def test_an_interrupt_of_start_leaves_no_thread(place: Place) -> None:

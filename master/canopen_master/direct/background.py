@@ -70,10 +70,12 @@ class Background(Generic[T]):
 
     def start(self) -> T:
         """Begin the thread, and enter the context there; what that gives. Raises what that raises."""
-        self._thread.start()
         try:
+            self._thread.start()
             _wait(self._entered)
         except BaseException:  # interrupted
+            if not self._thread.is_alive():  # in Thread.start already: it may be on its way still
+                wait((self._entered,), _LOOK_UP)
             self.stop()
             raise
         return self._entered.result()
@@ -134,14 +136,15 @@ class Background(Generic[T]):
             with self._scope:  # around the body only: entering and leaving are not cancelled
                 if self._is_stopping:
                     return
-                try:
-                    async with trio.open_nursery() as self._nursery:
+                async with trio.open_nursery() as nursery:
+                    self._nursery = nursery
+                    try:
                         self._entered.set_result(self._context)
                         while threading.main_thread().is_alive():
                             await trio.sleep(WATCH_INTERVAL)
-                        self._nursery.cancel_scope.cancel()
-                finally:
-                    self._nursery = None
+                        nursery.cancel_scope.cancel()
+                    finally:
+                        self._nursery = None  # here: when its last task has ended, a nursery takes no more
 
     def _begin(self, function: Callable[[T], Awaitable[R]], scope: trio.CancelScope, future: Future[R]) -> None:
         if self._nursery is None:
