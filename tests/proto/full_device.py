@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
 
 NODE_ID = 5
@@ -19,14 +19,15 @@ def _own(index: int, name: str, data_type: DataType, access: Access, **more: Any
 
 
 def _typed() -> Object:
-    """A record that tells its structure at subindex 255: data type UNSIGNED16, object type RECORD (CiA 301 v4.2.0, 7.4.7)."""
+    """An array that tells its structure at subindex 255: data type UNSIGNED16, object type ARRAY."""
     return Object.of(
         "typed",
         [
             Variable(TYPED, 0, "typed:highest_subindex", DataType.UNSIGNED8, Access.CONST, 1),
             Variable(TYPED, 1, "typed:value", DataType.UNSIGNED16, Access.RW),
-            Variable(TYPED, 0xFF, "typed:structure", DataType.UNSIGNED32, Access.CONST, 0x0006_09),
+            Variable(TYPED, 0xFF, "typed:structure", DataType.UNSIGNED32, Access.CONST, 0x0000_0608),
         ],
+        ObjectType.ARRAY,
     )
 
 
