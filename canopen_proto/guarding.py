@@ -218,10 +218,9 @@ class GuardingMaster(Machine):
         if now < self.deadline:
             return
         if now >= self._unanswered_since + self.life_time:
-            self._unanswered_since = NEVER
-            if not self.lost:
-                self.lost = True
-                self.out.events.append(NodeGuardingLost(self.node_id, self.state, self.life_time))
+            self._unanswered_since = NEVER  # until it answers: it is lost once
+            self.lost = True
+            self.out.events.append(NodeGuardingLost(self.node_id, self.state, self.life_time))
         if now >= self._next_request:
             skipped = (now - self._next_request) // self.guard_time
             self._request(now)

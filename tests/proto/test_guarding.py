@@ -212,6 +212,14 @@ def test_a_late_master_sends_one_request_and_keeps_its_phase() -> None:
     assert machine.deadline == 400 * MS
 
 
+def test_a_request_that_went_out_late_has_its_full_life_time() -> None:
+    machine = master(factor=1)
+    hear(machine, "705#05")
+    machine.handle_timeout(130 * MS)
+    take_frames(machine.out)
+    assert run(machine, 240 * MS) == ["200 705#R1", "230 NodeGuardingLost"]
+
+
 def test_an_answer_that_waited_to_be_handled_is_in_time() -> None:
     machine = master(factor=1)
     hear(machine, "705#05", 0)
