@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Final, TypeVar
 
 from canopen_master.device import Device
-from canopen_proto.dictionary import PdoDescription
+from canopen_master.node import Node
+from canopen_proto.dictionary import Key, PdoDescription
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.drive import engage_brake, halt, shut_down
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
@@ -49,15 +51,30 @@ def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFail
     return None
 
 
+def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
+    """See whether the node answers reading an object. One that was stopped cannot, and becomes pre-operational for it.
+
+    Whoever used a drive before us has left it stopped: that is how a chain, and the manual's shutdownDevice, end.
+    """
+    if node.nmt_state is not NmtState.STOPPED:
+        try:
+            yield from read(node.remote, key)
+        except SdoFailed as failed:
+            silent = failed.origin is AbortOrigin.TIMEOUT and node.nmt_state in (None, NmtState.STOPPED)
+            booted = failed.origin is AbortOrigin.LOCAL  # it was being switched on, and is there now
+            if not silent and not booted:
+                raise
+        else:
+            return
+    if node.nmt_state in (None, NmtState.STOPPED):
+        yield from act(lambda now: node.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, now))
+    yield from read(node.remote, key)
+
+
 def prepare(device: Device, pdos: tuple[PdoDescription, ...], define: bool, heartbeat_timeout: Time) -> Procedure[None]:
     """See whether the joint answers, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
     node = device.node.remote
-    try:
-        yield from read(node, DEVICE_TYPE)
-    except SdoFailed as failed:
-        if failed.origin is not AbortOrigin.LOCAL:
-            raise
-        yield from read(node, DEVICE_TYPE)  # its boot-up came meanwhile: it was being switched on, and is there now
+    yield from awake(device.node)
     for description in pdos:
         if define:
             yield from define_pdo(node, description)

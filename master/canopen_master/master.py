@@ -255,6 +255,10 @@ class Master:
             self._nmt[each].send(command, node_id, self.now())
         await self._sent(buses)
 
+    def nmt_master(self, bus: Bus) -> NmtMaster:
+        """For what is built upon the master (nodes): who sends the NMT commands of a bus."""
+        return self._nmt[bus]
+
     async def nmt_start(self, node_id: int = 0, *, bus: str | None = None) -> None:
         """Start remote node: to Operational."""
         await self.nmt(NmtCommand.START, node_id, bus=bus)

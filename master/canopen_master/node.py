@@ -129,6 +129,10 @@ class Node:
         """Send an NMT command to this node; returns when it is on its way. Nothing confirms it but the node's heartbeat."""
         await self._master.nmt(command, self.node_id, bus=self.bus)
 
+    def send_nmt(self, command: NmtCommand, now: Time) -> None:
+        """The same for procedures: queue it, at their `now`. It goes out when the procedure next waits."""
+        self._master.nmt_master(self._bus).send(command, self.node_id, now)
+
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
         """Reset the node and wait for its boot-up frame, at most `timeout` seconds, else NodeSilent."""
         with self.events(NodeBooted) as boots:

@@ -193,6 +193,17 @@ def test_shutdown_takes_power_and_communication_away(session: Session, arm: Devi
     assert arm.frames()[-1] == "000#020C"
 
 
+def test_the_manuals_sequence_twice(session: Session, arm: Devices) -> None:
+    """The second program finds the node as the first has left it: stopped, where it has no SDO."""
+    for _ in range(2):
+        assert session.fault_reset(12), session.last_error()
+        session.init_nmt()
+        assert session.init_device(12)
+        assert session.shutdown_device(12)
+        session.close_connection()
+        assert session.open_connection(arm.bus)
+
+
 def test_a_fault_is_reset(session: Session, arm: Devices) -> None:
     assert session.init_device(12)
     arm.break_down(12)

@@ -8,7 +8,7 @@ import trio
 
 from canopen_master import Chain, ChainFault, ChainState, Host, open_master, powerballs, simulate
 from canopen_proto.cia402.states import State
-from canopen_proto.nmt import NmtCommand
+from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
 from tests.master.world import (
     BUS,
@@ -152,6 +152,25 @@ async def test_a_joint_that_is_switched_on_just_now_is_initialised() -> None:
         assert arm.devices[0].state is State.OPERATION_ENABLED
         await arm.shut_down()
         nursery.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("heartbeat", [0, 100_000_000])
+def test_joints_that_an_earlier_program_left_stopped_are_initialised(heartbeat: int) -> None:
+    @virtual_time
+    async def test() -> None:
+        async with simulated(3, 4) as host:
+            for node in host.nodes:
+                node.communication.heartbeat.set_period(heartbeat, host.now())
+            for _ in range(2):
+                async with open_master(BUS) as master:
+                    arm = arm_of(master, 3, 4)
+                    await trio.sleep(1)  # heard, where it has a heartbeat
+                    await arm.initialise()
+                    assert [node.drive.state for node in drives(host)] == [State.OPERATION_ENABLED] * 2
+                    await arm.shut_down()
+                assert [node.nmt.state for node in host.nodes] == [NmtState.STOPPED] * 2
+
+    test()
 
 
 @virtual_time

@@ -13,6 +13,7 @@ from canopen_master.cli.options import Duration, NodeId, Settings, common
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import node_text
 from canopen_master.cli.session import Session, open_session
+from canopen_master.joint_procedures import awake
 from canopen_proto.cia402.axis import Axis, AxisSettings, HomingStyle
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.machine import SECOND, Time
@@ -95,6 +96,7 @@ def _home(
     session: Session, axes: dict[int, Axis], node_id: int, style: str, method: int | None, limit: Time, reset_fault: bool
 ) -> Procedure[None]:
     node = session.node(node_id)
+    yield from awake(node)
     modes = yield from read_if_present(node.remote, "0x6502")
     is_schunk = style == "schunk" or (style == "auto" and modes == SCHUNK_MODES)
     settings = AxisSettings(

@@ -22,6 +22,7 @@ import trio
 
 from canopen_master.device import Device
 from canopen_master.errors import NOT_HEARD, NodeSilent
+from canopen_master.joint_procedures import awake
 from canopen_master.master import Master
 from canopen_proto.cia402.axis import AxisSettings, HomingStyle
 from canopen_proto.cia402.modes import Mode, supported
@@ -43,6 +44,7 @@ MILLIDEGREES: Final = AxisSettings(counts_per_unit=1.0, homing=HomingStyle.SCHUN
 SILENT_SYNCS: Final = 10
 """A drive that answered SYNC by its PDO, and now has not for so many of them, is gone."""
 
+STATUSWORD: Final = "0x6041"
 _SYNC_TIME_OUT: Final = "0x200E"
 
 
@@ -71,7 +73,9 @@ class DirectDrive:
     # ---- sequences ----
 
     async def reset_fault(self) -> None:
-        """As procedures.drive.reset_fault."""
+        """As procedures.drive.reset_fault. The manual's programs begin with it: one that ended left the node stopped."""
+        if STATUSWORD in self.node.dictionary:
+            await self._run(awake(self.node, STATUSWORD))
         await self._run(drive.reset_fault(self.axis))
 
     async def change_state(self, state: State) -> None:
