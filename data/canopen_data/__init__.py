@@ -10,14 +10,15 @@ back, as a `Finding` of severity notice or as the list that `init` gives.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Final
 
 from canopen_proto.dictionary.csv import load_csv
-from canopen_proto.dictionary.findings import Finding, Severity
+from canopen_proto.dictionary.findings import DictionaryError, Finding, Severity
 from canopen_proto.dictionary.model import ObjectDictionary
 
 __all__ = [
@@ -81,8 +82,9 @@ def user_directory(directory: str | Path | None = None) -> Path | None:
         return home if home is not None and home.is_dir() else None
     path = _expanded(named)
     if not os.path.isdir(path):
-        what = "is not a folder" if os.path.exists(path) else "does not exist"
-        raise DataError(f"the data folder {path}{origin} {what}", "`canopen data init` makes one")
+        if os.path.exists(path):
+            raise DataError(f"the data folder {path}{origin} is not a folder", "name another one")
+        raise DataError(f"the data folder {path}{origin} does not exist", "`canopen data init` makes one")
     return path
 
 
@@ -117,13 +119,38 @@ def read_chain_file(name: str | Path, directory: str | Path | None = None) -> Da
 def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictionary, list[Finding]]:
     """The object dictionary of indices.csv, constants.csv and PDOs.csv, and what was found: notices first, then warnings.
 
-    Raises DataError where a file cannot be read, and DictionaryError, which holds all errors of the three files.
+    A user's indices.csv may have fewer objects than the installed one: what an installed file says of the others is left out.
+
+    Raises DataError where a file cannot be read, and DictionaryError, which holds all errors of the user's files.
     """
     files = [read(name, directory) for name in DICTIONARY_FILES]
+    notices = [each.notice for each in files if each.notice is not None]
+    try:
+        dictionary, warnings = _load(files)
+    except DictionaryError as error:
+        own = [each for each in error.findings if each.source in (notice.source for notice in notices)]
+        if own or not notices:
+            raise DictionaryError(own or error.findings) from None
+        files = [_without(each, error.findings, notices) for each in files]
+        dictionary, warnings = _load(files)
+    return dictionary, notices + warnings
+
+
+def _load(files: list[DataFile]) -> tuple[ObjectDictionary, list[Finding]]:
     indices, constants, pdos = files
     sources = (indices.source, constants.source, pdos.source)
-    dictionary, warnings = load_csv(indices.text, constants.text, pdos.text, sources=sources)
-    return dictionary, [each.notice for each in files if each.notice is not None] + warnings
+    return load_csv(indices.text, constants.text, pdos.text, sources=sources)
+
+
+def _without(file: DataFile, errors: Iterable[Finding], notices: list[Finding]) -> DataFile:
+    """An installed file without the lines that do not fit the user's own files; a notice tells how many they are."""
+    unfit = {each.line for each in errors if each.source == file.source}
+    if not unfit:
+        return file
+    message = f"{len(unfit)} of its lines are left out: your own files do not have the objects that they name"
+    notices.append(Finding(Severity.NOTICE, "left-out", message, file.source))
+    lines = file.text.split("\n")
+    return replace(file, text="\n".join("" if number in unfit else line for number, line in enumerate(lines, start=1)))
 
 
 def init(target: str | Path | None = None, *, force: bool = False) -> list[Copied]:
@@ -190,7 +217,7 @@ def _text_of(path: Path | Traversable, source: str) -> str | None:
     if len(content) > MAX_FILE_SIZE:
         raise DataError(f"{source} is larger than {MAX_FILE_SIZE // 1024**2} MiB", "it cannot be a data file; check its name")
     try:
-        return content.decode("utf-8")
+        return content.decode("utf-8-sig")  # Windows' editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         fault = f"line {line} has the byte 0x{content[error.start]:02X}"

@@ -309,3 +309,31 @@ def test_init_where_nothing_can_be_written(tmp_path: Path) -> None:
     for target in (tmp_path / "file", tmp_path / "file" / "below", "a\0b"):
         with pytest.raises(DataError, match="cannot copy the data files to .*; name another folder"):
             canopen_data.init(target)
+
+
+# ---- a user's own files beside installed ones ----
+
+
+def test_an_indices_csv_of_few_objects_goes_with_the_installed_files(tmp_path: Path) -> None:
+    (tmp_path / "indices.csv").write_text("statusword 0x6041 0x00 2 ro\nmy_object 0x2000 0x01 4 rw\n", "utf-8")
+    dictionary, findings = canopen_data.load_dictionary(tmp_path)
+    assert "operation_enable" in dictionary.names_of("statusword", 0x27)
+    assert "my_object" in dictionary
+    assert dictionary.pdos == ()
+    left_out = [each for each in findings if each.code == "left-out"]
+    assert [(each.severity, each.source) for each in left_out] == [
+        (Severity.NOTICE, "installed constants.csv"),
+        (Severity.NOTICE, "installed PDOs.csv"),
+    ]
+
+
+def test_errors_of_a_users_file_are_not_buried_under_what_follows_from_them(tmp_path: Path) -> None:
+    (tmp_path / "indices.csv").write_text("statusword 0x6041 0x00 uint16 ro\n", "utf-8")
+    with pytest.raises(DictionaryError, match="length 'uint16'") as caught:
+        canopen_data.load_dictionary(tmp_path)
+    assert [each.source for each in caught.value.findings] == [str(tmp_path / "indices.csv")]
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_word(tmp_path: Path) -> None:
+    (tmp_path / "arm.csv").write_text("chain1 joint1 can0 12\r\n", "utf-8-sig", newline="")
+    assert canopen_data.read_chain_file(tmp_path / "arm.csv").text.startswith("chain1 ")
