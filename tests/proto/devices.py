@@ -10,7 +10,7 @@ from canopen_proto.network import Network
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.bus import Bus
 
-INPUT, OUTPUT, LIMITED, TEXT = 0x2000, 0x2001, 0x2002, 0x2003
+INPUT, OUTPUT, LIMITED, TEXT, TABLE = 0x2000, 0x2001, 0x2002, 0x2003, 0x2100
 
 
 def io_device(node_id: int = 5, heartbeat_ms: int = 0) -> ObjectDictionary:
@@ -47,6 +47,23 @@ def io_device(node_id: int = 5, heartbeat_ms: int = 0) -> ObjectDictionary:
             own(TEXT, "text", DataType.VISIBLE_STRING, Access.RW, default="an I/O device with a long name"),
         ]
     )
+
+
+def whole_device() -> ObjectDictionary:
+    """An I/O device with every communication object that has an effect, short lists of each."""
+    fields = [Variable(TABLE, 0, "table:count", DataType.UNSIGNED8, Access.CONST, 3)]
+    fields += [Variable(TABLE, each, f"table:{each}", DataType.INTEGER16, pdo_mappable=True) for each in (1, 2, 3)]
+    objects = [Object.of("table", fields)]
+    objects += [standard_object(index) for index in (0x1007, 0x100C, 0x100D, 0x1012)]
+    objects += [standard_object(index, highest=2) for index in (0x1010, 0x1011, 0x1028, 0x1029, 0x1FA0, 0x1FD0)]
+    for number in (2, 3):
+        objects += [
+            standard_object(0x1400 + number, highest=6, defaults={1: 0x80000000}),
+            standard_object(0x1600 + number, highest=2),
+            standard_object(0x1800 + number, highest=6, defaults={1: 0x80000000}),
+            standard_object(0x1A00 + number, highest=2),
+        ]
+    return io_device().with_objects(objects)
 
 
 class Pair:

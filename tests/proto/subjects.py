@@ -21,7 +21,7 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.sync import SyncConsumer
-from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
+from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device, whole_device
 
 NODE: Final = 5
 
@@ -123,7 +123,7 @@ class LocalSubject(Subject):
 
     def __init__(self) -> None:
         super().__init__()
-        self.node = LocalNode(self.network.out, NODE, io_device())
+        self.node = LocalNode(self.network.out, NODE, whole_device())
         self.node.sdo.max_download = LARGEST_TRANSFER
         self.node.deferred.add(LIMITED)
         self.pending: list[ObjectAccessPending] = []

@@ -10,36 +10,14 @@ import random
 
 import pytest
 
-from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
-from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.dictionary import Variable
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
-from tests.proto.devices import INPUT, LIMITED, OUTPUT, io_device
-
-TABLE = 0x2100
-
-
-def whole_device() -> ObjectDictionary:
-    """Every communication object that has an effect, short lists of each."""
-    fields = [Variable(TABLE, 0, "table:count", DataType.UNSIGNED8, Access.CONST, 3)]
-    fields += [Variable(TABLE, each, f"table:{each}", DataType.INTEGER16, pdo_mappable=True) for each in (1, 2, 3)]
-    objects = [Object.of("table", fields)]
-    objects += [standard_object(index) for index in (0x1007, 0x100C, 0x100D, 0x1012)]
-    objects += [standard_object(index, highest=2) for index in (0x1010, 0x1011, 0x1028, 0x1029, 0x1FA0, 0x1FD0)]
-    for number in (2, 3):
-        objects += [
-            standard_object(0x1400 + number, highest=6, defaults={1: 0x80000000}),
-            standard_object(0x1600 + number, highest=2),
-            standard_object(0x1800 + number, highest=6, defaults={1: 0x80000000}),
-            standard_object(0x1A00 + number, highest=2),
-        ]
-    return io_device().with_objects(objects)
-
+from tests.proto.devices import INPUT, LIMITED, OUTPUT, TABLE, whole_device
 
 DICTIONARY = whole_device()
 WRITABLE = [each for each in DICTIONARY if 0x1000 <= each.index < 0x2000 and each.access.writable]
