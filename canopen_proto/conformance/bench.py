@@ -30,7 +30,7 @@ from canopen_proto.frame import (
 from canopen_proto.machine import MILLISECOND, SECOND, Time, check_node_id
 from canopen_proto.network import Network
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
-from canopen_proto.procedures.steps import Procedure, SdoFailed, act, download, sleep, upload, wait_for_event
+from canopen_proto.procedures.steps import Procedure, SdoFailed, act, current_time, download, sleep, upload, wait_for_event
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import SdoClient
 
@@ -103,10 +103,12 @@ class Bench:
 
     def await_boot_up(self) -> Procedure[None]:
         """Wait for the boot-up frame, whatever heartbeats come before it."""
-        while True:
-            heard = yield from self.next_frame(self.error_control_key, BOOT_TIME, "the boot-up frame")
-            if heard.frame.data == b"\x00":
-                break
+        begin = yield from current_time()
+        data = b""
+        while data != b"\x00":
+            left = begin + BOOT_TIME - (yield from current_time())
+            heard = yield from self.next_frame(self.error_control_key, max(left, 0), "the boot-up frame")
+            data = heard.frame.data
         yield from sleep(REACTION_TIME)
 
     def command(self, command: NmtCommand, node_id: int | None = None) -> Procedure[None]:
@@ -152,7 +154,7 @@ class Bench:
         yield from act(lambda now: self.probe.send(Frame(key & 0x1FFF_FFFF, b"", extended | REMOTE, dlc), now))
 
     def next_frame(self, key: int, timeout: Time, what: str) -> Procedure[FrameHeard]:
-        """The next frame with a key that the probe listens to. Raises StepTimeout that names `what`."""
+        """The next frame with a key that the probe listens to. Raises StepTimeout that names `what`; timeout: ns."""
         while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
             yield from wait_for_event(self.probe, FrameHeard, timeout, what, lambda report: report.frame.key == key)
         return heard

@@ -15,7 +15,7 @@ from canopen_proto.conformance.bench import Bench
 from canopen_proto.conformance.case import Case, Result, Verdict
 from canopen_proto.conformance.catalogue import BY_NUMBER
 from canopen_proto.dictionary import ObjectDictionary, Variable
-from canopen_proto.frame import Frame
+from canopen_proto.frame import KEY_REMOTE, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.network import Network
@@ -42,12 +42,18 @@ class Fault:
     node: MakeNode = LocalNode
 
 
+EVERYTHING = (*range(0x800), *(key | KEY_REMOTE for key in range(0x800)))
+
+
 class Wire(Network):
     """A network whose frames are altered on their way to the bus and from it."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__()
         self.fault = fault
+
+    def can_ids(self) -> tuple[int, ...]:
+        return EVERYTHING if self.fault.heard else super().can_ids()  # what comes in may be altered into what it wants
 
     def receive(self, frame: Frame, now: Time, timestamp: int | None = None) -> None:
         for each in altered(frame, self.fault.heard):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
-from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState
+from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState, NmtStateChanged
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import Pending
 
@@ -43,6 +43,41 @@ class Inverting(LocalNode):
 class Talkative(LocalNode):
     """Its SDO server answers in every NMT state."""
 
-    def handle_timeout(self, now: Time) -> None:
-        super().handle_timeout(now)
+    def _on_state(self, change: NmtStateChanged, now: Time) -> None:
+        super()._on_state(change, now)
         self.sdo.enable()
+
+
+class SelfStarting(LocalNode):
+    """Does not wait for anybody to start it."""
+
+    def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
+        super()._on_reset(request, now)
+        self.nmt.execute(NmtCommand.START, now)
+
+
+class EagerPdos(LocalNode):
+    """Its PDOs live in every NMT state."""
+
+    def _on_state(self, change: NmtStateChanged, now: Time) -> None:
+        super()._on_state(change, now)
+        self.pdos.set_enabled(True, now)
+
+
+class AlwaysGuarded(LocalNode):
+    """Answers guarding requests beside its heartbeat."""
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        result = super().write(index, subindex, data, now)
+        self.communication.guarding.set_enabled(True)
+        return result
+
+
+class RatherGuarded(LocalNode):
+    """Stops its heartbeat when a life time factor is set."""
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        result = super().write(index, subindex, data, now)
+        if self.values.store[0x100D00]:
+            self.communication.heartbeat.set_period(0, now)
+        return result

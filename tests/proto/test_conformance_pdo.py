@@ -11,10 +11,10 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object, standard_variable
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
-from canopen_proto.nmt import NmtCommand, NmtResetRequested
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import Pending
 from tests.proto.conformance_rig import Fault, check_caught, verdict_of
+from tests.proto.faulty_nodes import SelfStarting
 from tests.proto.full_device import INPUT_16, OUTPUT_16, full_device
 
 MAPPINGS = range(0x1600, 0x1C00)
@@ -46,14 +46,6 @@ class Forgetful(LocalNode):
         if (index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00)) and subindex:
             return None
         return super().write(index, subindex, data, now)
-
-
-class SelfStarting(LocalNode):
-    """Does not wait for anybody to start it."""
-
-    def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
-        super()._on_reset(request, now)
-        self.nmt.execute(NmtCommand.START, now)
 
 
 STARTS = Fault("starts when told to stop", heard=[("000#0205", "000#0105")])
