@@ -85,6 +85,7 @@ class LocalNode(Group):
         "application",
         "communication",
         "deferred",
+        "in_pieces",
         "nmt",
         "node_id",
         "optional_emcy",
@@ -109,6 +110,8 @@ class LocalNode(Group):
         """EMCY codes that the standard leaves open and that are to be sent: 0x8220 (a PDO too long), 0x8240 (SYNC length)."""
         self.deferred: set[int] = set()
         """Indices that only the host can serve: ObjectAccessPending is reported, and it answers by `complete`."""
+        self.in_pieces: set[int] = set()
+        """Of `deferred`: those that the host takes piece by piece (`ObjectAccessPending.more`), such as a DOMAIN of firmware."""
         self._members.attach(self.nmt)
         self._members.attach(self.sdo)
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
@@ -233,10 +236,12 @@ class LocalNode(Group):
             raise LocalProtocolError(f"node {self.node_id} sends no TIME: it is {self.state.name}, and its 0x1012 is {cob_id!r}")
         self.communication.time_producer.send(time, now)
 
-    def complete(self, access_id: int, result: bytes | AbortCode | None, now: Time) -> None:
+    def complete(
+        self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
+    ) -> None:
         """The host's answer to ObjectAccessPending. See SdoServer.complete."""
         mark = len(self.inner.events)
-        self.sdo.complete(access_id, result, now)
+        self.sdo.complete(access_id, result, now, more=more, size=size)
         self._settle(mark, now)
 
     # ---- what the SDO server asks: it serves this node ----
@@ -257,9 +262,10 @@ class LocalNode(Group):
                 return refusal
         return self._store.read(index, subindex, now)
 
-    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
-        """Whether a download may begin: access, and length where it was announced."""
-        return self._store.check_write(index, subindex, size)
+    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
+        """Whether a download may begin: access, and length where it was announced; and whether the host takes it in pieces."""
+        refusal = self._store.check_write(index, subindex, size)
+        return PENDING if refusal is None and index in self.in_pieces else refusal
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
         """Ask, store, obey; see this module's text."""
