@@ -78,7 +78,7 @@ def _length(bench: Bench, variable: Variable) -> int:
     return len(variable.encode(variable.default_of(bench.node_id)))
 
 
-def _holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
+def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
     """Look whether a device has sent what an object holds that nobody has written to."""
     if variable.default is not None:
         expect_equal(content, variable.encode(variable.default_of(bench.node_id)), f"{variable.label}, read {how},")
@@ -93,7 +93,7 @@ def read_expedited(bench: Bench) -> Procedure[None]:
     if content is None:
         raise Violation("0x1000:00 came with a segmented transfer")
     expect_equal(len(content), 4, "the number of bytes of 0x1000:00")
-    _holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, "expedited")
+    holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, "expedited")
 
 
 def read_and_write(bench: Bench) -> Procedure[str]:
@@ -224,7 +224,7 @@ def read_device_type_segmented(bench: Bench) -> Procedure[str]:
         expect_refusal(refusal, BAD_COMMAND, "a segment request behind an expedited upload")
         how = "expedited"
     expect_equal(len(content), 4, f"the number of bytes of 0x1000:00, read {how},")
-    _holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, how)
+    holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, how)
     return how
 
 
@@ -270,7 +270,7 @@ def read_segmented_content(bench: Bench) -> Procedure[str]:
     first = yield from segmented_upload(bench, *place)
     yield from ask(bench, initiate(INITIATE_UPLOAD, *place))  # and no more of it
     expect_equal((yield from segmented_upload(bench, *place)), first, f"{variable.label}, read again,")
-    _holds(bench, variable, first, "in segments")
+    holds(bench, variable, first, "in segments")
     return f"{variable.label}: {len(first)} bytes"
 
 

@@ -12,10 +12,12 @@ from canopen_proto.conformance.case import Case, does_not_apply, expect, expect_
 from canopen_proto.conformance.pdo_cases import expect_data
 from canopen_proto.conformance.pdo_tools import key_of, set_up, usable
 from canopen_proto.conformance.sdo_cases import TOO_HIGH, TOO_LOW
+from canopen_proto.conformance.storing_cases import keep, save
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import SYNC
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
+from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.abort import AbortCode
 
@@ -121,9 +123,33 @@ def overflow_while_running(bench: Bench) -> Procedure[None]:
     expect_refusal(refusal, NOT_WHILE_RUNNING, "writing 0x1019:00 while 0x1006 is not 0")
 
 
+def kept_counter(bench: Bench) -> Procedure[None]:
+    """6.8: the counter overflow value survives a reset when it was saved."""
+    before = bench.default(OVERFLOW)
+    yield from keep(bench, [(OVERFLOW, 0, 5)])
+    yield from produce(bench)
+    yield from expect_counter(bench, 5)
+    yield from bench.reset()
+    yield from keep(bench, [(OVERFLOW, 0, before)])
+
+
+def kept_producer(bench: Bench) -> Procedure[None]:
+    """6.10: a SYNC producer whose settings were saved goes on by itself after a reset."""
+    yield from produce(bench, 5)
+    cob_id = bench.default(COB_ID_SYNC) | PRODUCER
+    yield from keep(bench, [(COB_ID_SYNC, 0, cob_id), (CYCLE_PERIOD, 0, PERIOD // MICROSECOND)])
+    yield from bench.expect_number(OVERFLOW, 0, 5, "saved, after a reset")
+    heard = yield from bench.frames_within(bench.sync_key, 1 * SECOND)
+    expect(len(heard) >= 5, f"{len(heard)} SYNCs came in 1 s, with a period of 0.1 s that was saved")
+    expect(all(len(each.frame.data) == 1 for each in heard), "the SYNCs have no counter, though one was saved")
+    for index in (CYCLE_PERIOD, OVERFLOW, COB_ID_SYNC):
+        yield from bench.write(index, 0, bench.default(index))
+    yield from save(bench)
+
+
 _PRODUCER_NEEDS: Final = (COB_ID_SYNC, CYCLE_PERIOD)
 _COUNTER_NEEDS: Final = (*_PRODUCER_NEEDS, OVERFLOW)
-_STORE: Final = "store and restore in a device"
+_STORED_NEEDS: Final = (*_COUNTER_NEEDS, STORE)
 
 CASES: Final = (
     Case("6.1", "Synchronization 01", "Check the default COB-ID of SYNC", default_cob_id, (COB_ID_SYNC,)),
@@ -133,7 +159,7 @@ CASES: Final = (
     Case("6.5", "Synchronization 05", "Set the SYNC counter overflow value to invalid values", invalid_overflow, (OVERFLOW,)),
     Case("6.6", "Synchronization 06", "Set the SYNC counter overflow value to 0", no_counter, _COUNTER_NEEDS),
     Case("6.7", "Synchronization 07", "Check the SYNC counter", counter, _COUNTER_NEEDS),
-    Case("6.8", "Synchronization 08", "Save the SYNC counter configuration and reset the node", None, waits_for=_STORE),
+    Case("6.8", "Synchronization 08", "Save the SYNC counter configuration and reset the node", kept_counter, _STORED_NEEDS),
     Case(
         "6.9",
         "Synchronization 09",
@@ -141,5 +167,5 @@ CASES: Final = (
         overflow_while_running,
         _COUNTER_NEEDS,
     ),
-    Case("6.10", "Synchronization 10", "Save the SYNC configuration and reset the node", None, waits_for=_STORE),
+    Case("6.10", "Synchronization 10", "Save the SYNC configuration and reset the node", kept_producer, _STORED_NEEDS),
 )

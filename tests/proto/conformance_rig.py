@@ -21,6 +21,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.sdo.events import ObjectAccessPending
 from tests.proto.bus import Bus
 from tests.proto.full_device import NODE_ID, full_device
 
@@ -89,8 +90,14 @@ class Site:
         self.node = fault.node(self.device.out, NODE_ID, fault.dictionary or truth)
         self.device.attach(self.node)
         self.bench = Bench(self.master, NODE_ID, truth, stimulus=self.change if stimulus else None)
+        self.bus.on_event = self.serve
         self.node.boot(self.bus.now)
         self.bus.run(MILLISECOND)
+
+    def serve(self, report: Event) -> None:
+        """The device's host: it stores at once."""
+        if isinstance(report, ObjectAccessPending):
+            self.node.complete(report.access_id, None, self.bus.now)
 
     def change(self, variable: Variable, now: Time) -> None:
         """The device's process changes a value."""

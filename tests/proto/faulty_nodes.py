@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import Time
+from canopen_proto.machine import Outbox, Time
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState, NmtStateChanged
 from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.events import ObjectWritten
 from canopen_proto.sdo.server import Pending
 
 
@@ -81,3 +83,32 @@ class RatherGuarded(LocalNode):
         if self.values.store[0x100D00]:
             self.communication.heartbeat.set_period(0, now)
         return result
+
+
+class KeepsNothing(LocalNode):
+    """Confirms that its parameters are stored, and they are not."""
+
+    def _on_written(self, report: ObjectWritten, now: Time) -> None:
+        self.storage.forget(report.index, report.subindex)
+
+
+class RestoresNothing(LocalNode):
+    """Confirms that its defaults are restored, and they are not."""
+
+    def _on_written(self, report: ObjectWritten, now: Time) -> None:
+        if report.index == 0x1010:
+            super()._on_written(report, now)
+
+
+class Endless(LocalNode):
+    """Its name is longer than any name."""
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        return bytes(40_000) if index == 0x1008 else super().read(index, subindex, now)
+
+
+def without_crc(out: Outbox, node_id: int, dictionary: ObjectDictionary) -> LocalNode:
+    """Its SDO server knows no CRC."""
+    node = LocalNode(out, node_id, dictionary)
+    node.sdo.crc = False
+    return node

@@ -8,7 +8,7 @@ from canopen_proto.conformance import heartbeat_cases, sync_cases
 from canopen_proto.conformance.case import Result
 from canopen_proto.dictionary.standard import standard_object
 from tests.proto.conformance_rig import Fault, check_caught, verdict_of
-from tests.proto.faulty_nodes import KeepsAll
+from tests.proto.faulty_nodes import KeepsAll, KeepsNothing
 from tests.proto.full_device import full_device
 
 NO_PRODUCER = Fault("no producer", sent=[("585#60051000.*", "585#8005100030000906")])
@@ -31,6 +31,11 @@ FAULTS = [
     ("6.7", Fault("counts to 6", sent=[("080#05", "080#06")]), "counter of SYNC 5 is 06, not 05"),
     ("6.7", Fault("never", sent=[("080#..", None)]), "a SYNC did not come"),
     ("6.9", Fault("takes it", sent=[("585#80191000.*", "585#6019100000000000")]), "was not refused"),
+    ("6.8", Fault("keeps nothing", node=KeepsNothing), "0x1019:00 is 0"),
+    ("6.8", Fault("counts to 6", sent=[("080#05", "080#06")]), "counter of SYNC 5"),
+    ("6.10", Fault("keeps nothing", node=KeepsNothing), "saved, after a reset"),
+    ("6.10", Fault("never", sent=[("080#..", None)]), "0 SYNCs came"),
+    ("6.10", Fault("no counter", sent=[("080#..", "080#")]), "have no counter"),
     ("7.101", Fault("forgets", sent=[("585#4B171000FFFF0000", "585#4B171000FF7F0000")]), "is 32767 "),
     ("7.102", Fault("never", sent=[("705#7F", None)]), "0 heartbeats came"),
     ("7.102", Fault("another state", sent=[("705#7F", "705#05")]), "in pre-operational"),
@@ -64,7 +69,7 @@ def test_not_applicable(number: str) -> None:
     assert verdict_of(number, truth=bare).result is Result.NOT_APPLICABLE
 
 
-@pytest.mark.parametrize("number", ["6.2", "6.3", "6.4", "6.6", "6.7"])
+@pytest.mark.parametrize("number", ["6.2", "6.3", "6.4", "6.6", "6.7", "6.10"])
 def test_device_that_is_no_sync_producer(number: str) -> None:
     assert verdict_of(number, NO_PRODUCER).result is Result.NOT_APPLICABLE
 

@@ -16,6 +16,7 @@ from canopen_proto.machine import Time
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import Pending
 from tests.proto.conformance_rig import Fault, check_caught, refused, verdict_of
+from tests.proto.faulty_nodes import Endless
 from tests.proto.full_device import LIMITED, SECRET, full_device
 
 
@@ -31,13 +32,6 @@ class Particular(LocalNode):
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
         return AbortCode.INVALID_VALUE if index == 0x100C else super().write(index, subindex, data, now)
-
-
-class Endless(LocalNode):
-    """Its name is longer than any name."""
-
-    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
-        return bytes(40_000) if index == 0x1008 else super().read(index, subindex, now)
 
 
 WRONG = refused(AbortCode.NO_DATA)
@@ -130,6 +124,17 @@ def test_device_without_settings() -> None:
 def test_object_1004_that_is_there() -> None:
     truth = full_device(Object.of("obsolete", [Variable(0x1004, 0, "obsolete", DataType.UNSIGNED32)]))
     assert verdict_of("2.6", truth=truth).result is Result.NOT_APPLICABLE
+
+
+def test_no_answer_is_no_refusal() -> None:
+    mute = Fault("mute", sent=[("585#80.*", None)])
+    assert "did not answer writing 0x1000:00" in verdict_of("2.3", mute).reason
+    assert "did not answer reading 0x1004:00" in verdict_of("2.6", mute).reason
+
+
+def test_a_dictionary_with_text_in_place_of_a_number() -> None:
+    text = Object.of("period", [Variable(0x1017, 0, "period", DataType.VISIBLE_STRING)])
+    assert "a number was expected" in verdict_of("7.103", truth=full_device(text)).reason
 
 
 def test_codes_that_need_not_say_more() -> None:
