@@ -236,6 +236,8 @@ def sdo_error(node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now
         return SdoTimeout(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
     if aborted.origin is AbortOrigin.PEER:
         cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
+        if node.dictionary.get(aborted.index, aborted.subindex) is None:
+            cause = cause.partition(", though our dictionary")[0]
         return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
     cause = "it was reset, or its heartbeat was lost" if aborted.abort_code == AbortCode.NO_SDO_CONNECTION else ""
     return SdoGivenUp(GIVEN_UP, aborted, bus, f"{place} of {who} was given up", code_text, cause, ())
@@ -268,7 +270,7 @@ def sign_of_life(node: RemoteNode, now: Time) -> tuple[str, str, tuple[str, ...]
     heard = max((time for time in (node.heartbeat.last_heard, *node.heard_at.values()) if time is not None), default=None)
     if heard is None:
         cause = "no device has this node-ID, its power is off, or it runs with another bit rate"
-        return "nothing was heard of it", cause, (f"check the node-ID {node.node_id} (0x{node.node_id:X}), power and bit rate",)
+        return "nothing was heard of it", cause, (f"check the node-ID {node.node_id} (0x{node.node_id:02X}), power and bit rate",)
     state = node.nmt_state
     seen = f"it was heard {(now - heard) / SECOND:.3g} s ago, NMT state {state.name if state is not None else 'unknown'}"
     if state is NmtState.STOPPED:

@@ -132,6 +132,35 @@ def test_write_shows_old_and_new(run: Run) -> None:
     assert (document["previous"], document["value"], document["verified"]) == (20000, 1234, True)
 
 
+def test_a_negative_number_is_no_option(run: Run) -> None:
+    outcome = run("write", "3", "607A", "-5", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "canopen write ... -- -5" in outcome.err
+    assert run("write", "3", "607A", *DEMO, "--", "-5").status == 0
+
+
+def test_what_only_the_command_line_describes_is_not_said_to_be_in_the_dictionary(run: Run) -> None:
+    outcome = run("read", "3", "2FFF:01", "--type", "u8", *DEMO)
+    assert outcome.status == ExitCode.SDO_ABORT
+    assert "the device does not have this object" in outcome.err
+    assert "dictionary lists" not in outcome.err
+
+
+@pytest.mark.parametrize("width", ["60", "30"])
+def test_a_table_that_is_too_wide_becomes_blocks(run: Run, monkeypatch: pytest.MonkeyPatch, width: str) -> None:
+    monkeypatch.setenv("COLUMNS", width)
+    outcome = run("scan", "--ids", "3-8", *DEMO)
+    assert max(map(len, outcome.out.splitlines())) <= int(width)
+    assert "…" not in outcome.out
+    assert outcome.out.count("vendor-ID") == 6
+    assert outcome.out.count("0x00000043") == 6
+
+
+def test_a_width_that_is_none(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "wide")
+    assert run("read", "3", "statusword", *DEMO).status == 0
+
+
 def test_write_without_a_dictionary_entry(run: Run) -> None:
     outcome = run("write", "3", "1017", "100", "--type", "u16", *DEMO, "--json")
     assert outcome.json["previous"] == 500
@@ -340,7 +369,17 @@ def test_homing_takes_too_long(run: Run, fleets: list[Fleet]) -> None:
     outcome = run("home", "3", "--limit", "100ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "CO404" in outcome.err
+    assert "the drives were halted" in outcome.err
+    assert "a longer --limit (now 0.1 s)" in outcome.err
     assert all(stands(drive) for drive in fleets[0].drives.values())
+
+
+def test_a_method_for_a_drive_that_knows_none(run: Run) -> None:
+    outcome = run("home", "3", "--method", "17", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "without a method" in outcome.err
+    assert "the same without --method" in outcome.err
+    assert run("home", "3", "--method", "17", "--style", "schunk", *DEMO).status == ExitCode.USAGE
 
 
 @pytest.mark.parametrize("at", [0.02, 0.3, 0.8])
@@ -378,7 +417,15 @@ def test_sim_ends_well_by_ctrl_c(run: Run, fleets: list[Fleet], alarm: Alarm) ->
 
 def test_sim_on_a_bus_that_is_not_there(run: Run) -> None:
     assert run("sim", "-b", "socketcan:can77").status == ExitCode.CANNOT_OPEN
-    assert run("sim").status == ExitCode.USAGE
+    outcome = run("sim")
+    assert outcome.status == ExitCode.USAGE
+    assert "-b udp_multicast" in outcome.err
+
+
+def test_sim_tells_who_can_hear_it(run: Run) -> None:
+    told = run("sim", "--ids", "3", "--seconds", "1", *DEMO).err
+    assert "1 simulated drive on demo, for 1 s" in told
+    assert "-b udp_multicast another terminal can join" in told
 
 
 # ---- data init ----

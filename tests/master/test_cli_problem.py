@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.abc
 import io
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,7 +17,7 @@ import click
 import pytest
 import trio
 
-from canopen_data import DataError
+from canopen_data import DataError, entry
 from canopen_master import errors
 from canopen_master.cli.problem import ExitCode, Problem, problem_of
 from canopen_master.cli.running import notes_of
@@ -164,6 +166,41 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
         assert process.wait(60) == 141
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell")
+@pytest.mark.parametrize(("redirection", "status"), [(">&-", 0), (">&- 2>&-", 0), (">/dev/full", ExitCode.BAD_FILE)])
+def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int) -> None:
+    if "full" in redirection and not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each), "CANOPEN_DATA": str(tmp_path)}
+    command = shlex.join([*COMMAND, "read", "3", "statusword", "-b", "demo"])
+    ended = subprocess.run(f"{command} {redirection}", shell=True, stderr=subprocess.PIPE, text=True, env=environment, timeout=60)
+    assert ended.returncode == status, ended.stderr
+    assert "CO900" not in ended.stderr
+    assert "Exception ignored" not in ended.stderr
+
+
+@pytest.mark.parametrize("missing", ["trio", "click", "rich", "can"])
+def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
+    program = f"import sys; sys.modules[{missing!r}] = None; from canopen_data.entry import main; sys.exit(main())"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
+    assert ended.returncode == ExitCode.CANNOT_OPEN
+    assert ended.stderr == (
+        f"canopen: the command line needs {missing}, which is not installed.\nTry: pip install 'canopen-proto[master]'\n"
+    )
+
+
+def test_ctrl_c_while_the_command_line_is_read_in(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    class Interrupted(importlib.abc.MetaPathFinder):
+        def find_spec(self, name: str, *arguments: object) -> None:
+            raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "canopen_master.cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert entry.main() == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == "interrupted by Ctrl-C\n"
 
 
 def test_a_pipe_that_is_closed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,6 +135,8 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         cause = "the adapter is not plugged in, its driver is not loaded, or it has another name"
     elif _driver_is_missing(error):
         cause = "the software for this adapter is not installed"
+        if isinstance(error, NameError):  # which of its functions was missed first helps nobody
+            seen = f"python-can found no library of {locator.interface}"
         tries = [*_driver_steps(locator), *tries]
     elif isinstance(error, LookupError | ValueError | TypeError):
         seen = f"{locator.interface} of python-can does not accept channel {locator.channel!r} with these options: {seen}"

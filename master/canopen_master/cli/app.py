@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from typing import IO
 
 import click
 import trio
@@ -18,7 +19,7 @@ from canopen_master.cli.info import info
 from canopen_master.cli.nmt import nmt
 from canopen_master.cli.objects import read, write
 from canopen_master.cli.options import Settings, common
-from canopen_master.cli.problem import ExitCode, Problem, problem_of
+from canopen_master.cli.problem import NO_ROOM, ExitCode, Problem, problem_of
 from canopen_master.cli.scan import scan
 from canopen_master.cli.sim import sim
 
@@ -51,29 +52,44 @@ for _command in (demo, scan, info, read, write, nmt, home, sim, data):
 def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None = None) -> int:
     """Run the command line; the exit status. arguments: by default those of this process. clock: trio's, for tests."""
     settings = Settings(clock=clock)
+    _open_closed_streams()
     try:
         result = cli.main(
             None if arguments is None else list(arguments), prog_name="canopen", standalone_mode=False, obj=settings
         )
         sys.stdout.flush()
     except BrokenPipeError:
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains when it flushes at the end
+        _put_to_rest(sys.stdout)
         return CLOSED_PIPE
     except SystemExit:  # click met a closed pipe, and has put stdout to rest
         return CLOSED_PIPE
     except (click.Abort, KeyboardInterrupt):
-        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "by Ctrl-C"))
+        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     except click.exceptions.NoArgsIsHelpError as no_arguments:
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            _put_to_rest(sys.stdout)
         return _show(settings, problem_of(error))
     except BaseExceptionGroup as group:  # a Ctrl-C before anything was begun comes out of trio like this
         if group.subgroup(KeyboardInterrupt) is None:
             raise
-        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "by Ctrl-C"))
+        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     return result if isinstance(result, int) else ExitCode.OK
+
+
+def _open_closed_streams() -> None:
+    """Python has no stdout or stderr at all where a shell closed it (`canopen scan >&-`)."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - until the process ends
+
+
+def _put_to_rest(stream: IO[str]) -> None:
+    """What is still to be written goes nowhere, or Python would complain when it flushes at the end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _show(settings: Settings, problem: Problem) -> int:

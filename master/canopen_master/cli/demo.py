@@ -59,6 +59,11 @@ def demo(
     bus = settings.bus if settings.bus not in (None, "demo") else None
     if fault is not None and bus is not None:
         raise usage("CO123", "--fault breaks a simulated drive; those on a bus are real", tries=("canopen demo --fault 5@2.0",))
+    if fault is not None and fault[1] > seconds:
+        tries = (f"--fault {fault[0]}@{seconds / 2:g}", f"--seconds {fault[1] + 2:g}")
+        raise usage(
+            "CO123", f"--fault: after {fault[1]:g} s the arm moves no more", seen=f"it moves for {seconds:g} s", tries=tries
+        )
     check_cycle(cycle)
     if plot is not None:
         check_plot(plot)

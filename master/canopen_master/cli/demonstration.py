@@ -216,7 +216,7 @@ class Demonstration:
         view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
         step, start = view.begin("boot", "NMT, PDOs, fault reset, enable"), trio.current_time()
         await arm.initialise()
-        view.done(step, f"{count} drives in operation enabled after {trio.current_time() - start:.2f} s")
+        view.done(step, f"{_count(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
 
     async def _home(self, arm: Chain, view: DemoView) -> None:
         if self.plan.bus is not None:
@@ -226,7 +226,7 @@ class Demonstration:
         self._stage, self._has_begun = "the joints were homing", True
         step, start = view.begin("home", "the joints look for their reference"), trio.current_time()
         await arm.home()
-        view.done(step, f"{len(arm.devices)} joints homed after {trio.current_time() - start:.2f} s")
+        view.done(step, f"{_count(len(arm.devices), 'joint')} homed after {trio.current_time() - start:.2f} s")
 
     async def _move(self, arm: Chain, view: DemoView) -> None:
         """The path, one set-point for each joint in each cycle."""
@@ -290,10 +290,10 @@ class Demonstration:
     def titles(self) -> tuple[str, str]:
         """Title and subtitle."""
         count = len(self.description.joints)
-        where = "simulated drives" if self.plan.bus is None else f"drives on {self.plan.bus}"
-        title = f"{self.description.name}: {count} joint{'s' if count > 1 else ''} in interpolated position mode"
+        drives = _count(count, "simulated drive") if self.plan.bus is None else f"{_count(count, 'drive')} on {self.plan.bus}"
+        title = f"{self.description.name}: {_count(count, 'joint')} in interpolated position mode"
         source = f"{self.description.name} of {self.description.source}"
-        return title, f"{source}, {count} {where}, one SYNC each {_ms(self.plan.cycle)}"
+        return title, f"{source}, {drives}, one SYNC each {_ms(self.plan.cycle)}"
 
     def story(self, confirmed: bool) -> list[str]:
         """What has happened to the drives, where it did not end as planned. confirmed: they have said that they stand."""
@@ -340,6 +340,10 @@ class Demonstration:
                 for result in self.results
             ],
         }
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _ms(time: Time) -> str:

@@ -10,7 +10,8 @@ from rich.markup import escape
 
 from canopen_master.cli.demo_view import DemoView, JointView
 from canopen_master.cli.options import Duration, NodeId, Settings, common
-from canopen_master.cli.running import run
+from canopen_master.cli.problem import problem_of, usage
+from canopen_master.cli.running import notes_of, run
 from canopen_master.cli.screen import node_text
 from canopen_master.cli.session import Session, open_session
 from canopen_master.joint_procedures import awake
@@ -19,7 +20,7 @@ from canopen_proto.cia402.modes import describe_status
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import Procedure, all_of
+from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
 
 REFRESH: Final = 0.1
 """Seconds between two pictures."""
@@ -42,6 +43,8 @@ SCHUNK_MODES: Final = 0x43
 @click.pass_obj
 def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int | None, limit: Time, reset_fault: bool) -> None:
     """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them."""
+    if style == "schunk" and method is not None:
+        raise usage("CO125", "--method is for drives that home as CiA 402 says", tries=("the same without --method",))
     screen = settings.screen()
     chosen = tuple(dict.fromkeys(node_ids))
 
@@ -62,7 +65,14 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
                 await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
             return [axes[node_id] for node_id in chosen]
 
-    axes = run(settings, screen, command, story=_story)
+    try:
+        axes = run(settings, screen, command, story=_story)
+    except Exception as error:  # noqa: BLE001 - raised again, with what was done
+        problem = problem_of(error)
+        if isinstance(problem.__cause__, StepTimeout):
+            problem.more += _story(not notes_of(error))
+            problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {limit / SECOND:g} s)")
+        raise problem from problem.__cause__
     if settings.json:
         screen.json([_as_json(axis) for axis in axes])
         return
@@ -98,6 +108,10 @@ def _home(
     node = session.node(node_id)
     yield from awake(node)
     modes = yield from read_if_present(node.remote, "0x6502")
+    if style == "auto" and modes == SCHUNK_MODES and method is not None:
+        raise ProcedureError(
+            f"drive {node_id} homes as Schunk Powerball joints do, without a method. Try: the same without --method"
+        )
     is_schunk = style == "schunk" or (style == "auto" and modes == SCHUNK_MODES)
     settings = AxisSettings(
         counts_per_unit=1.0,

@@ -51,15 +51,15 @@ class Settings:
         """The bus of -b or CANOPEN_BUS, or None."""
         return self.bus or os.environ.get(BUS_VARIABLE) or None
 
-    def required_bus(self) -> str:
-        """As `named_bus`; a Problem where there is none."""
+    def required_bus(self, first: str = "-b demo                        six simulated drives, for trying things out") -> str:
+        """As `named_bus`; a Problem where there is none. first: what to try first."""
         bus = self.named_bus()
         if bus is None:
             raise usage(
                 "CO121",
                 "no bus was named",
                 tries=(
-                    "-b demo                        six simulated drives, for trying things out",
+                    first,
                     "-b socketcan:can0              Linux, any adapter that the kernel knows",
                     "-b pcan:PCAN_USBBUS1@500k      PEAK adapters",
                     f"export {BUS_VARIABLE}=can0       once for all commands",

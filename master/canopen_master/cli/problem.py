@@ -7,6 +7,8 @@ that gives each of them its exit status, and a message to what has none. A trace
 
 from __future__ import annotations
 
+import errno
+import re
 from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
@@ -42,6 +44,9 @@ class ExitCode(IntEnum):
     VERIFY_MISMATCH = 13
     INTERRUPTED = 130
 
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""Why a file system takes no more."""
 
 KINDS = {
     ExitCode.USAGE: "usage",
@@ -189,6 +194,10 @@ def _of_expected(error: BaseException) -> Problem | None:
             return usage("CO304", str(error), seen="nothing was sent")
         case LocalProtocolError():
             return usage("CO120", str(error), seen="nothing was sent")
+        case OSError(errno=number) if number in NO_ROOM:
+            return Problem(
+                ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
+            )
         case PermissionError():
             return Problem(ExitCode.PERMISSION, "CO109", str(error))
         case click.UsageError():
@@ -200,7 +209,10 @@ def _of_expected(error: BaseException) -> Problem | None:
 
 def _of_usage(error: click.UsageError) -> Problem:
     command = error.ctx.command_path if error.ctx is not None else "canopen"
-    return usage("CO001", error.format_message(), tries=(f"{command} --help",))
+    tries = [f"{command} --help"]
+    if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
+        tries.insert(0, f"negative numbers behind `--`: {command} ... -- {error.option_name}")
+    return usage("CO001", error.format_message(), tries=tries)
 
 
 def _of_bus(code: str) -> ExitCode:

@@ -65,7 +65,8 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
 
 
 def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
-    problem = Problem(ExitCode.INTERRUPTED, "CO132", f"by {'Ctrl-C' if number == signal.SIGINT else signal.Signals(number).name}")
+    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+    problem = Problem(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
     unconfirmed = notes_of(failure)
     problem.more = story(not unconfirmed) + unconfirmed
     errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure

@@ -16,6 +16,7 @@ from typing import IO, Any, Final
 from rich import box
 from rich.console import Console, RenderableType
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -23,6 +24,9 @@ from canopen_master.cli.problem import ExitCode, Problem
 
 WIDTH_OFF_TERMINAL: Final = 200
 """Columns of a table that goes into a file or a pipe: nothing of ours is wider, so nothing is cut."""
+
+GAP: Final = 2
+"""Characters between two columns of a table."""
 
 
 def node_text(node_id: int) -> str:
@@ -56,8 +60,42 @@ class Screen:
         self.out.out(json.dumps(value, indent=None if isinstance(value, str) else 2, ensure_ascii=False, default=str))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> None:
-        """A table to stdout. right: the columns that are aligned at the right."""
-        self.out.print(plain_table(columns, rows, right=right))
+        """A table to stdout. right: the columns that are aligned at the right. Where it is too wide, one block for each row."""
+        rows = [tuple(row) for row in rows]
+        table = plain_table(columns, rows, right=right)
+        if self._fit(table, [list(column) for column in zip(columns, *rows, strict=True)]):
+            self.out.print(table)
+            return
+        for number, row in enumerate(rows):
+            block = Table.grid(padding=(0, 2))
+            block.add_column(no_wrap=True)
+            block.add_column(overflow="fold")
+            for name, cell in zip(columns, row, strict=True):
+                if cell != "":
+                    block.add_row(" ".join(name.split()), cell)
+            if number:
+                self.out.print()
+            self.out.print(block)
+
+    def _fit(self, table: Table, columns: Sequence[Sequence[RenderableType]]) -> bool:
+        """Give the columns widths with which no word is broken; False where there are none."""
+        wide = self.out.options.update(max_width=10_000)
+        sizes = []
+        for column, (_, *cells) in zip(table.columns, columns, strict=True):
+            measures = [Measurement.get(self.out, wide, cell) for cell in (column.header, *cells)]
+            least = max(
+                measures[0].maximum if column.no_wrap else measures[0].minimum, *(each.minimum for each in measures[1:]), 1
+            )
+            sizes.append((least, max(each.maximum for each in measures)))
+        spare = self.out.width - GAP * (len(sizes) - 1) - sum(least for least, _ in sizes)
+        if spare < 0:
+            return False
+        wishes = sorted(zip(sizes, table.columns, strict=True), key=lambda each: each[0][1] - each[0][0])
+        for number, ((least, most), column) in enumerate(wishes):
+            extra = min(most - least, spare // (len(wishes) - number))
+            column.width = least + extra
+            spare -= extra
+        return True
 
     # ---- talk ----
 
@@ -79,13 +117,14 @@ class Screen:
             self.err.out(json.dumps(problem.as_json(), ensure_ascii=False), highlight=False)
             return
         interrupted = problem.exit_code is ExitCode.INTERRUPTED
+        failed = problem.failed.removeprefix("interrupted ") if interrupted else problem.failed
         head = "[bold yellow]interrupted[/]" if interrupted else f"[bold red]error {problem.code}:[/]"
         if not self.err.is_terminal:
-            self.err.print(f"{head} {escape(problem.failed)}", highlight=False, soft_wrap=True)
+            self.err.print(f"{head} {escape(failed)}", highlight=False, soft_wrap=True)
             for label, text in problem.details():
                 self.err.print(f"  {label} {escape(text)}", highlight=False, soft_wrap=True)
             return
-        self.err.print(f"{head} {escape(problem.failed)}", highlight=False)
+        self.err.print(f"{head} {escape(failed)}", highlight=False)
         grid = Table.grid(padding=(0, 1))
         grid.add_column(style="dim", no_wrap=True)
         grid.add_column()
@@ -111,5 +150,6 @@ def _console(stream: IO[str], color: bool) -> Console:
         stream.reconfigure(errors="replace")  # a pipe of another encoding must not end a command
     console = Console(file=stream, no_color=not color, highlight=False, emoji=False)
     if not console.is_terminal:
-        console.width = int(os.environ.get("COLUMNS", "0") or 0) or WIDTH_OFF_TERMINAL
+        columns = os.environ.get("COLUMNS", "")
+        console.width = (int(columns) if columns.isdecimal() else 0) or WIDTH_OFF_TERMINAL
     return console

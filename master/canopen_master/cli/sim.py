@@ -41,7 +41,7 @@ def sim(settings: Settings, node_ids: tuple[int, ...], shape: str, seconds: floa
     canopen demo -b udp_multicast
     """
     screen = settings.screen()
-    bus = settings.required_bus()
+    bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")
     locator = DEMO_LOCATOR if bus == DEMO else bus
 
     def tell(event: Event) -> None:
@@ -54,7 +54,10 @@ def sim(settings: Settings, node_ids: tuple[int, ...], shape: str, seconds: floa
                 screen.say(f"{node_text(node_id)}  [red]fault 0x{code:04X} {error_text(code)}[/]")
 
     async def serve() -> None:
-        screen.say(f"[bold]{len(node_ids)} simulated drives on {bus}[/], until Ctrl-C")
+        drives = f"{len(node_ids)} simulated drive{'s' if len(node_ids) > 1 else ''}"
+        screen.say(f"[bold]{drives} on {bus}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+        if locator.startswith("virtual:"):
+            screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
         async with simulated_fleet([(locator, node_id) for node_id in node_ids], SHAPES[shape], tell):
             await trio.sleep(math.inf if seconds is None else seconds)
 
