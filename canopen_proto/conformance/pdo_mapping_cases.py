@@ -56,6 +56,7 @@ def default_mappings(bench: Bench) -> Procedure[str]:
     bits."""
     count = 0
     for pdo in all_pdos(bench, *BOTH):
+        expect(bench.dictionary.get(pdo.mapping) is not None, f"{pdo} has no mapping parameter")
         number = yield from bench.number(pdo.mapping)
         expect_equal(number, bench.default(pdo.mapping), f"the number of objects in {pdo}")
         bits = 0

@@ -57,7 +57,7 @@ def all_pdos(bench: Bench, *directions: Direction) -> list[Pdo]:
         place = place_of(index)
         if place is not None and not place.is_mapping and place.direction in directions:
             pdo = Pdo(place.direction, place.number)
-            if bench.dictionary.get(pdo.communication, COB_ID) and bench.dictionary.get(pdo.mapping, 0):
+            if bench.dictionary.get(pdo.communication, COB_ID) is not None:
                 found.append(pdo)
     if not found:
         does_not_apply(f"the dictionary has no {' and no '.join(directions)}")

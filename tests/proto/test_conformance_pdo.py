@@ -17,14 +17,14 @@ from tests.proto.conformance_rig import Fault, check_caught, verdict_of
 from tests.proto.faulty_nodes import SelfStarting
 from tests.proto.full_device import INPUT_16, OUTPUT_16, full_device
 
-MAPPINGS = range(0x1600, 0x1C00)
+MAPPINGS = (*range(0x1600, 0x1800), *range(0x1A00, 0x1C00))
 
 
 class Permissive(LocalNode):
     """Takes every mapping, at any time."""
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        if index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00):
+        if index in MAPPINGS:
             self.values.store[index << 8 | subindex] = int.from_bytes(data, "little")
             return None
         return super().write(index, subindex, data, now)
@@ -34,7 +34,7 @@ class Fixed(LocalNode):
     """Takes no mapping but what it has."""
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        if (index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00)) and subindex:
+        if index in MAPPINGS and subindex:
             return AbortCode.CANNOT_BE_MAPPED
         return super().write(index, subindex, data, now)
 
@@ -43,7 +43,7 @@ class Forgetful(LocalNode):
     """Confirms mapping entries, and does not keep them."""
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        if (index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00)) and subindex:
+        if index in MAPPINGS and subindex:
             return None
         return super().write(index, subindex, data, now)
 
@@ -127,7 +127,7 @@ def read_only(index: int, highest: int, defaults: dict[int, int]) -> Object:
                                  for sub in made.variables if sub or index >= 0x1600])  # fmt: skip
 
 
-def one_fixed_tpdo(**changes: object) -> ObjectDictionary:
+def one_fixed_tpdo() -> ObjectDictionary:
     """A device of one TPDO, of which nothing may be changed but the COB-ID."""
     return full_device(
         Object.of("c", [
@@ -176,7 +176,7 @@ def test_a_dictionary_that_is_wrong_itself() -> None:
 
 
 def test_the_last_pdo_of_all() -> None:
-    truth = full_device(standard_object(0x15FF, highest=2), standard_object(0x17FF, highest=1))
+    truth = full_device(standard_object(0x15FF, highest=2))
     assert verdict_of("3.1", truth=truth).reason == "5 PDOs"
 
 
@@ -205,3 +205,20 @@ def test_what_is_not_there_to_be_mapped() -> None:
 
 def test_dummy_objects_are_optional() -> None:
     assert verdict_of("3.33", Fault("no dummies", node=Fixed)).result is Result.NOT_APPLICABLE
+
+
+def test_tpdos_that_allow_no_remote_requests() -> None:
+    """Refused, as a restricted CAN-ID is."""
+    refuses = Fault("no requests", heard=[("605#23(..)1801....0000", r"605#23\g<1>180101060000")])
+    verdict = verdict_of("3.3", refuses)
+    assert verdict.result is Result.NOT_APPLICABLE
+    assert "remote requests" in verdict.reason
+
+
+def test_pdos_that_are_not_all_there() -> None:
+    without_mapping = full_device(standard_object(0x1404, highest=2))
+    assert verdict_of("3.1", truth=without_mapping).reason == "5 PDOs"
+    assert verdict_of("3.21", truth=without_mapping).reason == "RPDO 5 has no mapping parameter"
+    pdos = {index: standard_object(index, highest=2) for index in (*range(0x1400, 0x1404), *range(0x1800, 0x1804))}
+    nameless = full_device(*pdos.values())
+    assert "has a CAN-ID and a mapping" in verdict_of("3.22", truth=nameless).reason

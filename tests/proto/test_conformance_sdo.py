@@ -141,3 +141,10 @@ def test_codes_that_need_not_say_more() -> None:
     for number in ("2.3", "2.4", "2.5", "2.6", "2.7", "2.8", "2.9", "2.10", "2.11", "2.17"):
         vague = replace(Fault("vague"), sent=[("(585#80.{6}).{8}", refused(AbortCode.GENERAL_ERROR))])
         assert verdict_of(number, vague).result is Result.PASSED, number
+
+
+def test_a_long_object_of_fixed_length() -> None:
+    counter = Object.of("counter", [Variable(0x2010, 0, "counter", DataType.UNSIGNED64, Access.RO, default=1 << 40)])
+    truth = full_device(counter, without=(0x1008, 0x1009))
+    for number in ("2.16", "2.18", "2.22"):
+        assert verdict_of(number, truth=truth).reason.startswith("counter"), number
