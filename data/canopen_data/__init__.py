@@ -164,7 +164,8 @@ def init(target: str | Path | None = None, *, force: bool = False) -> list[Copie
         folder.mkdir(parents=True, exist_ok=True)
         return [_copy(name, folder / name, force) for name in (*DICTIONARY_FILES, *CHAIN_FILES)]
     except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
-        raise DataError(f"cannot copy the data files to {folder}: {error}", "name another folder") from None
+        hint = "`canopen data init --to FOLDER` copies them to another folder"
+        raise DataError(f"cannot copy the data files to {folder}: {error}", hint) from None
 
 
 def _copy(name: str, path: Path, force: bool) -> Copied:

@@ -19,6 +19,7 @@ import trio
 
 from canopen_data import DataError, entry
 from canopen_master import errors
+from canopen_master.cli import main
 from canopen_master.cli.problem import ExitCode, Problem, problem_of
 from canopen_master.cli.running import notes_of
 from canopen_master.cli.screen import Screen
@@ -166,6 +167,22 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
         assert process.wait(60) == 141
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGPIPE")
+def test_readers_of_both_streams_that_go_away_while_the_arm_moves(tmp_path: Path) -> None:
+    with started(tmp_path, "demo", "--seconds", "1") as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stderr.readline()
+        process.stdout.close()
+        process.stderr.close()
+        assert process.wait(60) == 141
+
+
+def test_what_cannot_be_parsed_is_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scan", "--bogus", "--json"]) == ExitCode.USAGE
+    assert json.loads(capsys.readouterr().err)["code"] == "CO001"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell")

@@ -129,6 +129,9 @@ def test_an_unknown_option_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         homing.main(["12", "--steps", "3"])
     assert "--steps" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        single_device.main(["12", "--cycles", "-5"])
+    assert "-5 is less than 1" in capsys.readouterr().err
 
 
 def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:

@@ -138,6 +138,8 @@ def test_send_sdo_raises_what_went_wrong(session: Session, arm: Devices) -> None
         session.send_sdo(12, "controlword", 0x10000)
     with pytest.raises(LocalProtocolError):
         session.send_sdo(200, "statusword")
+    with pytest.raises(LocalProtocolError, match="'12' is no node-ID"):
+        session.homing("12")  # type: ignore[arg-type]
     assert arm.frames() == []
     with pytest.raises(SdoRefused):
         session.send_sdo(12, "target_velocity")  # of modes that a Schunk joint does not have

@@ -69,6 +69,8 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
+        if isinstance(error, click.UsageError) and "--json" in (sys.argv if arguments is None else arguments):
+            settings.json = True  # click did not come to that
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             _put_to_rest(sys.stdout)
         return _show(settings, problem_of(error))
@@ -93,5 +95,9 @@ def _put_to_rest(stream: IO[str]) -> None:
 
 
 def _show(settings: Settings, problem: Problem) -> int:
-    settings.screen().problem(problem)
+    try:
+        settings.screen().problem(problem)
+    except BrokenPipeError:  # perhaps that was the problem
+        _put_to_rest(sys.stderr)
+        return CLOSED_PIPE
     return problem.exit_code

@@ -145,10 +145,17 @@ def plain_table(columns: Sequence[str], rows: Iterable[Sequence[RenderableType]]
     return table
 
 
+class _Console(Console):
+    """rich's own way out of a closed pipe, SystemExit, would come out of trio in a group, with the other stream put to rest."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def _console(stream: IO[str], color: bool) -> Console:
     if hasattr(stream, "reconfigure"):
         stream.reconfigure(errors="replace")  # a pipe of another encoding must not end a command
-    console = Console(file=stream, no_color=not color, highlight=False, emoji=False)
+    console = _Console(file=stream, no_color=not color, highlight=False, emoji=False)
     if not console.is_terminal:
         columns = os.environ.get("COLUMNS", "")
         console.width = (int(columns) if columns.isdecimal() else 0) or WIDTH_OFF_TERMINAL

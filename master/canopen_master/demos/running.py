@@ -54,9 +54,9 @@ def parse(
     parser.add_argument("ids", metavar="ID", nargs="*", help="CAN device ID, decimal")
     parser.add_argument("--bus", default="/dev/pcan32", help="virtual, socketcan:can0 ... (default: %(default)s)")
     if cycles is not None:
-        parser.add_argument("--cycles", type=int, help=f"how often it moves to and fro (default: {cycles})")
+        parser.add_argument("--cycles", type=_count, help=f"how often it moves to and fro (default: {cycles})")
     if steps is not None:
-        parser.add_argument("--steps", type=int, help=f"set-points of one way (default: {steps})")
+        parser.add_argument("--steps", type=_count, help=f"set-points of one way (default: {steps})")
     if pause is not None:
         parser.add_argument("--pause", type=float, help=f"seconds before it moves (default: {pause:g})")
     parser.set_defaults(cycles=cycles or 0, steps=steps or 0, pause=pause or 0.0)
@@ -67,6 +67,13 @@ def parse(
         return None
     node_ids = dict.fromkeys(map(node_id_of, chosen))
     return Options(tuple(node_ids), given.bus, given.cycles, given.steps, given.pause)
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return count
 
 
 def run(demo: Callable[[Options], None], read_options: Callable[[], Options | None]) -> int:

@@ -365,6 +365,8 @@ class Session:
         master.watch((PdoReceived,), self._on_pdo)
 
     def _drive(self, master: Master, node_id: int) -> DirectDrive:
+        if not isinstance(node_id, int):  # what stands in sys.argv is a text
+            raise LocalProtocolError(f"{node_id!r} is no node-ID: it has to be an int")
         drive = self._drives.get(node_id)
         if drive is None:
             node = master.node(node_id, bus=self._connection.bus)
