@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import os
 import signal
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
@@ -280,7 +281,7 @@ def test_a_plot_that_cannot_be_written_is_told_before_anything_moves(run: Run, t
 
 def test_a_plot_onto_a_full_or_forbidden_place(run: Run) -> None:
     outcome = run("demo", *SHORT, "--plot", "/proc/arm.png")
-    assert outcome.status == ExitCode.BAD_FILE
+    assert outcome.status in (ExitCode.BAD_FILE, ExitCode.PERMISSION)  # of root; of others
     assert "cannot write /proc/arm.png" in outcome.err
 
 
@@ -299,3 +300,16 @@ def test_without_matplotlib_it_says_what_to_install(run: Run, monkeypatch: pytes
     outcome = run("demo", "--plot", "arm.png")
     assert outcome.status == ExitCode.USAGE
     assert "canopen-proto[plot]" in outcome.err
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_picture_that_this_user_may_not_write(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool) -> None:
+    """Before anything moves. Whoever runs the tests may be root, who may write everywhere."""
+    picture = tmp_path / "arm.png"
+    if there:
+        picture.touch()
+    monkeypatch.setattr(os, "access", lambda path, mode: path != (picture if there else tmp_path))
+    outcome = run("demo", "--plot", str(picture))
+    assert outcome.status == ExitCode.PERMISSION
+    assert "this user may not" in outcome.err
+    assert "boot" not in outcome.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,16 @@ def check_plot(path: Path) -> None:
             tries=("pip install 'canopen-proto[plot]'", "the same command without --plot"),
         ) from None
     if not path.parent.is_dir():
-        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: the folder {path.parent} does not exist")
+        raise Problem(
+            ExitCode.BAD_FILE,
+            "CO341",
+            f"cannot write {path}: the folder {path.parent} does not exist",
+            tries=(f"mkdir -p {path.parent}",),
+        )
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise Problem(
+            ExitCode.PERMISSION, "CO109", f"cannot write {path}: this user may not", tries=("--plot with another folder",)
+        )
     known = FigureCanvasAgg.get_supported_filetypes()
     if path.suffix.lstrip(".").lower() not in known:
         raise usage("CO140", f"cannot write a picture as {path.name!r}", tries=(f"one of .{', .'.join(sorted(known))}",))
