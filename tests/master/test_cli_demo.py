@@ -98,6 +98,22 @@ def test_ctrl_c_leaves_every_drive_halted(run: Run, fleets: list[Fleet], alarm: 
         assert "halted: joint1, joint2, joint3, joint4, joint5, joint6" in outcome.err
 
 
+@pytest.mark.parametrize("steps", range(25))
+def test_a_cancel_while_the_simulated_drives_begin_ends_them(steps: int) -> None:
+    async def serve() -> None:
+        async with simulated_fleet([("virtual:begin", 3), ("virtual:begin too", 3)]):
+            await trio.sleep_forever()
+
+    async def test() -> None:
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(serve)
+            for _ in range(steps):
+                await trio.lowlevel.checkpoint()
+            nursery.cancel_scope.cancel()
+
+    trio.run(test)
+
+
 def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
     alarm.set((1.0, signal.SIGINT), (0.001, signal.SIGINT))
     outcome = run("demo", *SHORT)

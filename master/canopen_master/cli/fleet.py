@@ -88,8 +88,9 @@ async def simulated_fleet(
         makers.setdefault(locator, []).append(drive_maker(number, node_id, shape))
     failure: Exception | None = None
     async with trio.open_nursery() as nursery:
-        serving = trio.CancelScope(shield=True)
+        serving = trio.CancelScope()
         hosts: list[Host] = await nursery.start(_serve, makers, on_event, serving)
+        serving.shield = True  # from now on: a start that is cancelled waits for what it has begun, and that must end then
         try:
             await trio.sleep(BOOT_TIME)
             yield Fleet(hosts)
