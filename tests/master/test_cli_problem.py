@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.abc
 import io
 import json
 import os
@@ -209,15 +208,31 @@ def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
     )
 
 
-def test_ctrl_c_while_the_command_line_is_read_in(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    class Interrupted(importlib.abc.MetaPathFinder):
-        def find_spec(self, name: str, *arguments: object) -> None:
-            raise KeyboardInterrupt
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+from canopen_data.entry import main
+class Finder:
+    def find_spec(self, *arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.exit(main())
+"""
 
-    monkeypatch.delitem(sys.modules, "canopen_master.cli")
-    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
-    assert entry.main() == ExitCode.INTERRUPTED
-    assert capsys.readouterr().err == "interrupted by Ctrl-C\n"
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
+def test_ctrl_c_while_the_command_line_is_read_in() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
+    program = [sys.executable, "-c", INTERRUPTED_IMPORT]
+    ended = subprocess.run(program, capture_output=True, text=True, env=environment, timeout=60)
+    assert ended.returncode == -signal.SIGINT  # which a shell calls 130
+    assert ended.stderr == ""
+
+
+def test_the_entry_runs_the_command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["canopen", "--version"])
+    assert entry.main() == 0
+    assert capsys.readouterr().out.startswith("canopen, version")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_pipe_that_is_closed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
