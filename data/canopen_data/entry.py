@@ -3,7 +3,7 @@
 It stands in this package because all of canopen_master needs trio, and this one nothing but the standard library.
 
 Reading in the command line takes a third of a second, in which no drive is touched. A Ctrl-C in that time simply ends the process
-(for a shell that is status 130, as ever): Python's KeyboardInterrupt would show where in an import it struck, or be swallowed there.
+(a shell calls that 130, as ever): Python's KeyboardInterrupt would show where in an import it struck, or be swallowed there.
 """
 
 from __future__ import annotations
