@@ -16,7 +16,7 @@ To that the product's own files (see csv.py) add
 A description never changes once it is made: six drives may share one. What the objects *hold* is in `values.Values`, one for
 each device. Making a new description out of others: `with_objects` and `with_names_of`.
 
-What is left out: everything that an EDS says beyond this (parameter names per language, object flags).
+What a file says of the device as a whole (vendor, bit rates, commissioning) is in `description.DeviceDescription`.
 """
 
 from __future__ import annotations
@@ -24,18 +24,34 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import IntEnum, StrEnum
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, NoReturn, TypeAlias
+from typing import Final, NoReturn
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length_of, decode, encode, is_signed, size_of, zero_of
+from canopen_proto.datatypes import DataType, Value, is_signed
+from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable, mux
 from canopen_proto.machine import LocalProtocolError
 
-
-def mux(index: int, subindex: int = 0) -> int:
-    """The multiplexer: index << 8 | subindex, the key of `Values.store` and of all fast look-ups."""
-    return index << 8 | subindex
+__all__ = [
+    "Access",
+    "Constant",
+    "ConstantNotFound",
+    "Direction",
+    "Filler",
+    "Key",
+    "Message",
+    "NotInDictionary",
+    "Object",
+    "ObjectDictionary",
+    "ObjectNotFound",
+    "ObjectType",
+    "PdoDescription",
+    "PdoNotFound",
+    "Variable",
+    "did_you_mean",
+    "mux",
+]
 
 
 class NotInDictionary(LocalProtocolError, KeyError):
@@ -57,126 +73,11 @@ class PdoNotFound(NotInDictionary):
     """No such PDO description."""
 
 
-class Access(StrEnum):
-    """What SDO may do with an object (CiA 301 v4.2.0, 7.4.8.3). RWR and RWW are RW that a TPDO, an RPDO may carry (CiA 306)."""
-
-    RO = "ro"
-    WO = "wo"
-    RW = "rw"
-    RWR = "rwr"
-    RWW = "rww"
-    CONST = "const"
-
-    @property
-    def readable(self) -> bool:
-        return self is not Access.WO
-
-    @property
-    def writable(self) -> bool:
-        return self is not Access.RO and self is not Access.CONST
-
-
-class ObjectType(IntEnum):
-    """Object codes (CiA 301 v4.2.0, 7.4.3, table 42)."""
-
-    DOMAIN = 2
-    VAR = 7
-    ARRAY = 8
-    RECORD = 9
-
-
 class Direction(StrEnum):
     """Of a PDO, as the device sees it: it receives RPDOs (master to device) and transmits TPDOs (device to master)."""
 
     RPDO = "RPDO"
     TPDO = "TPDO"
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """What stands at one index and subindex.
-
-    default: what it holds after start-up; None = the type's zero. adds_node_id: the device's node-ID is added to the default
-    ("$NODEID+0x80" of an EDS). low_limit, high_limit: what a write may not pass, None = the type's own limits. pdo_mappable: a
-    PDO may carry it, in the direction that its access allows. mux, size (bytes by SDO, None = any) and bit_length (in a PDO,
-    None = cannot be mapped) follow from the rest.
-    """
-
-    index: int
-    subindex: int
-    name: str
-    data_type: DataType
-    access: Access = Access.RW
-    default: Value | None = None
-    low_limit: int | float | None = None
-    high_limit: int | float | None = None
-    pdo_mappable: bool = False
-    aliases: tuple[str, ...] = ()
-    adds_node_id: bool = False
-    mux: int = field(init=False, repr=False, compare=False)
-    size: int | None = field(init=False, repr=False, compare=False)
-    bit_length: int | None = field(init=False, repr=False, compare=False)
-    label: str = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__  # the dataclass is frozen
-        put(self, "mux", mux(self.index, self.subindex))
-        put(self, "size", size_of(self.data_type))
-        put(self, "bit_length", bit_length_of(self.data_type))
-        put(self, "label", f"{self.name} (0x{self.index:04X}:{self.subindex:02X})")
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All its names."""
-        return (self.name, *self.aliases)
-
-    def default_of(self, node_id: int) -> Value:
-        """What it holds in the device of that node-ID after start-up."""
-        value = zero_of(self.data_type) if self.default is None else self.default
-        return value + node_id if self.adds_node_id and isinstance(value, int) else value
-
-    def encode(self, value: Value) -> bytes:
-        """The value's bytes as SDO carries them. Raises ValueRangeError that names this object. Limits: `check_limits`."""
-        return encode(value, self.data_type, self.label)
-
-    def decode(self, data: bytes) -> Value:
-        """The value of bytes as SDO carries them. Raises ValueRangeError (wrong length) that names this object."""
-        return decode(data, self.data_type, self.label)
-
-    def check_limits(self, value: Value) -> None:
-        """Raise ValueRangeError where a number lies outside low_limit..high_limit."""
-        if isinstance(value, int | float):
-            low, high = self.low_limit, self.high_limit
-            if (low is not None and value < low) or (high is not None and value > high):
-                limits = f"{'' if low is None else low}..{'' if high is None else high}"
-                raise ValueRangeError(f"{self.label}: {value} is outside {limits} (limits of this object)")
-
-    def __str__(self) -> str:
-        return self.label
-
-
-Key: TypeAlias = str | int | tuple[int, int] | Variable
-"""What names a variable: "statusword", "record:field", "6041", "0x6041", "6041:00", "6041.0" (numbers in text are hexadecimal);
-0x6041; (0x60C1, 1); the Variable itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class Object:
-    """What stands at one index: its variables by subindex."""
-
-    index: int
-    name: str
-    object_type: ObjectType
-    variables: Mapping[int, Variable]
-
-    @classmethod
-    def of(cls, name: str, variables: Iterable[Variable], object_type: ObjectType | None = None) -> Object:
-        """An object of these variables, which share one index; a VAR where the only one stands at subindex 0, else a RECORD."""
-        by_subindex = {variable.subindex: variable for variable in variables}
-        if object_type is None:
-            object_type = ObjectType.VAR if list(by_subindex) == [0] else ObjectType.RECORD
-        (index,) = {variable.index for variable in by_subindex.values()}
-        return cls(index, name, object_type, MappingProxyType(by_subindex))
 
 
 @dataclass(frozen=True, slots=True)

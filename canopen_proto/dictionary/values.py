@@ -30,7 +30,7 @@ class Values:
     def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
-        self.store: dict[int, Value] = {variable.mux: variable.default_of(node_id) for variable in dictionary}
+        self.store: dict[int, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
 
     def __getitem__(self, mux: int) -> Value:
         """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
@@ -70,7 +70,7 @@ class Values:
         """
         for variable in self.dictionary:
             if first_index <= variable.index <= last_index:
-                self.store[variable.mux] = variable.default_of(self.node_id)
+                self.store[variable.mux] = variable.initial_of(self.node_id)
 
     def _held(self, key: Key) -> Variable:
         variable = self.dictionary.variable(key)
