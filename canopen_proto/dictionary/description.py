@@ -105,8 +105,11 @@ class DynamicChannel:
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """A module of a modular device: [MnModuleInfo] and what it adds. fixed_objects: objects that come with it, whole;
-    sub_extensions: by index, what each module of this type adds to that object (CiA 306-1, modular devices), as the file's keys."""
+    """A module of a modular device: [MnModuleInfo] and what it adds (CiA 306-1, modular devices).
+
+    fixed_objects: objects that come with it, whole; sub_extensions: by index, what each module of this type adds to that object,
+    as the file's keys and values.
+    """
 
     number: int
     product_name: str = ""
@@ -122,8 +125,11 @@ class Document(Protocol):
     """The file as it stood."""
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
-        """Line and column (from 1) of an object (subindex None), a sub-object, or one field of it by the file's name for it
-        ("DefaultValue"; the value's column); of the next larger thing where the file has not that; (0, 0) where it has nothing."""
+        """Line and column, from 1, of an object (subindex None), a sub-object, or one field by the file's name for it.
+
+        Of a field ("DefaultValue") the column is that of its value. Where the file does not have it, the place of the next larger
+        thing; (0, 0) where it has nothing of all this.
+        """
 
 
 @dataclass(frozen=True, slots=True)
