@@ -7,14 +7,15 @@ our own side. Besides: each request has one outcome, served time does not want t
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 from canopen_proto.dictionary import Values
 from canopen_proto.dictionary.csv import load_csv
 from canopen_proto.dictionary.findings import DictionaryError
 from canopen_proto.frame import Frame
-from canopen_proto.machine import Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from fuzz.steps import decode
@@ -50,7 +51,7 @@ def _drive(subject: LocalSubject | RemoteSubject, data: bytes) -> None:
 
 
 def sdo_client(data: bytes) -> None:
-    """An SDO client that stands alone; its own side uploads, downloads and cancels."""
+    """An SDO client that stands alone; its own side uploads, downloads, in blocks and as streams too, and cancels."""
     client = SdoClient(Outbox(), 5, max_upload=LARGEST_TRANSFER, max_queue=1 << 16)
     client.copy_guard = 50_000_000 if data[:1] > b"\x80" else 0
     now: Time = 0
@@ -59,7 +60,7 @@ def sdo_client(data: bytes) -> None:
     def settle() -> None:
         for report in client.out.events:
             if isinstance(report, Outcome):
-                assert isinstance(report, SdoUploaded | SdoDownloaded | SdoAborted)
+                assert isinstance(report, SdoUploaded | SdoDownloaded | SdoStreamUploaded | SdoAborted)
                 open_requests.remove(report.request_id)
                 assert not isinstance(report, SdoUploaded) or len(report.data) <= LARGEST_TRANSFER
         client.out.events.clear()
@@ -71,23 +72,40 @@ def sdo_client(data: bytes) -> None:
         elif step[0] == "wait":
             now = _wake(client, now, now + step[1])
         else:
-            choice, size = step[1] % 4, step[1] >> 2
-            if choice == 0:
-                open_requests.add(client.upload(0x2000 + size % 3, 0, now, urgent=size % 5 == 0))
-            elif choice == 1:
-                open_requests.add(client.download(0x2000, size % 3, bytes(size % 30), now))
-            elif choice == 2:
-                for request_id in sorted(open_requests)[: size % 3]:
-                    client.cancel(request_id, now)
-            else:
-                client.abort_all(0x08000000, now)
+            _ask(client, open_requests, step[1] % 8, step[1] >> 3, now)
         settle()
     for _ in range(2 * len(open_requests)):  # nobody answers: each times out, or waits for its turn and then times out
         now = _wake(client, now, max(now, client.deadline)) if client.busy else now
         settle()
     assert not client.busy
     assert not open_requests
-    assert held(client) < 2000
+    assert held(client) < 4000
+
+
+def _ask(client: SdoClient, open_requests: set[RequestId], choice: int, size: int, now: Time) -> None:
+    """One act of the client's own side. A stream that is not the one under way refuses to go on."""
+    block: Block = (False, True, "auto")[size // 64 % 3]
+    match choice:
+        case 0 | 1:
+            open_requests.add(client.upload(0x2000 + size % 3, 0, now, urgent=size % 5 == 0, block=block))
+        case 2 | 3:
+            open_requests.add(client.download(0x2000, size % 3, bytes(size % 30), now, block=block))
+        case 4:
+            for request_id in sorted(open_requests)[: size % 3]:
+                client.cancel(request_id, now)
+        case 5:
+            client.abort_all(0x08000000, now)
+        case 6:
+            open_requests.add(
+                client.upload_stream(0x2000, 0, now)
+                if size % 2
+                else client.download_stream(0x2000, 0, now, size=size % 60 or None)
+            )
+        case _:
+            for request_id in sorted(open_requests):
+                client.proceed(request_id, now)
+                with suppress(LocalProtocolError):
+                    client.feed(request_id, bytes(size % 70), now, last=size % 2 == 1)
 
 
 def sdo_server(data: bytes) -> None:
