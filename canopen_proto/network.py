@@ -13,18 +13,23 @@ until none has anything: a procedure that is fed in one may have mutated any.
 
 What one participant's own machines tell each other, since a bus does not hand our own frames back to us: a SYNC that we sent (or
 heard) releases the synchronous PDOs of every attached `RemoteNode`, and an NMT command that we sent changes what we expect of it.
+
+Besides, a Network remembers what it last heard from each node (bus_knowledge.py), for errors that say what was seen.
 """
 
 from __future__ import annotations
 
 from typing import Final, Protocol, TypeVar, runtime_checkable
 
+from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
 from canopen_proto.frame import Frame
 from canopen_proto.group import Members, Reaction
-from canopen_proto.machine import NEVER, Event, Machine, Outbox, Outcome, RequestId, Time, event
+from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time, event
 from canopen_proto.nmt import NmtCommand, NmtCommandSent
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
 T = TypeVar("T")
@@ -56,7 +61,10 @@ class Follower(Protocol):
 class Network:
     """All machines of one participant on one bus."""
 
-    __slots__ = ("_dropped", "_followers", "_members", "_now", "_reactions", "_settled", "out", "runner")
+    __slots__ = (
+        "_dropped", "_followers", "_frames", "_knowledge", "_members", "_now", "_reactions", "_settled", "_times", "out",
+        "runner",
+    )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
@@ -70,7 +78,11 @@ class Network:
             SyncSent: self._on_sync,
             SyncReceived: self._on_sync,
             NmtCommandSent: self._on_nmt_command,
+            SdoAborted: self._on_sdo_aborted,
+            FrameIgnored: self._on_ignored,
         }
+        self._knowledge = BusKnowledge()
+        self._times, self._frames = self._knowledge.times, self._knowledge.frames  # as near as can be: written for each frame
         if runner is None:
             runner = Runner(self.out)
             self.attach(runner)
@@ -101,13 +113,46 @@ class Network:
         if out.rerouted:
             self._members.refresh()
         out.timestamp = timestamp
-        for machine in self._members.routes.get(frame.key, ()):
+        key = frame.key
+        for machine in self._members.routes.get(key, ()):
             machine.receive(frame, now)
         if len(out.events) > self._settled:
             self._settle(now)
             if len(out.events) > MAX_UNDRAINED_EVENTS:
                 self._shed()
         out.timestamp = None
+        if key < SLOTS:
+            self._times[key] = now
+            self._frames[key] = frame
+        else:
+            self._knowledge.other = now
+
+    # ---- what was heard ----
+
+    @property
+    def last_heard(self) -> Time | None:
+        """When the last frame came, whosever it was; None on a bus that has been silent. Not O(1): for errors."""
+        return self._knowledge.last_heard
+
+    @property
+    def hears_all(self) -> bool:
+        """Whether each frame of the bus comes here. A driver whose transport filters (by `can_ids`) sets it to False: what was
+        not heard may have been there then."""
+        return self._knowledge.hears_all
+
+    @hears_all.setter
+    def hears_all(self, hears_all: bool) -> None:
+        self._knowledge.hears_all = hears_all
+
+    def heard(self, node_id: int) -> NodeHeard:
+        """What was last heard of a node (1..127, else LocalProtocolError), wanted or not."""
+        return self._knowledge.heard(node_id)
+
+    def heard_nodes(self) -> tuple[int, ...]:
+        """The node-IDs that were heard so far, in order."""
+        return self._knowledge.nodes()
+
+    # ---- time, and what comes out ----
 
     def next_deadline(self) -> Time:
         """When to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) when nothing changed."""
@@ -198,3 +243,10 @@ class Network:
         for follower in self._followers.values():
             if sent.node_id in (0, follower.node_id):
                 follower.on_nmt_command(sent.command, now)
+
+    def _on_sdo_aborted(self, aborted: SdoAborted, now: Time) -> None:
+        if aborted.origin is AbortOrigin.TIMEOUT:
+            self._knowledge.on_given_up(aborted.node_id, aborted.index, aborted.subindex, now)
+
+    def _on_ignored(self, ignored: FrameIgnored, now: Time) -> None:
+        self._knowledge.on_ignored(ignored.frame, now)

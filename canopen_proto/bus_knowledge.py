@@ -1,0 +1,209 @@
+"""What was last heard from each node, so that a failure can say what was seen instead of only what was missed.
+
+Theory of operation
+-------------------
+A request that nobody answers has many causes, and most of them were audible: the node is stopped, it has just booted, somebody
+else talks to it, it answered too late, it has another node-ID, or nothing at all is on the bus. `BusKnowledge` remembers the last
+frame of every 11-bit CAN-ID and when it came, whether a machine wanted it or not. A frame costs two list stores; what it tells of
+a node is worked out only when somebody asks. It is bounded by its making: a slot for each of the 2048 CAN-IDs, and three small
+facts for each of the 127 node-IDs.
+
+Which node sent a frame is read from the predefined connection set (CiA 301 v4.2.0, 7.3.3): CAN-ID = function code + node-ID. That
+is a hint and no proof, since a configuration can give a device's PDOs, its EMCY and its further SDO channels other COB-IDs. Error
+control (0x700 + node-ID) cannot be moved, EMCY and the first SDO server hardly ever are: these count as signs of their node. PDOs
+are moved all the time: they are kept apart (`NodeHeard.pdo`) and make nobody present.
+
+Three things the frames alone do not tell. They are learnt from what our SDO clients report:
+
+- an answer that came for none of our requests (`unasked_answer`): another client asks this node, or two devices have its node-ID;
+- an answer that came after the request had been given up (`late_answer`): the time limit was too short;
+- requests of other clients (`foreign_request`) are simply frames to 0x600 + node-ID, as a bus does not hand us our own.
+
+Left out: 29-bit CAN-IDs and remote frames, of which only the time of the last one is kept; and everything that our own machines
+sent. Where a transport filters what it receives (`hears_all` is False), what was not heard may have been there all the same.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Final, NamedTuple
+
+from canopen_proto.frame import (
+    EMCY,
+    ERROR_CONTROL,
+    MAX_NODE_ID,
+    SDO_CLIENT_TO_SERVER,
+    SDO_SERVER_TO_CLIENT,
+    TPDO1,
+    TPDO2,
+    TPDO3,
+    TPDO4,
+    Frame,
+)
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time, check_node_id
+from canopen_proto.nmt import STATE_OF_BYTE, NmtState
+from canopen_proto.sdo.codec import ABORT, INITIATE_DOWNLOAD_RESPONSE, INITIATE_UPLOAD_RESPONSE, SPECIFIER
+
+SLOTS: Final = 0x800
+"""One for each 11-bit CAN-ID."""
+
+MAX_LATENESS: Final = 10 * SECOND
+"""An answer later than this belongs to something else: no device takes so long for one response."""
+
+COPY_TIME: Final = 5 * MILLISECOND
+"""The same answer again within this time is a second copy, which CAN itself can make, and nobody else's."""
+
+_NOT_HEARD: Final = -NEVER
+_TPDOS: Final = (TPDO1, TPDO2, TPDO3, TPDO4)
+
+
+class HeardService(Enum):
+    """What a node was heard by."""
+
+    HEARTBEAT = "heartbeat"
+    BOOT_UP = "boot-up"
+    EMCY = "emergency"
+    SDO = "SDO answer"
+
+
+class Seen(NamedTuple):
+    """A frame that was seen. time: ns on the driver's clock."""
+
+    time: Time
+    frame: Frame
+
+
+class EmcySeen(NamedTuple):
+    """The last emergency message. error_code: 0 says that the errors are gone."""
+
+    time: Time
+    error_code: int
+
+
+class LateAnswer(NamedTuple):
+    """An answer to a request that had been given up. behind: ns after that; it took so much longer than the time limit."""
+
+    time: Time
+    behind: Time
+
+
+class NodeHeard(NamedTuple):
+    """What was heard of one node; see this module's text. None in a field: never.
+
+    time, service: of the last sign of it. state, state_time: what its last heartbeat (or its answer to node guarding) said; after
+    a boot-up that is PRE_OPERATIONAL. pdo: the last frame on a CAN-ID that the predefined connection set gives its TPDOs, which
+    may be another node's. answer: the last SDO answer, whomever it was for.
+    """
+
+    node_id: int
+    time: Time | None
+    service: HeardService | None
+    state: NmtState | None
+    state_time: Time | None
+    emcy: EmcySeen | None
+    answer: Seen | None
+    unasked_answer: Seen | None
+    late_answer: LateAnswer | None
+    foreign_request: Seen | None
+    pdo: Seen | None
+
+
+class BusKnowledge:
+    """The memory of one Network, which writes `times`, `frames` (by CAN-ID) and `other` itself: that is its hot path.
+
+    other: when the last frame came that has no slot. hears_all: False where the transport filters.
+    """
+
+    __slots__ = ("_given_up", "_late", "_unasked", "frames", "hears_all", "other", "times")
+
+    def __init__(self) -> None:
+        self.times: list[Time] = [_NOT_HEARD] * SLOTS
+        self.frames: list[Frame | None] = [None] * SLOTS
+        self.other: Time = _NOT_HEARD
+        self.hears_all = True
+        # By node-ID, so at most 127 of each
+        self._given_up: dict[int, tuple[Time, bytes]] = {}  # when, and the multiplexer
+        self._unasked: dict[int, Seen] = {}
+        self._late: dict[int, LateAnswer] = {}
+
+    # ---- what our SDO clients report ----
+
+    def on_given_up(self, node_id: int, index: int, subindex: int, now: Time) -> None:
+        """A request ended because no answer came in time."""
+        self._given_up[node_id] = now, bytes((index & 0xFF, index >> 8, subindex))
+
+    def on_ignored(self, frame: Frame, now: Time) -> None:
+        """A client ignored a frame. Called before the frame gets into its slot, which still holds the one before it."""
+        node_id = frame.key - SDO_SERVER_TO_CLIENT
+        if not (1 <= node_id <= MAX_NODE_ID and frame.data):
+            return
+        given_up = self._given_up.get(node_id)
+        if given_up is not None:
+            since, multiplexer = given_up
+            if now - since > MAX_LATENESS:
+                del self._given_up[node_id]
+            elif _may_answer(frame.data, multiplexer):
+                del self._given_up[node_id]
+                self._late[node_id] = LateAnswer(now, now - since)
+                return
+        before = self.frames[frame.key]
+        if before is None or before.data != frame.data or now - self.times[frame.key] > COPY_TIME:
+            self._unasked[node_id] = Seen(now, frame)
+
+    # ---- questions ----
+
+    @property
+    def last_heard(self) -> Time | None:
+        """When the last frame came, whosever it was; None on a bus that has been silent."""
+        last = max(*self.times, self.other)
+        return None if last == _NOT_HEARD else last
+
+    def nodes(self) -> tuple[int, ...]:
+        """The node-IDs that showed a sign of life (PDOs are none), in order."""
+        return tuple(node_id for node_id in range(1, MAX_NODE_ID + 1) if self.heard(node_id).time is not None)
+
+    def heard(self, node_id: int) -> NodeHeard:
+        """What was heard of a node. Raises LocalProtocolError for a node-ID outside 1..127."""
+        check_node_id(node_id)
+        control, emcy = self._seen(ERROR_CONTROL + node_id), self._seen(EMCY + node_id)
+        answer = self._seen(SDO_SERVER_TO_CLIENT + node_id)
+        signs: list[tuple[Time, HeardService]] = []
+        state: NmtState | None = None
+        if control is not None:
+            data = control.frame.data
+            state = STATE_OF_BYTE[data[0]] if len(data) == 1 else None
+            is_boot_up = data == b"\x00"
+            signs.append((control.time, HeardService.BOOT_UP if is_boot_up else HeardService.HEARTBEAT))
+            if is_boot_up:  # after it the node is pre-operational: CiA 301 v4.2.0, 7.2.8.3.3
+                state = NmtState.PRE_OPERATIONAL
+        if emcy is not None:
+            signs.append((emcy.time, HeardService.EMCY))
+        if answer is not None:
+            signs.append((answer.time, HeardService.SDO))
+        time, service = max(signs, key=lambda sign: sign[0], default=(None, None))
+        pdos = [seen for base in _TPDOS if (seen := self._seen(base + node_id)) is not None]
+        return NodeHeard(
+            node_id,
+            time,
+            service,
+            state,
+            control.time if control is not None and state is not None else None,
+            EmcySeen(emcy.time, int.from_bytes(emcy.frame.data[:2], "little")) if emcy is not None else None,
+            answer,
+            self._unasked.get(node_id),
+            self._late.get(node_id),
+            self._seen(SDO_CLIENT_TO_SERVER + node_id),
+            max(pdos, key=lambda seen: seen.time, default=None),
+        )
+
+    def _seen(self, can_id: int) -> Seen | None:
+        frame = self.frames[can_id]
+        return None if frame is None else Seen(self.times[can_id], frame)
+
+
+def _may_answer(data: bytes, multiplexer: bytes) -> bool:
+    """Whether an SDO answer may be that to a request about an object. Answers amid a transfer do not name it."""
+    specifier = data[0] & SPECIFIER
+    if specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE, ABORT):
+        return data[1:4] == multiplexer
+    return True
