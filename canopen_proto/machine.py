@@ -167,7 +167,9 @@ class Machine:
 
 
 def check_node_id(node_id: int) -> int:
-    """node_id itself if it is 1..127, else LocalProtocolError."""
+    """node_id itself if it is an integer of 1..127, else LocalProtocolError."""
+    if not isinstance(node_id, int) or isinstance(node_id, bool):  # it may come from a file or a form: True is no node 1
+        raise LocalProtocolError(f"node-ID {node_id!r} is no integer: node-IDs are 1..{MAX_NODE_ID}")
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
     raise LocalProtocolError(f"node-ID {node_id} is outside 1..{MAX_NODE_ID}")

@@ -98,6 +98,12 @@ def test_other_node_ids(node_id: int) -> None:
         check_node_id(node_id)
 
 
+@pytest.mark.parametrize("node_id", ["5", b"\x05", 5.0, None, True, [5]])
+def test_a_node_id_that_is_no_integer_is_our_callers_fault(node_id: Any) -> None:
+    with pytest.raises(LocalProtocolError, match="is no integer"):
+        check_node_id(node_id)
+
+
 # a bare machine
 
 
