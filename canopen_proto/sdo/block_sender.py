@@ -69,6 +69,11 @@ class BlockSender:
         """The bytes that have not been acknowledged."""
         return len(self._content) - self._base
 
+    @property
+    def is_all_sent(self) -> bool:
+        """Whether all segments have been sent, as far as we know: the receiver may have everything."""
+        return self._is_final and self._sent == self._count
+
     def extend(self, piece: bytes | bytearray | memoryview, is_whole: bool, now: Time) -> None:
         """More of the content; is_whole: this was the last."""
         assert isinstance(self._content, bytearray)

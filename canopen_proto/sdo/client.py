@@ -19,11 +19,17 @@ What is not of this transfer is ignored and reported (FrameIgnored) where that i
 Everything else unexpected is an abort with 0x05040001 or 0x05030000.
 
 What SDO cannot tell apart: a second copy (or a late one, after a timeout or `cancel`) of an answer, and the answer to the *next*
-request, where both transfer the same object in the same direction. `copy_guard` closes that gap by time: such a request, and any
-request after a transfer that was given up, waits until that long after the end of the one before. It is 0 by default, for buses
-that make no copies; about a millisecond will do on a real one. Under copies that come later still, or out of order, every
-transfer still ends, but its bytes may be wrong: a segmented transfer has a one-bit sequence number and no checksum. Block
-transfer has one.
+request, where both transfer the same object in the same direction. Two pauses close that gap by time.
+- `late_guard`, after a time-out: the same object is not asked for again in that direction until its late answer has come (it is
+  ignored and reported), until the server has answered something else, or until that much time is over. Without it a server that
+  is slower than `timeout` would be misunderstood for as long as somebody asks: each answer would be taken for the next one's.
+  Other objects need not wait, and urgent requests don't (a halt matters more than its confirmation).
+- `copy_guard`: such a request, and any request after a transfer that was given up, waits until that long after the end of the
+  one before. It is 0 by default, for buses that make no copies; about a millisecond will do on a real one.
+Under copies that come later still, or out of order, every transfer still ends, but its bytes may be wrong: a segmented transfer
+has a one-bit sequence number and no checksum. Block transfer has one.
+
+A download that ends without an answer may have been executed: SdoAborted says so (`not_confirmed`).
 
 Block transfer, on request: `block=True` (that or an abort), `block="auto"` (for more than AUTO_BLOCK bytes, and where the server
 knows it; see block_client.py), and streams, which never hold the whole: `download_stream` is fed piece by piece, `upload_stream`
@@ -73,11 +79,11 @@ from canopen_proto.sdo.codec import (
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request import Buffer, Request, download_request, own, upload_request
 from canopen_proto.sdo.request_queue import IDLE as _IDLE
-from canopen_proto.sdo.request_queue import MAX_QUEUE, TIMEOUT, RequestQueue
+from canopen_proto.sdo.request_queue import LATE_GUARD, MAX_QUEUE, TIMEOUT, RequestQueue
 
 __all__ = [
-    "AUTO_BLOCK", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk", "SdoClient", "SdoDataWanted",
-    "SdoDownloaded", "SdoStreamUploaded", "SdoUploaded",
+    "AUTO_BLOCK", "LATE_GUARD", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk", "SdoClient",
+    "SdoDataWanted", "SdoDownloaded", "SdoStreamUploaded", "SdoUploaded",
 ]  # fmt: skip
 
 MAX_UPLOAD: Final = 16 << 20
@@ -117,6 +123,7 @@ class SdoClient(RequestQueue):
         max_upload: int = MAX_UPLOAD,
         max_queue: int = MAX_QUEUE,
         copy_guard: Time = 0,
+        late_guard: Time = LATE_GUARD,
         crc: bool = True,
         block_size: int = MAX_BLOCK_SIZE,
         max_burst: int = MAX_BURST,
@@ -124,13 +131,13 @@ class SdoClient(RequestQueue):
         stream_timeout: Time = STREAM_TIMEOUT,
     ) -> None:
         """node_id: of the server. request_key, response_key: the channel (client to server, server to client) as `Frame.key`;
-        the server's first one by default. timeout, copy_guard: ns; see this module's text.
+        the server's first one by default. timeout, copy_guard, late_guard: ns; see this module's text.
 
         For block transfer: crc, if the server has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; stream_timeout: ns that the caller
         of a stream may take for each piece. All may be changed later.
         """
-        super().__init__(out, node_id, request_key, response_key, timeout, max_queue, copy_guard)
+        super().__init__(out, node_id, request_key, response_key, timeout, max_queue, copy_guard, late_guard)
         self.max_upload = max_upload
         self.crc = crc
         self.block_size = block_size
@@ -282,7 +289,8 @@ class SdoClient(RequestQueue):
     def _on_upload_initiated(self, command: int, data: bytes, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.6"""
         self._last = data
-        self._unsettled = False
+        if self._unsettled:
+            self._settle()
         if command & EXPEDITED_BIT:
             unused = command >> 2 & 3 if command & SIZE_BIT else 0
             request = self._request
@@ -336,7 +344,8 @@ class SdoClient(RequestQueue):
     def _on_download_initiated(self, data: bytes, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.3"""
         self._last = data
-        self._unsettled = False
+        if self._unsettled:
+            self._settle()
         if self._request.first[0] & EXPEDITED_BIT:
             self._end_download(now)
             return
@@ -357,7 +366,11 @@ class SdoClient(RequestQueue):
         """Aborts, and whatever is not the response that is due."""
         specifier = command & SPECIFIER
         state = self._state
-        if state == _IDLE:
+        if self._overdue and data[1:4] != (self._multiplexer if state else b"") and self._is_overdue(specifier, data[1:4]):
+            self._ignore(frame, "late response to a request that timed out")
+            if state == _IDLE:
+                self._begin_next(now)  # it may have waited for this
+        elif state == _IDLE:
             self._ignore(frame, "no transfer is under way")
         elif specifier == ABORT:
             multiplexer = data[1:4]
@@ -411,6 +424,17 @@ class SdoClient(RequestQueue):
         if deadline < self._wake:
             self._arm(deadline)
 
+    def _is_all_sent(self) -> bool:
+        state, request = self._state, self._request
+        if state == _BLOCK:
+            return isinstance(self._transfer, BlockDownload) and self._transfer.is_all_sent
+        if state == _DOWNLOAD_INITIATED:
+            return bool(request.first[0] & EXPEDITED_BIT)
+        return state == _DOWNLOAD_SEGMENT and self._offset >= len(request.content)
+
+    def _is_answer_ambiguous(self) -> bool:
+        return self._state == _UPLOAD_INITIATED or (self._state == _DOWNLOAD_INITIATED and self._is_all_sent())
+
     def _end_download(self, now: Time) -> None:
         request = self._request
         self._end(SdoDownloaded(self.node_id, request.request_id, request.index, request.subindex), now)
@@ -432,17 +456,17 @@ class SdoClient(RequestQueue):
     def _accept(self, data: bytes) -> None:
         """The first response of a transfer came."""
         self._last = data
-        self._unsettled = False
+        self._settle()
 
     def _fall_back(self, data: bytes, now: Time) -> bool:
         """The server refused: by plain transfer then, if it is block transfer that it refused and we have the choice."""
         request = self._request
         assert isinstance(request, BlockRequest)
         plain, abort_code = request.plain, SIZE.unpack_from(data, 4)[0]
-        if plain is None or abort_code not in NO_BLOCKS:
-            return False
         if abort_code == AbortCode.INVALID_COMMAND:
             self.serves_blocks = False
+        if plain is None or abort_code not in NO_BLOCKS:
+            return False
         plain.request_id = request.request_id
         request.content = b""
         self._last = data

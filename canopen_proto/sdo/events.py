@@ -36,12 +36,17 @@ class SdoStreamUploaded(Outcome):
 
 @event
 class SdoAborted(Outcome):
-    """A transfer ended without success. After TIMEOUT or CANCELLED a download may have been executed nevertheless."""
+    """A transfer ended without success.
+
+    not_confirmed: it was a download, all of its data had been sent, and neither a confirmation nor a refusal has come: it may
+    have been executed. (False also where only a part had been sent: the server was told that the rest does not come.)
+    """
 
     index: int
     subindex: int
     abort_code: int
     origin: AbortOrigin
+    not_confirmed: bool = False
 
     @property
     def text(self) -> str:
@@ -50,26 +55,29 @@ class SdoAborted(Outcome):
 
 
 @event
-class SdoChunk(Event):
+class SdoProgress(Event):
+    """Base of what is told of a stream while it is under way. request_id: of its request."""
+
+    request_id: int
+    index: int
+    subindex: int
+
+
+@event
+class SdoChunk(SdoProgress):
     """A piece of an upload stream, 1 to 889 bytes, `offset` bytes behind its beginning. `proceed` asks for the next one.
 
     It counts only once SdoStreamUploaded has come: the checksum stands at the end of the transfer.
     """
 
-    request_id: int
-    index: int
-    subindex: int
     offset: int
     data: bytes
 
 
 @event
-class SdoDataWanted(Event):
+class SdoDataWanted(SdoProgress):
     """A download stream runs short: `feed` it, with up to `room` bytes."""
 
-    request_id: int
-    index: int
-    subindex: int
     room: int
 
 

@@ -1,7 +1,8 @@
 """The requests of an SDO client: they wait in line, one at a time is served, each ends in exactly one outcome.
 
 `RequestQueue` is the part of SdoClient (client.py) that does not depend on how a transfer goes: commands that take requests back,
-the order (first in, first out; urgent ones before all others), and the pause that `copy_guard` wants between two transfers.
+the order (first in, first out; urgent ones before all others), and the pauses that `copy_guard` and `late_guard` want between
+two transfers.
 """
 
 from __future__ import annotations
@@ -23,12 +24,17 @@ from canopen_proto.machine import (
     check_node_id,
 )
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
-from canopen_proto.sdo.codec import ABORT, INITIATE
+from canopen_proto.sdo.codec import ABORT, INITIATE, INITIATE_DOWNLOAD_RESPONSE, INITIATE_UPLOAD_RESPONSE
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sdo.request import Request
 
 TIMEOUT: Final = 500 * MILLISECOND
 """How long a server may take for each response: devices that write flash on the way take 100 ms and more."""
+LATE_GUARD: Final = 500 * MILLISECOND
+"""How long after a time-out its answer is waited for before the same object is asked for again: a server that is twice as slow as
+expected is still understood, and a dead one costs no more than another time-out."""
+MAX_OVERDUE: Final = 16
+"""Answers that are remembered as overdue, the latest ones: LATE_GUARD is over before more than a few can be."""
 MAX_QUEUE: Final = 256
 """Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
 
@@ -40,8 +46,8 @@ class RequestQueue(Machine):
     """See this module's text."""
 
     __slots__ = (
-        "_ended", "_last", "_queue", "_request", "_response_key", "_send_can_id", "_send_flags", "_state", "_unsettled",
-        "_urgent", "copy_guard", "max_queue", "node_id", "timeout",
+        "_ended", "_last", "_overdue", "_queue", "_request", "_response_key", "_send_can_id", "_send_flags", "_state",
+        "_unsettled", "_urgent", "copy_guard", "late_guard", "max_queue", "node_id", "timeout",
     )  # fmt: skip
 
     def __init__(
@@ -53,12 +59,14 @@ class RequestQueue(Machine):
         timeout: Time,
         max_queue: int,
         copy_guard: Time,
+        late_guard: Time,
     ) -> None:
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.timeout = timeout
         self.max_queue = max_queue
         self.copy_guard = copy_guard
+        self.late_guard = late_guard
         request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
         self._response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
         self._send_can_id = request_key & 0x1FFFFFFF
@@ -71,6 +79,7 @@ class RequestQueue(Machine):
         self._last = b""  # the last accepted response; empty once its copy was seen
         self._unsettled = False  # the transfer before ended without its last response
         self._ended: Time = -NEVER
+        self._overdue: dict[tuple[bytes, bool], Time] = {}  # multiplexer and direction -> how long its answer is waited for
 
     # ---- commands ----
 
@@ -104,6 +113,7 @@ class RequestQueue(Machine):
             self._fail(abort_code, AbortOrigin.LOCAL, now)
         for request in waiting:
             self.out.events.append(self._aborted(request, abort_code, AbortOrigin.LOCAL))
+        self._overdue.clear()
         self.deadline = NEVER
 
     # ---- getters ----
@@ -128,7 +138,7 @@ class RequestQueue(Machine):
         if len(queue) >= self.max_queue:
             raise LocalProtocolError(f"{request}, node {self.node_id}: {len(queue)} requests are waiting already")
         request.request_id = request_id = self.out.next_request_id()
-        if self._state == IDLE and not queue and not self.copy_guard:
+        if self._state == IDLE and not queue and not self.copy_guard and not self._overdue:
             self._begin(request, now)
         else:
             queue.append(request)
@@ -149,8 +159,13 @@ class RequestQueue(Machine):
             self.deadline = NEVER
             return
         request = queue[0]
-        if now < self._ended + self.copy_guard and (self._unsettled or self._request.is_like(request)):
-            self._arm(self._ended + self.copy_guard)
+        held_until = -NEVER
+        if self._unsettled or self._request.is_like(request):
+            held_until = self._ended + self.copy_guard
+        if self._overdue and queue is self._queue:  # what is urgent (a halt) matters more than its confirmation
+            held_until = max(held_until, self._overdue.get((request.first[1:4], request.is_upload), -NEVER))
+        if now < held_until:
+            self._arm(held_until)
             return
         self._begin(queue.popleft(), now)
 
@@ -160,15 +175,44 @@ class RequestQueue(Machine):
     def _fail(self, abort_code: int, origin: AbortOrigin, now: Time) -> None:
         """Abort the running transfer on the wire (CiA 301 v4.2.0, 7.2.4.3.17) and begin the next one."""
         request = self._request
+        not_confirmed = self._is_all_sent()
+        if origin is AbortOrigin.TIMEOUT and self._is_answer_ambiguous():
+            overdue = self._overdue
+            overdue.pop((request.first[1:4], request.is_upload), None)
+            overdue[request.first[1:4], request.is_upload] = now + self.late_guard
+            if len(overdue) > MAX_OVERDUE:
+                del overdue[next(iter(overdue))]
         self._send(INITIATE.pack(ABORT, request.index, request.subindex, abort_code))
         self._unsettled = True
-        self._end(self._aborted(request, abort_code, origin), now)
+        self._end(self._aborted(request, abort_code, origin, not_confirmed), now)
+
+    def _is_all_sent(self) -> bool:
+        """Whether the transfer under way is a download of which everything has been sent: the server may execute it."""
+        raise NotImplementedError
+
+    def _is_answer_ambiguous(self) -> bool:
+        """Whether the answer that is due may be a whole one: if it comes late, it looks like that to the next such request."""
+        raise NotImplementedError
 
     def _end(self, outcome: Outcome, now: Time) -> None:
         raise NotImplementedError
 
-    def _aborted(self, request: Request, abort_code: int, origin: AbortOrigin) -> SdoAborted:
-        return SdoAborted(self.node_id, request.request_id, request.index, request.subindex, abort_code, origin)
+    def _aborted(self, request: Request, abort_code: int, origin: AbortOrigin, not_confirmed: bool = False) -> SdoAborted:
+        index, subindex = request.index, request.subindex
+        return SdoAborted(self.node_id, request.request_id, index, subindex, abort_code, origin, not_confirmed)
+
+    def _settle(self) -> None:
+        """The server has answered the transfer under way: it has nothing more to say about those before."""
+        self._unsettled = False
+        if self._overdue:
+            self._overdue.clear()
+
+    def _is_overdue(self, specifier: int, multiplexer: bytes) -> bool:
+        """Whether a response is the late one to a request that timed out. It is not waited for any more then."""
+        for answer, is_upload in ((INITIATE_UPLOAD_RESPONSE, True), (INITIATE_DOWNLOAD_RESPONSE, False)):
+            if specifier in (answer, ABORT) and self._overdue.pop((multiplexer, is_upload), None) is not None:
+                return True
+        return False
 
     def _send(self, payload: bytes) -> None:
         self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
