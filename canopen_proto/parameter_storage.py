@@ -24,6 +24,9 @@ which a device adds its own (a control word is no parameter).
 
 Until 3. nothing has changed. `saved` is what a reset puts back in place of the defaults: of everything (reset node), or of
 0x1000 to 0x1FFF (reset communication).
+
+What a DCF has configured (`Variable.configured`) counts as stored already, as somebody would have done who set the device up by
+it: after "load" the parameter has the default of its EDS again. What a client cannot write stays as it is configured.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Values, Variable
 from canopen_proto.sdo.abort import AbortCode
 
@@ -39,6 +42,7 @@ STORE: Final = 0x1010
 RESTORE: Final = 0x1011
 SIGNATURES: Final = {STORE: 0x65766173, RESTORE: 0x64616F6C}
 """ASCII "save" and "load", as little-endian numbers: what a client has to write. CiA 301 v4.2.0, figures 54 and 58"""
+SIGNATURE_BYTES: Final = 4
 ON_COMMAND: Final = 0x01
 """Bit of what is read: the device stores (restores) on command."""
 
@@ -48,6 +52,7 @@ GROUPS: Final[Mapping[int, Collection[int]]] = {
     3: range(0x6000, 0xA000),
     **dict.fromkeys(range(4, 128), range(0x2000, 0x6000)),
 }
+ALL_INDICES: Final = range(0x10000)
 NO_PARAMETERS: Final = frozenset({0x1003, STORE, RESTORE, 0x1023, 0x1024, 0x1025, 0x1026})
 """Communication objects that can be written and are no parameters: error history, storage, OS commands, debugger, prompt."""
 
@@ -55,28 +60,34 @@ NO_PARAMETERS: Final = frozenset({0x1003, STORE, RESTORE, 0x1023, 0x1024, 0x1025
 class ParameterStorage:
     """What a device keeps over power-off; see this module's text.
 
-    saved: the power-on values that are not the defaults, by mux. groups: indices by subindex of 0x1010 and 0x1011; excluded:
-    indices that are no parameters. The device may change these two before it boots.
+    saved: the power-on values that are not the defaults, by mux; at first those of a DCF. groups: indices by subindex of 0x1010
+    and 0x1011; excluded: indices that are no parameters. The device may change these two before it boots.
     """
 
-    __slots__ = ("_after", "_values", "excluded", "groups", "saved")
+    __slots__ = ("_after", "_configured", "_values", "excluded", "groups", "saved")
 
     def __init__(self, values: Values) -> None:
         self._values = values
         self._after: dict[tuple[int, int], dict[int, Value]] = {}  # `saved` as it will be, by the access that is with the host
-        self.saved: dict[int, Value] = {}
         self.groups: dict[int, Collection[int]] = dict(GROUPS)
         self.excluded: set[int] = set(NO_PARAMETERS)
+        # What `Values` begins with, but is not the default
+        self._configured = [each for each in values.dictionary if each.configured is not None and self._is_parameter(each)]
+        self.saved: dict[int, Value] = {variable.mux: values.store[variable.mux] for variable in self._configured}
 
     # ---- for the host ----
 
     def load(self, kept: Mapping[int, bytes]) -> list[int]:
         """Hand in what was kept (mux -> bytes, of `to_keep`), before the node boots: these are its values from now on.
 
+        They take the place of what a DCF has configured, which was among them unless a client restored the defaults: a host
+        that has kept nothing yet leaves it.
         Returns the muxes that were left out, because there is no such parameter any more or it cannot have that value: another
         version of the device may have stored them.
         """
         left_out = []
+        self.saved = {}
+        self.put_back(ALL_INDICES)
         for key, data in kept.items():
             variable = self._values.dictionary.get(key >> 8, key & 0xFF)
             if variable is None or not self._is_parameter(variable):
@@ -99,9 +110,12 @@ class ParameterStorage:
     # ---- for the node ----
 
     def capability(self, index: int, subindex: int) -> int | None:
-        """What a client reads there; None where it is no subindex of 0x1010 or 0x1011 that stands for a group."""
+        """What a client reads there; None where it is no subindex of 0x1010 or 0x1011 that stands for a group.
+
+        None too where it is described as something that has no room for a signature.
+        """
         variable = self._values.dictionary.get(index, subindex) if index in SIGNATURES and subindex else None
-        if variable is None:
+        if variable is None or not is_integer(variable.data_type) or (variable.size or 0) < SIGNATURE_BYTES:
             return None
         return variable.default if isinstance(variable.default, int) else ON_COMMAND
 
@@ -130,7 +144,10 @@ class ParameterStorage:
         self._after.pop((index, subindex), None)
 
     def put_back(self, indices: Collection[int]) -> None:
-        """The defaults were put back in these objects: the power-on values go over them."""
+        """The initial values were put back in these objects: the power-on values go over them."""
+        for variable in self._configured:
+            if variable.index in indices and variable.mux not in self.saved:
+                self._values.put_default(variable)
         self._values.store.update({key: value for key, value in self.saved.items() if key >> 8 in indices})
 
     # ---- inside ----

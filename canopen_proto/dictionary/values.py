@@ -11,26 +11,32 @@ Everything that comes from outside goes through `write` (our own caller) or thro
 
 `Values` does not look at access rights: a device writes its own read-only objects. It holds no history and tells nobody of a
 change; effects of objects are the business of the node that owns it.
+
+A description may give an object a value that its type cannot hold: an EDS is wrong, or the node-ID carries it over the edge. The
+object then begins with its type's zero, so that it can be read at all; `unfit` says so.
 """
 
 from __future__ import annotations
 
-from canopen_proto.datatypes import Value
+from canopen_proto.datatypes import Value, ValueRangeError, zero_of
 from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFound, Variable
 
 
 class Values:
     """The memory of one device. node_id is added to the defaults that depend on it.
 
-    store: every variable of the dictionary by its mux, always complete.
+    store: every variable of the dictionary by its mux, always complete. unfit: the variables whose type cannot hold their initial
+    value.
     """
 
-    __slots__ = ("dictionary", "node_id", "store")
+    __slots__ = ("_initial", "dictionary", "node_id", "store", "unfit")
 
     def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
-        self.store: dict[int, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
+        self.unfit: list[Variable] = []
+        self._initial = {variable.mux: self._fit(variable, variable.initial_of(node_id)) for variable in dictionary}
+        self.store: dict[int, Value] = dict(self._initial)
 
     def __getitem__(self, mux: int) -> Value:
         """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
@@ -68,12 +74,30 @@ class Values:
 
         0x1000..0x1FFF is the communication profile area (reset communication). Source: CiA 301 v4.2.0, 7.3.2.2.1.
         """
-        for variable in self.dictionary:
-            if first_index <= variable.index <= last_index:
-                self.store[variable.mux] = variable.initial_of(self.node_id)
+        first, last = first_index << 8, last_index << 8 | 0xFF
+        self.store.update({key: value for key, value in self._initial.items() if first <= key <= last})
+
+    def put_default(self, variable: Variable) -> None:
+        """Give an object its default, whatever a DCF has configured for it."""
+        value = variable.default_of(self.node_id)
+        self.store[variable.mux] = value if _takes(variable, value) else zero_of(variable.data_type)
+
+    def _fit(self, variable: Variable, value: Value) -> Value:
+        if _takes(variable, value):
+            return value
+        self.unfit.append(variable)
+        return zero_of(variable.data_type)
 
     def _held(self, key: Key) -> Variable:
         variable = self.dictionary.variable(key)
         if variable.mux not in self.store:
             raise ObjectNotFound(f"{variable.label} is no object of this device")
         return variable
+
+
+def _takes(variable: Variable, value: Value) -> bool:
+    try:
+        variable.encode(value)
+    except ValueRangeError:
+        return False
+    return True

@@ -97,3 +97,19 @@ def test_reset_of_the_communication_area_leaves_the_rest() -> None:
     assert [values.read(key) for key in ("producer_heartbeat_time", "cob_id_emergency", "target_position")] == [100, 0x8C, 77]
     values.reset()
     assert values.read("target_position") == 0
+
+
+def test_a_value_that_does_not_fit_its_type_is_zero() -> None:
+    """An EDS says what it likes, and a node-ID may carry a value over the edge."""
+    odd = [
+        Variable(0x2000, 0, "sum", DataType.UNSIGNED8, default=0xFF, adds_node_id=True),
+        Variable(0x2001, 0, "text", DataType.VISIBLE_STRING, default=5),
+        Variable(0x2002, 0, "right", DataType.INTEGER8, default=-1),
+    ]
+    values = Values(ObjectDictionary([Object.of(each.name, [each]) for each in odd]), node_id=1)
+    assert [values.raw(index) for index in (0x2000, 0x2001, 0x2002)] == [b"\x00", b"", b"\xff"]
+    assert [variable.name for variable in values.unfit] == ["sum", "text"]
+    values.store[0x200000] = values.store[0x200200] = 7
+    values.reset(0x2000, 0x2001)
+    assert (values[0x200000], values[0x200200]) == (0, 7)
+    assert len(values.unfit) == 2

@@ -31,7 +31,7 @@ class Host:
     def __init__(self, kept: dict[int, bytes] | None = None, dictionary: ObjectDictionary | None = None) -> None:
         self.bench = DeviceBench(dictionary or storing_device(), boot=False)
         self.kept = dict(kept or {})
-        self.left_out = self.bench.node.storage.load(self.kept)
+        self.left_out = [] if kept is None else self.bench.node.storage.load(self.kept)
         self.bench.node.boot(0)
         self.bench.take()
         self.bench.events.clear()
@@ -334,3 +334,48 @@ def test_a_device_without_storage() -> None:
     assert storage.capability(0x1010, 1) is None
     assert storage.check_write(0x1010, 1, 0x65766173) == AbortCode.CANNOT_TRANSFER
     assert storage.to_keep(0x1010, 1) == {}
+
+
+CONFIGURED = Object.of("ratio", [Variable(0x2202, 0, "ratio", DataType.UNSIGNED16, default=10, configured=70)])
+SERIAL = Object.of("serial", [Variable(0x2203, 0, "serial", DataType.UNSIGNED16, Access.RO, default=0, configured=9)])
+
+
+def test_what_a_dcf_configured_counts_as_stored() -> None:
+    dictionary = storing_device(CONFIGURED, SERIAL)
+    host = Host(dictionary=dictionary)
+    store = host.bench.node.values.store
+    assert (store[0x220200], store[0x220300]) == (70, 9)
+    host.bench.node.set_value(0x2202, 0, 71, host.bench.now)
+    host.bench.tell(RESET_NODE)
+    assert (store[0x220200], store[0x220300]) == (70, 9)
+    host.do(0x1011, 1, LOAD)
+    assert store[0x220200] == 70  # until the reset
+    host.bench.tell(RESET_NODE)
+    assert (store[0x220200], store[0x220300]) == (10, 9)  # what no client can write is no setting
+
+
+def test_what_was_kept_takes_the_place_of_what_a_dcf_configured() -> None:
+    dictionary = storing_device(CONFIGURED)
+    host = Host(dictionary=dictionary)
+    host.do(0x1010, 1, SAVE)
+    assert host.kept[0x220200] == b"\x46\x00"
+    assert Host(host.kept, dictionary).bench.node.values.store[0x220200] == 70
+    host.do(0x1011, 1, LOAD)
+    assert host.kept == {}
+    assert Host({0x101700: b"\xf4\x01"}, dictionary).bench.node.values.store[0x220200] == 10
+
+
+def test_a_default_that_does_not_fit_counts_as_zero_after_load() -> None:
+    odd = Object.of("odd", [Variable(0x2204, 0, "odd", DataType.UNSIGNED8, default=300, configured=5)])
+    host = Host(dictionary=storing_device(odd))
+    host.do(0x1011, 1, LOAD)
+    host.bench.tell(RESET_NODE)
+    assert host.bench.read(0x2204) == b"\x00"
+
+
+@pytest.mark.parametrize("data_type", [DataType.VISIBLE_STRING, DataType.UNSIGNED8, DataType.REAL32])
+def test_storage_objects_of_another_type_are_plain_memory(data_type: DataType) -> None:
+    fields = [Variable(0x1010, 0, "n", DataType.UNSIGNED8), Variable(0x1010, 1, "all", data_type)]
+    host = Host(dictionary=storing_device(Object.of("store", fields)))
+    assert host.bench.tell("605#4010100100000000")[0][4] != "8"  # it can be read
+    assert host.bench.write(0x1010, 1, 1, 1) == (AbortCode.CANNOT_TRANSFER if data_type != DataType.REAL32 else 0x06070013)
