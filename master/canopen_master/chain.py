@@ -34,6 +34,7 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_master.cycles import Cycles, SetPoints
 from canopen_master.device import Device
+from canopen_master.diagnosis import sdo_silence
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
 from canopen_master.errors import (
     CHAIN_FAILED,
@@ -44,7 +45,6 @@ from canopen_master.errors import (
     ChainError,
     ChainFault,
     ChainHalted,
-    sign_of_life,
 )
 from canopen_master.joint_procedures import JointFailed, of_joint, power_down, prepare, quietly, stop
 from canopen_proto.cia402.axis import AxisStateChanged
@@ -306,8 +306,8 @@ class Chain:
         code, seen, cause = CHAIN_FAILED, "", ""
         tries: tuple[str, ...] = ()
         if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
-            code = NO_ANSWER
-            seen, cause, tries = sign_of_life(device.node.remote, self._master.now())
+            code, network = NO_ANSWER, self._master.bus(device.node.bus).network
+            seen, cause, tries = sdo_silence(network, device.node.remote, self._master.now())
         elif isinstance(error, SdoFailed):
             code = REFUSED
         failure = f"chain {self.name} could not {operation}: {device.where}: {error}"

@@ -14,10 +14,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from canopen_master.diagnosis import sdo_silence
 from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.nmt import NmtState
+from canopen_proto.network import Network
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.sdo.client import SdoAborted
@@ -223,8 +224,8 @@ class ChainFault(ChainError):
         self.emcy = emcy
 
 
-def sdo_error(node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time) -> SdoError:
-    """The exception for a transfer that ended with an abort. attempt: "reading", or "writing 5 to"."""
+def sdo_error(network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time) -> SdoError:
+    """The exception for a transfer that ended with an abort. network: of the node. attempt: "reading", or "writing 5 to"."""
     reads = attempt == "reading"
     place = f"{attempt} {_name_of(node, aborted.index, aborted.subindex)}"
     who = f"node {aborted.node_id}"
@@ -232,7 +233,7 @@ def sdo_error(node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now
     if aborted.origin is AbortOrigin.TIMEOUT:
         hint = "" if reads else " (not confirmed: it may have been executed)"
         failed = f"{who} did not answer {place} in {node.sdo.timeout / SECOND:g} s{hint}"
-        seen, cause, tries = sign_of_life(node, now)
+        seen, cause, tries = sdo_silence(network, node, now)
         return SdoTimeout(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
     if aborted.origin is AbortOrigin.PEER:
         cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
@@ -263,16 +264,3 @@ _REASONS: Final[dict[int, tuple[str, tuple[str, ...]]]] = {
 def _name_of(node: RemoteNode, index: int, subindex: int) -> str:
     variable = node.dictionary.get(index, subindex)
     return f"{index:04X}:{subindex:02X}" + (f" ({variable.name})" if variable is not None else "")
-
-
-def sign_of_life(node: RemoteNode, now: Time) -> tuple[str, str, tuple[str, ...]]:
-    """What was heard of a node that does not answer, what that tells, and what to try."""
-    heard = max((time for time in (node.heartbeat.last_heard, *node.heard_at.values()) if time is not None), default=None)
-    if heard is None:
-        cause = "no device has this node-ID, its power is off, or it runs with another bit rate"
-        return "nothing was heard of it", cause, (f"check the node-ID {node.node_id} (0x{node.node_id:02X}), power and bit rate",)
-    state = node.nmt_state
-    seen = f"it was heard {(now - heard) / SECOND:.3g} s ago, NMT state {state.name if state is not None else 'unknown'}"
-    if state is NmtState.STOPPED:
-        return seen, "a stopped node has no SDO", (f"canopen nmt preop {node.node_id}",)
-    return seen, "it is busy, or the answer was lost", ("a longer sdo_timeout",)

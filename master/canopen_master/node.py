@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import trio
 
+from canopen_master.diagnosis import missing_frame
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, UnexpectedAnswer, sdo_error
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.objects import CONTROLWORD
@@ -164,25 +165,21 @@ class Node:
         if isinstance(outcome, SdoUploaded):
             return outcome
         assert isinstance(outcome, SdoAborted)
-        raise sdo_error(self.remote, self.bus, outcome, "reading", self._master.now())
+        raise sdo_error(self._bus.network, self.remote, self.bus, outcome, "reading", self._master.now())
 
     async def _download(self, submit: Callable[[Time], RequestId], attempt: str) -> None:
         outcome = await self._master.request(self._bus, self.remote, submit)
         if not isinstance(outcome, SdoDownloaded):
             assert isinstance(outcome, SdoAborted)
-            raise sdo_error(self.remote, self.bus, outcome, attempt, self._master.now())
+            raise sdo_error(self._bus.network, self.remote, self.bus, outcome, attempt, self._master.now())
 
     async def _first_of(self, events: Subscription[E], timeout: float, missed: str) -> E:
         with trio.move_on_after(timeout):
             return await events.receive()
-        raise NodeSilent(
-            NOT_HEARD,
-            self.node_id,
-            self.bus,
-            f"node {self.node_id} {missed} within {timeout:g} s",
-            cause="its power is off, it has another node-ID, or it is busy",
-            tries=(f"check that node {self.node_id} (0x{self.node_id:X}) is on the bus",),
-        )
+        failed = f"node {self.node_id} {missed} within {timeout:g} s"
+        cause, tries = "it was not told to, or it is busy", (f"look at node {self.node_id} (0x{self.node_id:02X}) itself",)
+        known = missing_frame(self._bus.network, self.remote, self._master.now(), cause, tries, pdo=False)
+        raise NodeSilent(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
 
 
 def _enables(controlword: object) -> bool:

@@ -100,7 +100,7 @@ async def test_a_node_that_was_never_heard() -> None:
         assert isinstance(caught.value, TimeoutError)
         assert caught.value.code == "CO201"
         assert "did not answer reading 6041:00 (statusword) in 0.3 s" in str(caught.value)
-        assert "nothing was heard of it" in caught.value.seen
+        assert "nothing at all was heard on this bus" in caught.value.seen
         with pytest.raises(SdoTimeout, match="may have been executed"):
             await master.node(13).write("controlword", 6)
 
@@ -114,6 +114,7 @@ async def test_a_stopped_node_does_not_answer_and_the_error_says_so() -> None:
         await node.wait_for_heartbeat(1)
         with pytest.raises(SdoTimeout) as caught:
             await node.read("statusword")
+        assert "node 12 is alive: heartbeat" in caught.value.seen
         assert "NMT state STOPPED" in caught.value.seen
         assert caught.value.tries == ("canopen nmt preop 12",)
 
@@ -126,7 +127,7 @@ async def test_a_node_that_is_alive_and_does_not_answer_this() -> None:
         host.nodes[0].sdo.disable()
         with pytest.raises(SdoTimeout) as caught:
             await node.read("statusword")
-        assert "heard 0.5 s ago" in caught.value.seen
+        assert "node 12 is alive: SDO answer 500 ms ago" in caught.value.seen
         assert caught.value.tries == ("a longer sdo_timeout",)
 
 

@@ -21,6 +21,7 @@ from typing import Final
 import trio
 
 from canopen_master.device import Device
+from canopen_master.diagnosis import missing_frame
 from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.joint_procedures import awake
 from canopen_master.master import Master
@@ -176,8 +177,10 @@ class DirectDrive:
         if self._unanswered > SILENT_SYNCS:
             self._is_following = False
             failed = f"node {node_id} sent no PDO after the last {self._unanswered} SYNCs"
-            cause = "its power is off, its cable is loose, or it was stopped"
-            raise NodeSilent(NOT_HEARD, node_id, self.node.bus, failed, cause=cause, tries=("look at the drive and its cable",))
+            cause, tries = "its power is off, its cable is loose, or it was stopped", ("look at the drive and its cable",)
+            network = self._master.bus(self.node.bus).network
+            known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)
+            raise NodeSilent(NOT_HEARD, node_id, self.node.bus, failed, **known._asdict())
         self.axis.set_position_counts(position)
         await self._master.run(self._send())
 

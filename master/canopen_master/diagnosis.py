@@ -1,0 +1,185 @@
+"""Why did nobody answer? What was heard on the bus picks the likely cause and what to try next.
+
+A `Diagnosis` is made when a request of ours, or a wait, has ended without an answer. It says what the core remembers of the node
+and of the bus (canopen_proto/bus_knowledge.py: by the predefined connection set, so a hint where COB-IDs were changed), then the
+best guess, then the next step. Where the transport filters (`Network.hears_all` is False), nothing is said of other nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from canopen_proto.bus_knowledge import HeardService, NodeHeard
+from canopen_proto.error_codes import error_text
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import SERVICES, NmtState, Service
+from canopen_proto.remote_node import RemoteNode
+
+RECENT: Final = 5 * SECOND
+"""What was heard longer ago tells little about now: most heartbeats come each second or so."""
+BOOTING: Final = 2 * SECOND
+"""So soon after its boot-up a device may still be busy with itself."""
+MAX_NODES_TOLD: Final = 8
+TIMEOUTS: Final = (0.1, 0.2, 0.5, 1, 2, 3, 5, 10, 20)
+"""Seconds that are advised where an answer came too late: the first with half as much again in reserve."""
+
+SCAN: Final = "canopen scan    (who is there?)"
+LONGER: Final = "a longer sdo_timeout"
+
+
+class Diagnosis(NamedTuple):
+    """seen: what was observed. cause: the likely causes, best first. tries: what to do next, best first."""
+
+    seen: str
+    cause: str
+    tries: tuple[str, ...]
+
+
+def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
+    """Why a node did not answer an SDO request in time."""
+    heard = network.heard(node.node_id)
+    time, seen = _sign_of_life(heard, node, now)
+    if time is None:
+        return _silent(network, heard, now)
+    node_id, state = node.node_id, _state(heard, node)
+    others, their_cause = _other_clients(heard, now)
+    seen += others
+    if state is NmtState.INITIALISING:
+        return Diagnosis(seen, "it was reset, and has not booted since", ("the same once it has booted", SCAN))
+    if state is not None and Service.SDO not in SERVICES[state]:
+        return Diagnosis(seen, f"{_capital(state)}: no SDO in that state", (f"canopen nmt preop {node_id}",))
+    late = heard.late_answer
+    if late is not None and now - late.time <= RECENT:
+        took = (late.behind + node.sdo.timeout) / SECOND
+        advised = next((limit for limit in TIMEOUTS if limit >= 1.5 * took), None)
+        longer = LONGER if advised is None else f"{LONGER}: {advised:g} s"
+        seen += f"; it answered after {_duration(late.behind + node.sdo.timeout)}, when nobody waited any more"
+        return Diagnosis(seen, "it is slower than the time limit", (longer,))
+    if now - time > RECENT:
+        cause = "its power is off or its cable loose by now, or it is busy"
+        return Diagnosis(seen, cause, (f"check power and cable of node {node_id}", SCAN))
+    if heard.service is HeardService.BOOT_UP and now - time <= BOOTING:
+        return Diagnosis(seen, "it has just started, and is not ready yet", ("the same once more", LONGER))
+    if their_cause:
+        return Diagnosis(seen, their_cause, ("end the other one, or wait until it is done",))
+    return Diagnosis(seen, "it is busy, or the answer was lost", (LONGER,))
+
+
+def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool) -> Diagnosis:
+    """Why a node did not send what was waited for: a PDO, or a boot-up or heartbeat. cause, tries: for a node that is alive."""
+    heard = network.heard(node.node_id)
+    time, seen = _sign_of_life(heard, node, now)
+    if time is None:
+        return _silent(network, heard, now)
+    state = _state(heard, node)
+    if pdo and state is not None and Service.PDO not in SERVICES[state]:
+        return Diagnosis(seen, f"{_capital(state)}: no PDO in that state", (f"canopen nmt start {node.node_id}",))
+    return Diagnosis(seen, cause, tuple(tries))
+
+
+# ---- a node that was heard ----
+
+
+def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
+    """What it said, or what we commanded since."""
+    return node.nmt_state if node.nmt_state is not None else heard.state
+
+
+def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time | None, str]:
+    """When the node was last heard, and a line on that; None if it never was."""
+    # By its own PDOs too, where they are known to be its own: those that the RemoteNode decodes.
+    value_time = max(node.heard_at.values(), default=None)
+    if heard.time is None and value_time is None:
+        return None, ""
+    if heard.time is None or heard.service is None or (value_time is not None and value_time > heard.time):
+        assert value_time is not None
+        time, what = value_time, "PDO"
+    else:
+        time, what = heard.time, heard.service.value
+    age = now - time
+    text = f"node {heard.node_id} is alive: {what} {_ago(age)}" if age <= RECENT else f"last heard {_ago(age)} ({what})"
+    state = _state(heard, node)
+    if state is not None:
+        text += f", NMT state {state.name}"
+        if heard.state is not state:
+            text += " by our command"
+        elif heard.state_time is not None and heard.state_time < time:
+            text += f" {_ago(now - heard.state_time)}"
+    if heard.emcy is not None and heard.emcy.error_code:
+        code = heard.emcy.error_code
+        text += f"; emergency 0x{code:04X} ({error_text(code)}) {_ago(now - heard.emcy.time)}"
+    return time, text
+
+
+def _other_clients(heard: NodeHeard, now: Time) -> tuple[str, str]:
+    """What shows that somebody else asks this node, and what that means; "" where nothing does."""
+    node_id, request, answer = heard.node_id, heard.foreign_request, heard.unasked_answer
+    if request is not None and now - request.time <= RECENT:
+        seen = f"; another client asked it {_ago(now - request.time)} (0x{SDO_CLIENT_TO_SERVER + node_id:X})"
+        return seen, "another SDO client talks to it, and an SDO channel serves one at a time"
+    if answer is not None and now - answer.time <= RECENT:
+        can_id = SDO_SERVER_TO_CLIENT + node_id
+        seen = f"; answers seen on 0x{can_id:X} that were not for us, the last {_ago(now - answer.time)}"
+        return seen, f"another SDO client talks to it, or two devices have node-ID {node_id}"
+    return "", ""
+
+
+# ---- a node that was not ----
+
+
+def _silent(network: Network, heard: NodeHeard, now: Time) -> Diagnosis:
+    node_id = heard.node_id
+    check = f"check the node-ID {node_id} (0x{node_id:02X}), power and bit rate"
+    last = network.last_heard
+    if last is None and network.hears_all:
+        cause = "wrong bit rate, no power, or the wiring: CAN-H and CAN-L, termination"
+        return Diagnosis("nothing at all was heard on this bus", cause, ("check bit rate, power and wiring", SCAN))
+    seen, cause = "nothing was heard of it", "no device has this node-ID, its power is off, or it runs with another bit rate"
+    if heard.pdo is not None:
+        seen += f" but a PDO on 0x{heard.pdo.frame.can_id:X} {_ago(now - heard.pdo.time)}, which may be another node's"
+        cause = f"its SDO server does not serve, or it is another node's PDO and no device has node-ID {node_id}"
+    others = network.heard_nodes()
+    if not network.hears_all:
+        seen += " (frames are filtered: other nodes may be there)"
+    elif others:
+        seen += f": only {_nodes(others)} heard"
+        if heard.pdo is None:  # the bit rate is right, since others are heard
+            cause = "no device has this node-ID, or its power is off"
+        hexadecimal = int(str(node_id), 16)
+        if hexadecimal in others:
+            cause = f"perhaps node {hexadecimal} was meant, which is 0x{hexadecimal:X}"
+        check = f"check the node-ID {node_id} (0x{node_id:02X}) and its power"
+    elif last is not None and heard.pdo is None:
+        seen += f": frames were ({_ago(now - last)}), but none shows whose it is"
+    if heard.foreign_request is not None:
+        seen += "; another client asked it too, and got no answer"
+    return Diagnosis(seen, cause, (check, SCAN))
+
+
+# ---- words ----
+
+
+def _nodes(node_ids: Sequence[int]) -> str:
+    """ "node 6 was", "nodes 6 and 7 were", "nodes 1, 2, 3 and 9 more were"."""
+    if len(node_ids) == 1:
+        return f"node {node_ids[0]} was"
+    if len(node_ids) > MAX_NODES_TOLD:
+        return f"nodes {', '.join(map(str, node_ids[:MAX_NODES_TOLD]))} and {len(node_ids) - MAX_NODES_TOLD} more were"
+    return f"nodes {', '.join(map(str, node_ids[:-1]))} and {node_ids[-1]} were"
+
+
+def _duration(time: Time) -> str:
+    if time < SECOND:
+        return f"{time / MILLISECOND:.0f} ms"
+    return f"{time / SECOND:.3g} s" if time < 120 * SECOND else f"{time / SECOND / 60:.0f} min"
+
+
+def _ago(age: Time) -> str:
+    return f"{_duration(age)} ago"
+
+
+def _capital(state: NmtState) -> str:
+    return state.name.capitalize().replace("_", "-")
