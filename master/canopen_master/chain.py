@@ -34,7 +34,6 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_master.cycles import Cycles, SetPoints
 from canopen_master.device import Device
-from canopen_master.diagnosis import sdo_silence
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
 from canopen_master.errors import (
     CHAIN_FAILED,
@@ -47,6 +46,7 @@ from canopen_master.errors import (
     ChainHalted,
 )
 from canopen_master.joint_procedures import JointFailed, of_joint, power_down, prepare, quietly, stop
+from canopen_master.silence import sdo_silence
 from canopen_proto.cia402.axis import AxisStateChanged
 from canopen_proto.cia402.states import State
 from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted

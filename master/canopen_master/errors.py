@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from canopen_master.diagnosis import sdo_silence
+from canopen_master.silence import sdo_silence
 from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Time

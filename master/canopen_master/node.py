@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import trio
 
-from canopen_master.diagnosis import missing_frame
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, UnexpectedAnswer, sdo_error
+from canopen_master.silence import missing_frame
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.states import COMMAND_BITS, Command

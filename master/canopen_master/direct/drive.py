@@ -21,10 +21,10 @@ from typing import Final
 import trio
 
 from canopen_master.device import Device
-from canopen_master.diagnosis import missing_frame
 from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.joint_procedures import awake
 from canopen_master.master import Master
+from canopen_master.silence import missing_frame
 from canopen_proto.cia402.axis import AxisSettings, HomingStyle
 from canopen_proto.cia402.modes import Mode, supported
 from canopen_proto.cia402.states import State
