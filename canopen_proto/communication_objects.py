@@ -43,7 +43,7 @@ from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
 from canopen_proto.nmt import SERVICES, NmtState, Service
-from canopen_proto.pdo.rules import CAN_ID_AND_FRAME, check_can_id
+from canopen_proto.pdo.rules import check_cob_id, is_valid
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
@@ -177,13 +177,13 @@ class CommunicationObjects:
             return None
         match index:
             case 0x1005:
-                return _check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
+                return check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
             case 0x1006 if value and value < MIN_SYNC_PERIOD_US:
                 return AbortCode.INVALID_VALUE
             case 0x1012:
-                return _check_cob_id(value, standing, in_use=bool(standing & _TIME_BITS and value & _TIME_BITS))
+                return check_cob_id(value, standing, in_use=bool(standing & _TIME_BITS and value & _TIME_BITS))
             case 0x1014 if not value & COB_ID_INVALID:
-                return _check_cob_id(value, standing, in_use=not standing & COB_ID_INVALID)
+                return check_cob_id(value, standing, in_use=not standing & COB_ID_INVALID)
             case 0x1016:
                 return self._check_monitor(subindex, value)
             case 0x1019:
@@ -191,7 +191,7 @@ class CommunicationObjects:
                     return AbortCode.DEVICE_STATE
                 return None if _is_overflow(value) else AbortCode.INVALID_VALUE
             case 0x1028 if not value & COB_ID_INVALID:
-                return _check_cob_id(value, standing, in_use=_is_valid(standing))
+                return check_cob_id(value, standing, in_use=is_valid(standing))
             case 0x1029 if value > LAST_ERROR_BEHAVIOUR:
                 return AbortCode.INVALID_VALUE
         return None
@@ -260,7 +260,7 @@ class CommunicationObjects:
     def _set_emcy_consumers(self) -> None:
         """While EMCY lives, one consumer for each valid entry of 0x1028, whose subindex is the node-ID."""
         entries = self._entries(0x1028).items() if self._lives(Service.EMCY) else ()
-        wanted = {node_id: key_of_cob_id(entry) for node_id, entry in entries if node_id <= MAX_NODE_ID and _is_valid(entry)}
+        wanted = {node_id: key_of_cob_id(entry) for node_id, entry in entries if node_id <= MAX_NODE_ID and is_valid(entry)}
         for node_id in [each for each, consumer in self.emcy_consumers.items() if wanted.get(each) != consumer.key]:
             self._members.detach(self.emcy_consumers.pop(node_id))
         for node_id in sorted(wanted.keys() - self.emcy_consumers.keys()):
@@ -297,15 +297,5 @@ class CommunicationObjects:
         self.time_consumer.set_key(key if cob_id & TIME_CONSUMER_BIT and self._lives(Service.TIME) else None)
 
 
-def _check_cob_id(value: int, standing: int, *, in_use: bool) -> AbortCode | None:
-    """Whether a COB-ID may take the place of the standing one. in_use: its CAN-ID may not change."""
-    changes = in_use and (value ^ standing) & CAN_ID_AND_FRAME
-    return check_can_id(value) or (AbortCode.DEVICE_STATE if changes else None)
-
-
 def _is_overflow(value: int) -> bool:
     return value == 0 or 2 <= value <= MAX_COUNTER
-
-
-def _is_valid(cob_id: int) -> bool:
-    return cob_id != 0 and not cob_id & COB_ID_INVALID

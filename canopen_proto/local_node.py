@@ -1,12 +1,12 @@
 """`LocalNode`: a device. A dictionary, values of its own, and every service that they describe.
 
-A group of machines, set up by the dictionary: NMT slave, SDO server, heartbeat producer and consumers or guarding, SYNC, TIME,
-EMCY, PDOs, and, where there is one, an `application` (a simulated drive). `values` is the one memory that all of them share.
+A group of machines, set up by the dictionary: NMT slave, SDO servers and clients, heartbeat producer and consumers or guarding,
+SYNC, TIME, EMCY, PDOs, and, where there is one, an `application` (a simulated drive). All of them share the memory `values`.
 
-**A write is asked, stored, obeyed.** `check_write` and `write` are the doors through which the SDO server comes in. After type,
+**A write is asked, stored, obeyed.** `check_write` and `write` are the doors through which the SDO servers come in. After type,
 access and limits are found right, whoever the object belongs to is asked, and may refuse with an abort code: the
-communication objects (`communication_objects.py`), the PDO parameters (`pdo/parameters.py`), else the application. Then the value
-is stored, and its owner told, before the client gets its answer.
+communication objects (`communication_objects.py`), the PDO parameters (`pdo/parameters.py`), the records of SDO channels
+(`sdo/channels.py`), else the application. Then the value is stored, and its owner told, before the client gets its answer.
 
 What follows from what:
 
@@ -61,7 +61,9 @@ from canopen_proto.pdo.multiplexed import MpdoNotProcessed, MpdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.pdo.settings import place_of
 from canopen_proto.sdo.abort import AbortCode, text_of
-from canopen_proto.sdo.server import PENDING, ObjectAccessPending, ObjectWritten, Pending, SdoServer, SdoServerAborted
+from canopen_proto.sdo.channels import SdoChannels
+from canopen_proto.sdo.client import SdoClient
+from canopen_proto.sdo.server import PENDING, ObjectAccessPending, ObjectWritten, Pending, SdoServerAborted
 from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
 
@@ -83,6 +85,7 @@ class LocalNode(Group):
         "_errors",
         "_store",
         "application",
+        "channels",
         "communication",
         "deferred",
         "in_pieces",
@@ -104,7 +107,6 @@ class LocalNode(Group):
         self.storage = ParameterStorage(self.values)
         self.nmt = NmtSlave(self.inner, node_id)
         self._store = ValuesStore(self.values)
-        self.sdo = SdoServer(self.inner, node_id, self)
         self.pdos = DevicePdos(self.inner, node_id, self.values)
         self.optional_emcy: set[int] = set()
         """EMCY codes that the standard leaves open and that are to be sent: 0x8220 (a PDO too long), 0x8240 (SYNC length)."""
@@ -113,10 +115,10 @@ class LocalNode(Group):
         self.in_pieces: set[int] = set()
         """Of `deferred`: those that the host takes piece by piece (`ObjectAccessPending.more`), such as a DOMAIN of firmware."""
         self._members.attach(self.nmt)
-        self._members.attach(self.sdo)
+        self.channels = SdoChannels(self.inner, node_id, self.values, self, self._members)
+        self.sdo = self.channels.servers[1]
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
         self._errors = CommunicationErrors(self.communication.emcy)
-        self.sdo.disable()  # mute until the boot-up frame is out
         for machine in self.pdos.machines:
             self._members.attach(machine)
         self._reactions.update(
@@ -241,10 +243,17 @@ class LocalNode(Group):
     ) -> None:
         """The host's answer to ObjectAccessPending. See SdoServer.complete."""
         mark = len(self.inner.events)
-        self.sdo.complete(access_id, result, now, more=more, size=size)
+        self.channels.complete(access_id, result, now, more=more, size=size)
         self._settle(mark, now)
 
-    # ---- what the SDO server asks: it serves this node ----
+    def sdo_client(self, number: int) -> SdoClient:
+        """The SDO client of record 0x1280 + number - 1, with which the device itself accesses another one.
+
+        See SdoChannels.client, for when it takes requests.
+        """
+        return self.channels.client(number)
+
+    # ---- what the SDO servers ask: they serve this node ----
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
         """An object's bytes, brought up to date, or why not."""
@@ -265,7 +274,9 @@ class LocalNode(Group):
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
         """Whether a download may begin: access, and length where it was announced; and whether the host takes it in pieces."""
         refusal = self._store.check_write(index, subindex, size)
-        return PENDING if refusal is None and index in self.in_pieces else refusal
+        if refusal is not None or index not in self.in_pieces:
+            return refusal
+        return AbortCode.DEVICE_STATE if self.channels.host_takes(index, subindex) else PENDING  # the pieces of two would mix
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
         """Ask, store, obey; see this module's text."""
@@ -276,14 +287,16 @@ class LocalNode(Group):
         if isinstance(value, AbortCode):
             return value
         if index in self.deferred:
-            return PENDING
+            is_taken = index in self.in_pieces and self.channels.host_takes(index, subindex)
+            return AbortCode.DEVICE_STATE if is_taken else PENDING
         refusal = self._refusal(index, subindex, value)
         if refusal is not None:
             return refusal
-        if index in SIGNATURES:
-            return PENDING
+        if index in SIGNATURES:  # one at a time: each takes the values of its moment
+            return AbortCode.DEVICE_STATE if any(map(self.channels.host_takes, SIGNATURES)) else PENDING
         self.values.store[variable.mux] = value
-        self._obey(index, subindex, now)
+        if not self.channels.owns(index):  # else by `_on_written`: the write may have come over the channel that it closes
+            self._obey(index, subindex, now)
         self.pdos.trigger(variable.mux, now)
         return None
 
@@ -294,6 +307,8 @@ class LocalNode(Group):
                 return self.pdos.check_write(index, subindex, value)
             if index in SIGNATURES:
                 return self.storage.check_write(index, subindex, value)
+            if self.channels.owns(index):
+                return self.channels.check_write(index, subindex, value)
             return self.communication.check_write(index, subindex, value)
         return None if self.application is None else self.application.check_write(index, subindex, value)
 
@@ -302,6 +317,9 @@ class LocalNode(Group):
         if index not in COMMUNICATION_OBJECTS:
             if self.application is not None:
                 self.application.written(index, subindex, now)
+            return
+        if self.channels.owns(index):
+            self.channels.apply(index, now)
             return
         if self.pdos.owns(index):
             self.pdos.apply(index, subindex, now)
@@ -340,6 +358,7 @@ class LocalNode(Group):
         self.nmt.boot(now)
         self.pdos.reload(now)
         self.communication.reload(now)
+        self.channels.reload(now)
 
     def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
         emcy = self.communication.emcy
@@ -363,17 +382,16 @@ class LocalNode(Group):
     def _on_written(self, report: ObjectWritten, now: Time) -> None:
         if report.index in SIGNATURES:
             self.storage.commit(report.index, report.subindex)
+        elif self.channels.owns(report.index):
+            self._obey(report.index, report.subindex, now)
 
     def _on_aborted(self, report: SdoServerAborted, now: Time) -> None:
-        if report.index in SIGNATURES:
+        if report.index in SIGNATURES and not self.channels.host_takes(report.index, report.subindex):
             self.storage.forget(report.index, report.subindex)
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
         allows = self.nmt.allows
-        if allows(Service.SDO):
-            self.sdo.enable()
-        else:
-            self.sdo.disable()
+        self.channels.set_enabled(allows(Service.SDO), now)
         self.communication.set_state(change.state, now)
         if self.application is not None:
             self.application.refresh(now)

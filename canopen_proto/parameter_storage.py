@@ -13,7 +13,7 @@ dictionary says that with the object's default; without one it is bit 0, and whe
     4..127   the manufacturer's              0x2000 to 0x5FFF, until `groups` says otherwise
 
 A parameter is what a client may read and write. Left out are DOMAINs and `excluded`: objects that are commands or a history, to
-which a device adds its own (a control word is no parameter).
+which a device adds its own (a control word is no parameter). The COB-IDs that an SDO manager has given (bit 30) are not stored.
 
 **The host does the storing**, since the core has nothing that outlives it:
 
@@ -37,6 +37,7 @@ from typing import Final
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Values, Variable
 from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.channels import is_dynamic
 
 STORE: Final = 0x1010
 RESTORE: Final = 0x1011
@@ -132,7 +133,8 @@ class ParameterStorage:
         if index == STORE:
             store = self._values.store
             present = {variable.mux: store[variable.mux] for variable in self._parameters(group)}
-            after |= {variable.mux: value for variable, value in self._with_variables(present)}
+            lasting = {key: value for key, value in present.items() if not is_dynamic(key, value)}
+            after |= {variable.mux: value for variable, value in self._with_variables(lasting)}
         self._after[index, subindex] = after
 
     def commit(self, index: int, subindex: int) -> None:

@@ -83,6 +83,20 @@ def check_can_id(cob_id: int) -> AbortCode | None:
     return AbortCode.INVALID_VALUE if restricted else None
 
 
+def check_cob_id(cob_id: int, standing: int, *, in_use: bool, allowed: Container[int] = ()) -> AbortCode | None:
+    """Whether a COB-ID may take the place of the standing one. in_use: its CAN-ID may not change. allowed: CAN-IDs that this one
+    may have though they are restricted."""
+    refusal = None if cob_id & CAN_ID_AND_FRAME in allowed else check_can_id(cob_id)
+    if refusal is None and in_use and (cob_id ^ standing) & CAN_ID_AND_FRAME:
+        return AbortCode.DEVICE_STATE
+    return refusal
+
+
+def is_valid(cob_id: int) -> bool:
+    """Whether a COB-ID other than a PDO's is in use. One of 0, which no service but NMT can have, counts as not valid."""
+    return cob_id != 0 and not cob_id & COB_ID_INVALID
+
+
 class PdoRules:
     """The rules of one device. faults: the indices of mappings that stand there and make no sense."""
 
@@ -128,12 +142,10 @@ class PdoRules:
     def _check_cob_id(self, place: PdoPlace, cob_id: int) -> AbortCode | None:
         if cob_id & COB_ID_INVALID:
             return None
-        refusal = check_can_id(cob_id)
+        standing = self._at(place, COB_ID, COB_ID_INVALID)
+        refusal = check_cob_id(cob_id, standing, in_use=not standing & COB_ID_INVALID)
         if refusal is not None:
             return refusal
-        standing = self._at(place, COB_ID, COB_ID_INVALID)
-        if not standing & COB_ID_INVALID and (standing ^ cob_id) & CAN_ID_AND_FRAME:
-            return AbortCode.DEVICE_STATE
         if mapping_index(place.direction, place.number) in self._faults:
             return AbortCode.PARAMETER_INCOMPATIBLE
         return None

@@ -51,7 +51,6 @@ from canopen_proto.sdo.block_server import (
 from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT,
-    DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED,
     EXPEDITED_BIT,
     EXPEDITED_BITS,
@@ -93,8 +92,7 @@ class SdoServer(ServerBase):
     """The server of one SDO channel; see this module's text."""
 
     __slots__ = (
-        "_acknowledgements", "_announced", "_block_request", "_buffer", "_command", "_content", "_limit", "_offset",
-        "_transfer",
+        "_announced", "_block_request", "_buffer", "_command", "_content", "_limit", "_offset", "_transfer",
     )  # fmt: skip
 
     def __init__(
@@ -130,10 +128,6 @@ class SdoServer(ServerBase):
         self.block_size = block_size
         self.max_burst = max_burst
         self.burst_interval = burst_interval
-        self._acknowledgements = {
-            toggle: Frame(self._send_can_id, bytes((DOWNLOAD_SEGMENT_RESPONSE | toggle,)).ljust(8, b"\x00"), self._send_flags)
-            for toggle in (0, TOGGLE)
-        }
         # The transfer under way
         self._command = 0  # the command byte of a plain segment with the toggle that is due
         self._content = b""  # to upload

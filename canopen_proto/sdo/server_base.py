@@ -13,7 +13,7 @@ from canopen_proto.machine import NEVER, SECOND, FrameIgnored, LocalProtocolErro
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import ObjectStore
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE
-from canopen_proto.sdo.codec import ABORT, INITIATE
+from canopen_proto.sdo.codec import ABORT, DOWNLOAD_SEGMENT_RESPONSE, INITIATE, TOGGLE
 from canopen_proto.sdo.events import ObjectAccessPending, SdoServerAborted
 
 TIMEOUT: Final = 1 * SECOND
@@ -33,9 +33,9 @@ class ServerBase(Machine):
     """See this module's text."""
 
     __slots__ = (
-        "_access_id", "_answer", "_handed", "_in_pieces", "_index", "_is_reading", "_last", "_more", "_request_key",
-        "_send_can_id", "_send_flags", "_state", "_store", "_straggler", "_straggler_until",
-        "_subindex", "access_timeout", "block_size", "burst_interval",
+        "_access_id", "_acknowledgements", "_answer", "_channel", "_handed", "_in_pieces", "_index", "_is_reading", "_last",
+        "_more", "_send_can_id", "_send_flags", "_state", "_store", "_straggler", "_straggler_until", "_subindex",
+        "access_timeout", "block_size", "burst_interval",
         "copy_guard", "crc", "enabled", "max_burst", "max_download", "node_id", "timeout",
     )  # fmt: skip
 
@@ -59,10 +59,9 @@ class ServerBase(Machine):
         self.burst_interval: Time = 0
         self.enabled = True
         self._store = store
-        self._request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
+        request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
         response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
-        self._send_can_id = response_key & 0x1FFFFFFF
-        self._send_flags = response_key >> 29
+        self._go_by((request_key, response_key))
         # The transfer under way
         self._state = IDLE
         self._index = 0
@@ -124,7 +123,31 @@ class ServerBase(Machine):
             self._report(AbortCode.DEVICE_STATE, AbortOrigin.CANCELLED)
             self._become_idle()
 
+    def set_channel(self, channel: tuple[int, int] | None) -> None:
+        """Be the server of another channel: client to server, server to client, as `Frame.key`. None: of no channel.
+
+        Does nothing if it is the same one. Else a running transfer ends, still on the old channel, with an abort (0x08000022), so
+        that its client need not wait in vain.
+        """
+        if channel != self._channel:
+            if self._state != IDLE:
+                self._abort(AbortCode.DEVICE_STATE)
+            self._go_by(channel)
+            self._reroute()
+
     # ---- getters ----
+
+    @property
+    def channel(self) -> tuple[int, int] | None:
+        """Client to server, server to client, as `Frame.key`; None if it has none."""
+        return self._channel
+
+    @property
+    def object_for_host(self) -> int | None:
+        """The mux of the object that is downloaded to the host: it has been asked to take it, or takes it in pieces."""
+        if self._in_pieces or (self._access_id and not self._is_reading):
+            return self._index << 8 | self._subindex
+        return None
 
     @property
     def busy(self) -> bool:
@@ -137,7 +160,7 @@ class ServerBase(Machine):
         return self.access_timeout
 
     def can_ids(self) -> tuple[int, ...]:
-        return (self._request_key,) if self.enabled else ()
+        return self._channel[:1] if self._channel is not None and self.enabled else ()
 
     # ---- the host ----
 
@@ -166,6 +189,16 @@ class ServerBase(Machine):
 
     # ---- inside ----
 
+    def _go_by(self, channel: tuple[int, int] | None) -> None:
+        self._channel = channel
+        response_key = 0 if channel is None else channel[1]
+        self._send_can_id = response_key & 0x1FFFFFFF
+        self._send_flags = response_key >> 29
+        self._acknowledgements = {
+            toggle: Frame(self._send_can_id, bytes((DOWNLOAD_SEGMENT_RESPONSE | toggle,)).ljust(8, b"\x00"), self._send_flags)
+            for toggle in (0, TOGGLE)
+        }
+
     def _abort(self, abort_code: int, origin: AbortOrigin = AbortOrigin.LOCAL) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.17"""
         self._send(INITIATE.pack(ABORT, self._index, self._subindex, abort_code))
@@ -189,6 +222,7 @@ class ServerBase(Machine):
     def _become_idle(self) -> None:
         self._state = IDLE
         self._access_id = 0
+        self._in_pieces = False
         self.deadline = NEVER
 
     def _send(self, payload: bytes) -> None:

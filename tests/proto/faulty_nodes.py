@@ -90,13 +90,14 @@ class KeepsNothing(LocalNode):
 
     def _on_written(self, report: ObjectWritten, now: Time) -> None:
         self.storage.forget(report.index, report.subindex)
+        super()._on_written(report, now)
 
 
 class RestoresNothing(LocalNode):
     """Confirms that its defaults are restored, and they are not."""
 
     def _on_written(self, report: ObjectWritten, now: Time) -> None:
-        if report.index == 0x1010:
+        if report.index != 0x1011:
             super()._on_written(report, now)
 
 

@@ -1,0 +1,250 @@
+"""The SDO channels of a device: the servers of 0x1200 to 0x127F, and the clients of 0x1280 to 0x12FF.
+
+Theory of operation
+-------------------
+A record holds a channel: sub 1 the COB-ID from client to server, sub 2 the one from server to client, sub 3 the node-ID at the
+other end. It exists while both COB-IDs are valid; a COB-ID is not while its bit 31 is set, nor where it is 0, which is what an
+empty description holds. The first server (0x1200) has the predefined CAN-IDs and stands for ever.
+
+    COB-ID        its CAN-ID and frame bit may not change while it is valid: 0x08000022. A restricted CAN-ID, or more than 11 bits
+                  without the frame bit: 0x06090030. A client's may be those of another node's first server, which are restricted
+                  because they belong there. Setting bit 31 is always allowed
+    dynamic       bit 30 says that an SDO manager has given the COB-ID for now: all the same here, but it is not stored (0x1010)
+    node-ID       above 127: 0x06090030. It is for people, and is the node-ID in the events of a client
+
+A write that changes nothing is always allowed.
+
+Servers share one store; each has its own transfer under way. A client has one transfer under way and a queue of its own, and
+takes requests while its record is valid and SDO lives in the node's NMT state. What is under way ends
+
+    with the record     by an abort on the channel as it was (0x08000022), of which a client reports each request as SdoAborted
+    with the NMT state  without a frame: a node that is stopped or resets may not send any
+
+Left out: channels that an SDO manager hands out (CiA 302-5); it only has to write these records.
+
+Source: CiA 301 v4.2.0, 7.5.2.33 and 7.5.2.34; 7.3.5, table 40.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Values
+from canopen_proto.frame import (
+    COB_ID_INVALID,
+    MAX_NODE_ID,
+    SDO_CLIENT_TO_SERVER,
+    SDO_SERVER_TO_CLIENT,
+    Frame,
+    key_of_cob_id,
+)
+from canopen_proto.group import Members
+from canopen_proto.machine import LocalProtocolError, Outbox, RequestId, Time
+from canopen_proto.pdo.rules import check_cob_id, is_valid
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.access import ObjectStore
+from canopen_proto.sdo.client import SdoClient
+from canopen_proto.sdo.request import Request
+from canopen_proto.sdo.server import SdoServer
+
+FIRST_SERVER: Final = 0x1200
+FIRST_CLIENT: Final = 0x1280
+FURTHER_SERVERS: Final = range(FIRST_SERVER + 1, FIRST_CLIENT)
+CLIENTS: Final = range(FIRST_CLIENT, 0x1300)
+
+# subindices of a record
+TO_SERVER: Final = 1
+TO_CLIENT: Final = 2
+OTHER_NODE: Final = 3
+
+DYNAMIC: Final = 1 << 30
+"""Bit of a COB-ID: assigned by an SDO manager."""
+
+_FIRST_SERVERS: Final = {
+    TO_SERVER: range(SDO_CLIENT_TO_SERVER + 1, SDO_CLIENT_TO_SERVER + MAX_NODE_ID + 1),
+    TO_CLIENT: range(SDO_SERVER_TO_CLIENT + 1, SDO_SERVER_TO_CLIENT + MAX_NODE_ID + 1),
+}
+"""The CAN-IDs of the nodes' first servers."""
+
+
+def is_dynamic(mux: int, value: Value) -> bool:
+    """Whether it is the COB-ID of a channel, and an SDO manager has given it."""
+    is_cob_id = SdoChannels.owns(mux >> 8) and mux & 0xFF in (TO_SERVER, TO_CLIENT)
+    return is_cob_id and isinstance(value, int) and bool(value & DYNAMIC)
+
+
+class ChannelClient(SdoClient):
+    """The client of one record, for as long as the device lives; its channel comes and goes.
+
+    index: of the record. While `is_open` is False, requests raise LocalProtocolError.
+    """
+
+    __slots__ = ("_channel", "_lives", "index")
+
+    def __init__(self, out: Outbox, node_id: int, index: int) -> None:
+        """node_id: of the device itself, until the record names the server."""
+        super().__init__(out, node_id)
+        self.index = index
+        self._channel: tuple[int, int] | None = None
+        self._lives = False
+
+    @property
+    def channel(self) -> tuple[int, int] | None:
+        """Client to server, server to client, as `Frame.key`; None if it has none."""
+        return self._channel
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes requests: it has a channel, and SDO lives in the NMT state of the device."""
+        return self._lives and self._channel is not None
+
+    def set_channel(self, channel: tuple[int, int] | None, now: Time) -> None:
+        """Be the client of another channel, or of none. Does nothing if it is the same; else open requests end."""
+        if channel == self._channel:
+            return
+        self.abort_all(AbortCode.DEVICE_STATE, now)
+        self._channel = channel
+        if channel is not None:
+            request_key, self._response_key = channel
+            self._send_can_id = request_key & 0x1FFF_FFFF
+            self._send_flags = request_key >> 29
+            self._segment_requests = {
+                toggle: Frame(self._send_can_id, frame.data, self._send_flags) for toggle, frame in self._segment_requests.items()
+            }
+        self._reroute()
+
+    def set_enabled(self, lives: bool, now: Time) -> None:
+        """Whether SDO lives in the NMT state of the device. If not, open requests end without a frame."""
+        if lives != self._lives:
+            self._lives = lives
+            if not lives:
+                self.abort_all(AbortCode.DEVICE_STATE, now)  # `_send` keeps it off the bus
+            self._reroute()
+
+    def can_ids(self) -> tuple[int, ...]:
+        return super().can_ids() if self.is_open else ()
+
+    def _submit(self, request: Request, urgent: bool, now: Time) -> RequestId:
+        if self._channel is None:
+            raise LocalProtocolError(f"{request}: 0x{self.index:04X} holds no channel: not both of its COB-IDs are valid")
+        if not self._lives:
+            raise LocalProtocolError(f"{request}: SDO does not live in the NMT state of this device")
+        return super()._submit(request, urgent, now)
+
+    def _send(self, payload: bytes) -> None:
+        if self._lives:
+            super()._send(payload)
+
+
+class SdoChannels:
+    """All SDO channels of one device; see this module's text.
+
+    servers: by number, 1 (0x1200, there or not) to 128. clients: by number, 1 (0x1280) to 128. Each stands for ever, whether its
+    record is valid or not. Read-only outside.
+    """
+
+    __slots__ = ("_values", "clients", "servers")
+
+    def __init__(self, out: Outbox, node_id: int, values: Values, store: ObjectStore, members: Members) -> None:
+        """Makes the machines and attaches them to `members`, mute; `reload` and `set_enabled` open them."""
+        self._values = values
+        self.servers: dict[int, SdoServer] = {1: SdoServer(out, node_id, store)}
+        self.clients: dict[int, ChannelClient] = {}
+        for index in sorted(values.dictionary.objects):
+            if index in FURTHER_SERVERS:
+                server = self.servers[index - FIRST_SERVER + 1] = SdoServer(out, node_id, store)
+                server.set_channel(None)
+            elif index in CLIENTS:
+                self.clients[index - FIRST_CLIENT + 1] = ChannelClient(out, node_id, index)
+        for each in self.servers.values():
+            each.disable()
+        for machine in (*self.servers.values(), *self.clients.values()):
+            members.attach(machine)
+
+    @staticmethod
+    def owns(index: int) -> bool:
+        """Whether an object is the record of a channel, whose writes are to be asked and told here."""
+        return index in FURTHER_SERVERS or index in CLIENTS
+
+    def set_enabled(self, lives: bool, now: Time) -> None:
+        """Whether SDO lives in the node's NMT state."""
+        for server in self.servers.values():
+            if lives:
+                server.enable()
+            else:
+                server.disable()
+        for client in self.clients.values():
+            client.set_enabled(lives, now)
+
+    def reload(self, now: Time) -> None:
+        """Go by the values: at the start, and when a reset has put the defaults back."""
+        for number in self.servers:
+            if number > 1:
+                self.apply(FIRST_SERVER + number - 1, now)
+        for number in self.clients:
+            self.apply(FIRST_CLIENT + number - 1, now)
+
+    def client(self, number: int) -> ChannelClient:
+        """The client of record 0x1280 + number - 1 (number: 1..128). It is the same one for ever.
+
+        It takes requests while both COB-IDs of its record are valid and SDO lives in the NMT state of the device; else these
+        raise LocalProtocolError. When that ends, each open request ends as SdoAborted (0x08000022, origin LOCAL). Events bear the
+        node-ID of the record's sub 3. Raises LocalProtocolError where the dictionary has no such record.
+        """
+        client = self.clients.get(number)
+        if client is None:
+            known = ", ".join(map(str, self.clients)) or "none"
+            raise LocalProtocolError(f"SDO client {number}: the dictionary has no record for it (0x1280 is 1). It has: {known}")
+        return client
+
+    # ---- the two doors of a write ----
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        """What forbids writing this value to a record, or None; it is right in type and limits already. Changes nothing."""
+        standing = self._number(index, subindex)
+        if not isinstance(value, int) or value == standing:
+            return None
+        if subindex == OTHER_NODE:
+            return AbortCode.INVALID_VALUE if value > MAX_NODE_ID else None
+        if subindex not in (TO_SERVER, TO_CLIENT) or value & COB_ID_INVALID:
+            return None
+        allowed = _FIRST_SERVERS[subindex] if index in CLIENTS else ()
+        return check_cob_id(value, standing, in_use=is_valid(standing), allowed=allowed)
+
+    def apply(self, index: int, now: Time) -> None:
+        """A value was stored in a record: its channel goes by it from now on.
+
+        Not before the write is confirmed: it may have come over that very channel.
+        """
+        cob_ids = self._number(index, TO_SERVER), self._number(index, TO_CLIENT)
+        channel = (key_of_cob_id(cob_ids[0]), key_of_cob_id(cob_ids[1])) if all(map(is_valid, cob_ids)) else None
+        if index in FURTHER_SERVERS:
+            self.servers[index - FIRST_SERVER + 1].set_channel(channel)
+            return
+        client = self.clients[index - FIRST_CLIENT + 1]
+        client.set_channel(channel, now)
+        server_id = self._number(index, OTHER_NODE)
+        if 1 <= server_id <= MAX_NODE_ID:
+            client.node_id = server_id
+
+    # ---- the host ----
+
+    def complete(
+        self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
+    ) -> None:
+        """The host's answer goes to the server that waits for it, if one still does. See SdoServer.complete."""
+        for server in self.servers.values():
+            if server.complete(access_id, result, now, more=more, size=size):
+                break
+
+    def host_takes(self, index: int, subindex: int | None = None) -> bool:
+        """Whether an object (any of an index) is being downloaded to the host, over any channel."""
+        taken = [server.object_for_host for server in self.servers.values()]
+        return any(mux is not None and mux >> 8 == index and subindex in (None, mux & 0xFF) for mux in taken)
+
+    # ---- inside ----
+
+    def _number(self, index: int, subindex: int) -> int:
+        value = self._values.store.get(index << 8 | subindex)
+        return value if isinstance(value, int) else 0
