@@ -1,8 +1,10 @@
 """The requests of an SDO client: they wait in line, one at a time is served, each ends in exactly one outcome.
 
 `RequestQueue` is the part of SdoClient (client.py) that does not depend on how a transfer goes: commands that take requests back,
-the order (first in, first out; urgent ones before all others), and the pauses that `copy_guard` and `late_guard` want between
-two transfers.
+the order, and the pauses that `copy_guard` and `late_guard` want between two transfers.
+
+The order is first come, first served, whoever asks: any number of tasks, each waiting for its outcome, take turns. Urgent
+requests go before the others, among themselves in their order; after MAX_URGENT_RUN of them one of the others has its turn.
 """
 
 from __future__ import annotations
@@ -37,6 +39,9 @@ MAX_OVERDUE: Final = 16
 """Answers that are remembered as overdue, the latest ones: LATE_GUARD is over before more than a few can be."""
 MAX_QUEUE: Final = 256
 """Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
+MAX_URGENT_RUN: Final = 64
+"""Urgent requests that may go one after the other while others wait: more than any clean-up needs, and a caller that is always in
+a hurry cannot starve the rest."""
 
 IDLE: Final = 0
 """The state in which no transfer is under way."""
@@ -47,7 +52,7 @@ class RequestQueue(Machine):
 
     __slots__ = (
         "_ended", "_last", "_overdue", "_queue", "_request", "_response_key", "_send_can_id", "_send_flags", "_state",
-        "_unsettled", "_urgent", "copy_guard", "late_guard", "max_queue", "node_id", "timeout",
+        "_unsettled", "_urgent", "_urgent_run", "copy_guard", "late_guard", "max_queue", "node_id", "timeout",
     )  # fmt: skip
 
     def __init__(
@@ -73,6 +78,7 @@ class RequestQueue(Machine):
         self._send_flags = request_key >> 29
         self._urgent: deque[Request] = deque()
         self._queue: deque[Request] = deque()
+        self._urgent_run = 0  # urgent requests that went while others waited, since one of those did
         self._state = IDLE
         self._request = Request(0, 0, bytes(8))  # while idle: the one before
         # What is remembered of responses and of the transfer before
@@ -138,7 +144,7 @@ class RequestQueue(Machine):
         if len(queue) >= self.max_queue:
             raise LocalProtocolError(f"{request}, node {self.node_id}: {len(queue)} requests are waiting already")
         request.request_id = request_id = self.out.next_request_id()
-        if self._state == IDLE and not queue and not self.copy_guard and not self._overdue:
+        if self._state == IDLE and not queue and not self._urgent and not self.copy_guard and not self._overdue:
             self._begin(request, now)
         else:
             queue.append(request)
@@ -158,16 +164,24 @@ class RequestQueue(Machine):
         if not queue:
             self.deadline = NEVER
             return
-        request = queue[0]
-        held_until = -NEVER
-        if self._unsettled or self._request.is_like(request):
-            held_until = self._ended + self.copy_guard
-        if self._overdue and queue is self._queue:  # what is urgent (a halt) matters more than its confirmation
-            held_until = max(held_until, self._overdue.get((request.first[1:4], request.is_upload), -NEVER))
+        if self._urgent_run == MAX_URGENT_RUN and self._queue and now >= self._held_until(self._queue[0], False):
+            queue = self._queue
+        is_urgent = queue is self._urgent
+        held_until = self._held_until(queue[0], is_urgent)
         if now < held_until:
             self._arm(held_until)
             return
+        self._urgent_run = min(self._urgent_run + 1, MAX_URGENT_RUN) if is_urgent and self._queue else 0
         self._begin(queue.popleft(), now)
+
+    def _held_until(self, request: Request, is_urgent: bool) -> Time:
+        """Until when a request has to wait for the sake of those before it."""
+        held_until = -NEVER
+        if self._unsettled or self._request.is_like(request):
+            held_until = self._ended + self.copy_guard
+        if self._overdue and not is_urgent:  # what is urgent (a halt) matters more than its confirmation
+            held_until = max(held_until, self._overdue.get((request.first[1:4], request.is_upload), -NEVER))
+        return held_until
 
     def _begin(self, request: Request, now: Time) -> None:
         raise NotImplementedError
