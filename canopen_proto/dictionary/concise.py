@@ -1,0 +1,110 @@
+"""Concise DCF: the settings of one device as plain bytes (CiA 302-3, object 0x1F22).
+
+Theory of operation
+-------------------
+A configuration manager (the NMT master, at boot-up) keeps for each node what it downloads to it: subindex n of 0x1F22 is the
+concise DCF of node n, a DOMAIN. Little-endian:
+
+    number of entries       UNSIGNED32
+    then for each entry
+      index                 UNSIGNED16
+      subindex              UNSIGNED8
+      size of the data      UNSIGNED32, bytes
+      data                  as SDO carries it
+
+The manager writes the entries as they stand, so their order is part of it: `to_concise` takes it from download_order.py. One
+object may stand in it twice (a COB-ID: first invalid, later valid). One that is empty, or has 0 entries, configures nothing.
+
+Source: CiA 302-3 v4.1.0, object 0x1F22.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.download_order import Write, download_order, settings_of
+from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.machine import LocalProtocolError
+
+MAX_CONCISE: Final = 16 << 20
+"""Bytes of one concise DCF: as much as one SDO transfer brings (sdo.client.MAX_UPLOAD)."""
+
+_COUNT = struct.Struct("<I")
+_ENTRY = struct.Struct("<HBI")
+
+
+class ConciseError(LocalProtocolError, ValueError):
+    """These bytes are no concise DCF. offset: the byte at which that is seen."""
+
+    def __init__(self, message: str, offset: int) -> None:
+        super().__init__(message)
+        self.offset = offset
+
+
+def to_concise(dictionary: ObjectDictionary, node_id: int, values: Mapping[int, Value] | None = None) -> bytes:
+    """The concise DCF that sets the device of that node-ID to these values, by mux; None: to what its DCF has configured.
+
+    Read-only objects, commands and the like are left out; see `download_order`, which also tells which. Raises what it raises,
+    and ConciseError where the whole is larger than MAX_CONCISE.
+    """
+    wanted = settings_of(dictionary, node_id) if values is None else values
+    return pack_concise(download_order(dictionary, wanted, node_id).writes)
+
+
+def pack_concise(entries: Iterable[Write]) -> bytes:
+    """The bytes of these entries, in this order. Raises ConciseError for an impossible place, or more bytes than MAX_CONCISE."""
+    data = bytearray(_COUNT.size)
+    count = 0
+    for index, subindex, value in entries:
+        if not (0 <= index <= 0xFFFF and 0 <= subindex <= 0xFF):
+            raise ConciseError(f"entry {count + 1}: there is no object 0x{index:04X}:{subindex:02X}", len(data))
+        data += _ENTRY.pack(index, subindex, len(value))
+        data += value
+        count += 1
+        if len(data) > MAX_CONCISE:
+            raise ConciseError(f"a concise DCF has {MAX_CONCISE} bytes at most; entry {count} ends beyond that", len(data))
+    _COUNT.pack_into(data, 0, count)
+    return bytes(data)
+
+
+def from_concise(data: bytes) -> list[Write]:
+    """The entries of a concise DCF, in its order. No bytes at all are no entries.
+
+    Raises ConciseError, which names the byte, where the bytes are not exactly the entries that they announce, or more than
+    MAX_CONCISE. Time and memory go by len(data), whatever the counts in it say.
+    """
+    if len(data) > MAX_CONCISE:
+        raise ConciseError(f"a concise DCF has {MAX_CONCISE} bytes at most, not {len(data)}", MAX_CONCISE)
+    if not data:
+        return []
+    if len(data) < _COUNT.size:
+        raise ConciseError(f"a concise DCF begins with a count of {_COUNT.size} bytes; there are {len(data)} bytes in all", 0)
+    (count,) = _COUNT.unpack_from(data)
+    entries: list[Write] = []
+    at = _COUNT.size
+    for number in range(1, count + 1):
+        if len(data) - at < _ENTRY.size:
+            raise ConciseError(f"byte {at}: {count} entries are announced; the data end before entry {number}", at)
+        index, subindex, size = _ENTRY.unpack_from(data, at)
+        at += _ENTRY.size
+        if len(data) - at < size:
+            here = f"entry {number} (0x{index:04X}:{subindex:02X})"
+            raise ConciseError(f"byte {at}: {here} announces {size} bytes; {len(data) - at} are left", at)
+        entries.append((index, subindex, bytes(data[at : at + size])))
+        at += size
+    if at != len(data):
+        raise ConciseError(f"byte {at}: {len(data) - at} bytes stand behind the last of {count} entries", at)
+    return entries
+
+
+def values_of_concise(dictionary: ObjectDictionary, entries: Iterable[Write]) -> dict[int, Value]:
+    """What a device holds after these entries, by mux: the last one of each object counts.
+
+    Raises ObjectNotFound for an object that the dictionary does not have, ValueRangeError for data of a wrong length.
+    """
+    last = {(index, subindex): data for index, subindex, data in entries}
+    found = ((dictionary.variable(place), data) for place, data in last.items())
+    return {variable.mux: variable.decode(data) for variable, data in found}

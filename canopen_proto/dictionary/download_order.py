@@ -1,0 +1,288 @@
+"""In which order a device's settings are written to it, and what is never written.
+
+Theory of operation
+-------------------
+A configuration tool downloads the settings of a DCF, a backup or a concise DCF (CiA 302-3) into a device that is pre-operational.
+The order is not free: some objects may change only while a service does not exist, and a service must not run on half a setting.
+`download_order` gives the writes, in four parts:
+
+1. switch off    what the table `SWITCHES` names, if it is to be set, or if something that depends on it is: PDOs first
+2. communication the objects 0x1000 to 0x1FFF by index; a PDO's two records at its communication parameter, in the order mapping
+                 count 0, transmission type and times, entries, count. (The type in between: a multiplexed PDO in source address
+                 mode goes with an event-driven type only, whichever of the two is written while the other stands.)
+3. application   all other objects, by index and subindex
+4. switch on     the switches that were to be on, by index: PDOs exist again when everything else is right
+
+So a download that is broken off leaves PDOs destroyed, never half mapped. A switch that nobody sets, but that had to be off (the
+COB-ID of a PDO whose mapping is set), gets back what the device has; where that is unknown, its initial value in the dictionary;
+where that says nothing either, it is left alone, and a strict device refuses the write that depends on it.
+
+Left out, each with its reason: what cannot be written or bears flag 0 of ObjFlags (CiA 306-1); commands, histories and the SDO
+channel that we speak through (`NOT_SETTINGS`); mapping entries beyond the mapping count; subindex 4 of a PDO communication
+parameter, which is reserved.
+
+Source: CiA 301 v4.2.0, 7.5.2.5, .6, .15, .17, .19, .22, .31 and 7.5.2.33 to 7.5.2.38; CiA 302-3 for the purpose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeAlias
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
+from canopen_proto.frame import COB_ID_INVALID
+
+PRODUCES: Final = 1 << 30
+"""COB-ID SYNC and TIME: the device produces it. CiA 301 v4.2.0, 7.5.2.5 and 7.5.2.15."""
+CONSUMES: Final = 1 << 31
+"""COB-ID TIME: the device consumes it. CiA 301 v4.2.0, 7.5.2.15."""
+NO_DOWNLOAD: Final = 1
+"""ObjFlags, bit 0: refuses to be written by a download. CiA 306-1."""
+
+_RPDO, _TPDO = 0x1400, 0x1800  # first communication parameters
+_PDO_RECORDS: Final = range(0x1400, 0x1C00)
+_TO_MAPPING: Final = 0x200
+_RESERVED_SUBINDEX: Final = 4
+MPDO_COUNTS: Final = (0xFE, 0xFF)
+"""Mapping counts that make a PDO a multiplexed one, of one entry. CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38."""
+_COMMUNICATION: Final = range(0x1000, 0x2000)
+
+NOT_SETTINGS: Final = {
+    0x1003: "a history",
+    0x1010: "a command: store",
+    0x1011: "a command: restore",
+    0x1023: "a command to the device's operating system",
+    0x1024: "a command to the device's operating system",
+    0x1025: "a command to the device's operating system",
+    0x1026: "a dialogue with the device's operating system",
+    0x1200: "the SDO channel of this very download",
+    0x1F50: "a program, which is downloaded on purpose only",
+    0x1F51: "a command: program control",
+    0x1F82: "a command: request NMT",
+    0x1F83: "a command: request guarding",
+    **{0x6040 + 0x800 * axis: "a command: control word" for axis in range(8)},
+}
+"""Writable objects that are no settings; the control word would move a drive. CiA 301 v4.2.0, 7.5.2; CiA 302; CiA 402-2."""
+
+
+Write: TypeAlias = tuple[int, int, bytes]
+"""One download: index, subindex, data as SDO carries it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DownloadOrder:
+    """What `download_order` gives. writes: in their order. left_out: the reason for each value that is not written, by mux."""
+
+    writes: tuple[Write, ...]
+    left_out: Mapping[int, str]
+
+
+class Switch(NamedTuple):
+    """An object that starts and ends a service: where it stands, and its value with the service off."""
+
+    indices: range
+    subindices: range
+    off: Callable[[int], int]
+
+
+def _invalid(value: int) -> int:
+    return value | COB_ID_INVALID
+
+
+def _zero(value: int) -> int:
+    return 0
+
+
+SWITCHES: Final = (
+    Switch(range(_RPDO, _RPDO + _TO_MAPPING), range(1, 2), _invalid),
+    Switch(range(_TPDO, _TPDO + _TO_MAPPING), range(1, 2), _invalid),
+    Switch(range(0x1005, 0x1006), range(1), lambda value: value & ~PRODUCES),
+    Switch(range(0x1006, 0x1007), range(1), _zero),  # 0x1019 may change only while it is 0
+    Switch(range(0x1012, 0x1013), range(1), lambda value: value & ~(PRODUCES | CONSUMES)),
+    Switch(range(0x1014, 0x1015), range(1), _invalid),
+    Switch(range(0x1016, 0x1017), range(1, 0x80), _zero),  # no node may stand in two entries, not even in between
+    Switch(range(0x1028, 0x1029), range(1, 0x80), _invalid),
+    Switch(range(0x1201, 0x1300), range(1, 3), _invalid),
+)
+"""In the order in which they are switched off."""
+
+
+def settings_of(dictionary: ObjectDictionary, node_id: int, *, defaults: bool = False) -> dict[int, Value]:
+    """What a device of that node-ID is to be set to, by mux: what a DCF has configured; with `defaults` all else too that has a
+    default value."""
+    return {
+        variable.mux: variable.initial_of(node_id)
+        for variable in dictionary
+        if variable.configured is not None or (defaults and variable.default is not None)
+    }
+
+
+def download_order(
+    dictionary: ObjectDictionary,
+    values: Mapping[int, Value],
+    node_id: int,
+    *,
+    standing: Mapping[int, Value] | None = None,
+) -> DownloadOrder:
+    """The writes that set a device to these values.
+
+    values: by mux. standing: what the device has now, as far as it is known; strict devices want the CAN-ID unchanged in the
+    write that destroys a PDO. Raises ObjectNotFound for a mux that the dictionary does not have, and ValueRangeError where a
+    value does not fit its object; an object's limits are not looked at. Source: see this module's text.
+    """
+    order = _Order(dictionary, node_id, standing or {})
+    for key, value in values.items():
+        order.add(key, value)
+    return order.result()
+
+
+class _Order:
+    """One `download_order` at work."""
+
+    def __init__(self, dictionary: ObjectDictionary, node_id: int, standing: Mapping[int, Value]) -> None:
+        self.dictionary = dictionary
+        self.node_id = node_id
+        self.standing = standing
+        self.values: dict[int, Value] = {}
+        self.left_out: dict[int, str] = {}
+
+    def add(self, key: int, value: Value) -> None:
+        variable = self.dictionary.variable((key >> 8, key & 0xFF))
+        reason = reason_to_leave_out(self.dictionary.objects[variable.index], variable)
+        if reason:
+            self.left_out[key] = reason
+        else:
+            variable.encode(value)
+            self.values[key] = value
+
+    def result(self) -> DownloadOrder:
+        self._leave_out_unused_entries()
+        for key in list(self.values):
+            for needed in _switches_of(key):
+                self._add_implied(needed)
+        off: list[tuple[int, int, int, Write]] = []
+        middle: list[tuple[tuple[int, ...], Write]] = []
+        last: list[tuple[int, Write]] = []
+        for key, value in self.values.items():
+            rank, switch = _switch_at(key)
+            write = self._write(key, value)
+            idle = None if switch is None else self._switched_off(write, switch)
+            if switch is None or idle is None:
+                middle += self._settings(key, value)
+                continue
+            if key in self.standing:
+                before = self._write(key, self.standing[key])
+                off.append((rank, key, 0, self._switched_off(before, switch) or before))
+            else:
+                off.append((rank, key, 0, idle))
+            if idle != write:
+                last.append((key, write))
+            elif off[-1][-1] != write:
+                off.append((rank, key, 1, write))
+        writes = (
+            *(each[-1] for each in sorted(off)),
+            *(each[-1] for each in sorted(middle)),
+            *(each[-1] for each in sorted(last)),
+        )
+        return DownloadOrder(writes, self.left_out)
+
+    @staticmethod
+    def _switched_off(write: Write, switch: Switch) -> Write | None:
+        """The same object's write that ends the service; None where its type has no room for that."""
+        index, subindex, data = write
+        try:
+            return index, subindex, switch.off(int.from_bytes(data, "little")).to_bytes(len(data), "little")
+        except OverflowError:
+            return None
+
+    def _settings(self, key: int, value: Value) -> Iterator[tuple[tuple[int, ...], Write]]:
+        """The writes of what is no switch, each with its place among all of them."""
+        index, subindex = key >> 8, key & 0xFF
+        area = 0 if index in _COMMUNICATION else 1
+        if index not in _PDO_RECORDS:
+            yield (area, index, subindex), self._write(key, value)
+        elif not index & _TO_MAPPING:
+            yield (area, index, 1, subindex), self._write(key, value)
+        elif subindex:
+            yield (area, index - _TO_MAPPING, 2, subindex), self._write(key, value)
+        else:
+            write = self._write(key, value)
+            nothing = (index, subindex, bytes(len(write[2])))
+            yield (area, index - _TO_MAPPING, 0), nothing
+            if write != nothing:
+                yield (area, index - _TO_MAPPING, 3), write
+
+    def _leave_out_unused_entries(self) -> None:
+        """Entries beyond the count say nothing, and devices refuse the 0 that stands there. A missing count is added."""
+        counts: dict[int, int] = {}
+        for key in sorted(self.values):
+            index, subindex = key >> 8, key & 0xFF
+            if index not in _PDO_RECORDS or not index & _TO_MAPPING or not subindex:
+                continue
+            if index not in counts:
+                self._add_implied(index << 8)
+                counts[index] = _entries_used(self.values.get(index << 8, self._known(index << 8)))
+            if subindex > counts[index]:
+                del self.values[key]
+                self.left_out[key] = "beyond the number of mapped objects"
+
+    def _add_implied(self, key: int) -> None:
+        """What must be off for another object's sake gets back what it has."""
+        variable = self.dictionary.get(key >> 8, key & 0xFF)
+        value = self._known(key)
+        if key in self.values or variable is None or value is None:
+            return
+        if not reason_to_leave_out(self.dictionary.objects[variable.index], variable):
+            self.values[key] = value
+
+    def _known(self, key: int) -> Value | None:
+        variable = self.dictionary.get(key >> 8, key & 0xFF)
+        if key in self.standing:
+            return self.standing[key]
+        if variable is None or (variable.default is None and variable.configured is None):
+            return None
+        return variable.initial_of(self.node_id)
+
+    def _write(self, key: int, value: Value) -> Write:
+        variable = self.dictionary.variable((key >> 8, key & 0xFF))
+        return variable.index, variable.subindex, variable.encode(value)
+
+
+def reason_to_leave_out(parent: Object, variable: Variable) -> str:
+    """Why a download never writes this object; "" where it does."""
+    if not variable.access.writable:
+        return "read-only"
+    if (variable.object_flags | parent.object_flags) & NO_DOWNLOAD:
+        return "its ObjFlags forbid a download"
+    if variable.index in _PDO_RECORDS and not variable.index & _TO_MAPPING and variable.subindex == _RESERVED_SUBINDEX:
+        return "reserved"
+    return NOT_SETTINGS.get(variable.index, "")
+
+
+def _entries_used(count: Value | None) -> int:
+    """How many mapping entries count; all of them where the count is not known."""
+    if not isinstance(count, int):
+        return 0xFF
+    return 1 if count in MPDO_COUNTS else count
+
+
+def _switch_at(key: int) -> tuple[int, Switch | None]:
+    index, subindex = key >> 8, key & 0xFF
+    for rank, switch in enumerate(SWITCHES):
+        if index in switch.indices and subindex in switch.subindices:
+            return rank, switch
+    return len(SWITCHES), None
+
+
+def _switches_of(key: int) -> tuple[int, ...]:
+    """The switches that must be off when this object is written."""
+    index, subindex = key >> 8, key & 0xFF
+    if index in _PDO_RECORDS:
+        return ((index & ~_TO_MAPPING) << 8 | 1,)
+    if index == 0x1019:
+        return (0x1006 << 8,)
+    if 0x1201 <= index < 0x1300 and subindex == 3:  # the node-ID at the other end
+        return (index << 8 | 1, index << 8 | 2)
+    return ()
