@@ -2,6 +2,7 @@
 
     steps.py           what a procedure is made of: upload, download, sleep, wait_for_event, all_of
     runner.py          `Runner`, which runs them; `Network.run` is the usual way in
+    streams.py         read and write what nobody holds whole: firmware images, recordings
     objects.py         read and write a node's objects by name and value
     drive.py           the manual's sequences for a CiA 402 drive: homing, interpolation, halt ...
     configure_pdo.py   `define_pdo` and what it is made of

@@ -20,6 +20,7 @@ from typing import Any, Final, TypeVar
 
 from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time, event
 from canopen_proto.procedures.steps import Act, AllOf, Cancelled, Procedure, ProcedureError, Request, Step, Wait
+from canopen_proto.sdo.events import SdoProgress
 
 T = TypeVar("T")
 
@@ -127,6 +128,10 @@ class Runner(Machine):
             if task is not None:
                 task.token = None
                 self._resume(task, report, now)
+        elif isinstance(report, SdoProgress):
+            task = self._requests.get((root, report.request_id))
+            if task is not None:
+                self._inform(task, report, now)
         for task, step in waiting:
             if task.step is step and (step.source is None or step.source.out.root is root):
                 self._tell(task, step, report, now)
@@ -147,6 +152,18 @@ class Runner(Machine):
         for task in self._tasks.values():
             deadline = min(deadline, task.wake, task.clean_up_by)
         self._arm(deadline)
+
+    def _inform(self, task: _Task, report: SdoProgress, now: Time) -> None:
+        """Hand news of a stream to the step that runs it."""
+        step = task.step
+        if not isinstance(step, Request) or step.news is None:
+            return
+        try:
+            step.news(report, now)
+        except Exception as error:  # noqa: BLE001 - a procedure's code too
+            if task.step is step:  # else it has cancelled itself
+                self._drop_step(task, now)
+                self._resume(task, None, now, error)
 
     def _tell(self, task: _Task, step: Wait, report: Event, now: Time) -> None:
         assert step.match is not None

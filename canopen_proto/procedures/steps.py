@@ -18,14 +18,19 @@ since a generator that is collected may not yield.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, Final, Protocol, TypeAlias, TypeVar
 
 from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.abort import AbortOrigin, text_of
-from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.events import SdoProgress
+from canopen_proto.sdo.request import Buffer
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)
+
+NOT_CONFIRMED: Final = " (not confirmed: it may have been executed)"
+"""Behind the message about a write that ended without an answer."""
 
 
 class Cancelled(BaseException):
@@ -41,7 +46,10 @@ class StepTimeout(ProcedureError):
 
 
 class SdoFailed(ProcedureError):
-    """An SDO transfer of the procedure ended with an abort, ours or the node's."""
+    """An SDO transfer of the procedure ended with an abort, ours or the node's. Fields: those of SdoAborted.
+
+    not_confirmed: a write that may have been executed; nobody sends it again by itself.
+    """
 
     def __init__(self, aborted: SdoAborted, attempt: str) -> None:
         self.node_id = aborted.node_id
@@ -49,15 +57,15 @@ class SdoFailed(ProcedureError):
         self.subindex = aborted.subindex
         self.abort_code = aborted.abort_code
         self.origin = aborted.origin
+        self.not_confirmed = aborted.not_confirmed
         place = f"{attempt} 0x{aborted.index:04X}:{aborted.subindex:02X}"
         if aborted.origin is AbortOrigin.TIMEOUT:
-            hint = "" if attempt == "reading" else " (not confirmed: it may have been executed)"
-            message = f"node {self.node_id} did not answer {place}{hint}"
+            message = f"node {self.node_id} did not answer {place}"
         elif aborted.origin is AbortOrigin.PEER:
             message = f"node {self.node_id} refused {place}: abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
         else:
             message = f"{place} of node {self.node_id} was given up: 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
-        super().__init__(message)
+        super().__init__(message + (NOT_CONFIRMED if aborted.not_confirmed else ""))
 
 
 class Requester(Protocol):
@@ -85,13 +93,22 @@ class Act(Step):
 
 
 class Request(Step):
-    """Give a command with an outcome: `submit(now, urgent)` returns its RequestId; the step's result is the Outcome event."""
+    """Give a command with an outcome: `submit(now, urgent)` returns its RequestId; the step's result is the Outcome event.
 
-    __slots__ = ("requester", "submit")
+    news: called with what is told of it meanwhile, if it is a stream. What it raises takes the request back, and is raised here.
+    """
 
-    def __init__(self, requester: Requester, submit: Callable[[Time, bool], RequestId]) -> None:
+    __slots__ = ("news", "requester", "submit")
+
+    def __init__(
+        self,
+        requester: Requester,
+        submit: Callable[[Time, bool], RequestId],
+        news: Callable[[SdoProgress, Time], object] | None = None,
+    ) -> None:
         self.requester = requester
         self.submit = submit
+        self.news = news
 
 
 class Wait(Step):
@@ -149,18 +166,20 @@ def all_of(*procedures: Procedure[T]) -> Procedure[list[T]]:
     return results
 
 
-def upload(client: SdoClient, index: int, subindex: int = 0) -> Procedure[bytes]:
-    """Read an object by SDO: its bytes, or SdoFailed."""
-    outcome: Outcome = yield Request(client, lambda now, urgent: client.upload(index, subindex, now, urgent=urgent))
+def upload(client: SdoClient, index: int, subindex: int = 0, *, block: Block = False) -> Procedure[bytes]:
+    """Read an object by SDO: its bytes, or SdoFailed. block: see `Block`. (streams.py reads what is too long to be held.)"""
+    outcome: Outcome = yield Request(client, lambda now, urgent: client.upload(index, subindex, now, urgent=urgent, block=block))
     if isinstance(outcome, SdoUploaded):
         return outcome.data
     assert isinstance(outcome, SdoAborted)
     raise SdoFailed(outcome, "reading")
 
 
-def download(client: SdoClient, index: int, subindex: int, data: bytes) -> Procedure[None]:
-    """Write an object by SDO; returns when the node has confirmed it, else SdoFailed."""
-    outcome: Outcome = yield Request(client, lambda now, urgent: client.download(index, subindex, data, now, urgent=urgent))
+def download(client: SdoClient, index: int, subindex: int, data: Buffer, *, block: Block = False) -> Procedure[None]:
+    """Write an object by SDO; returns when the node has confirmed it, else SdoFailed. block: see `Block`."""
+    outcome: Outcome = yield Request(
+        client, lambda now, urgent: client.download(index, subindex, data, now, urgent=urgent, block=block)
+    )
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
         raise SdoFailed(outcome, "writing")

@@ -41,7 +41,7 @@ from canopen_proto.sdo.codec import (
     SIZE,
     SPECIFIER,
 )
-from canopen_proto.sdo.events import SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
+from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request import Request, impossible
 
 if TYPE_CHECKING:
@@ -59,6 +59,12 @@ _END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 _START_PAYLOAD: Final = bytes((START_UPLOAD,)).ljust(8, b"\x00")
 
 
+def lacks_blocks(aborted: SdoAborted) -> bool:
+    """Whether a stream ended because the server knows no block transfer, or not for this object: it refused, or answered with a
+    normal upload all the same. To be asked only of a stream that had not begun yet."""
+    return aborted.abort_code in NO_BLOCKS and aborted.origin in (AbortOrigin.PEER, AbortOrigin.LOCAL)
+
+
 class BlockRequest(Request):
     """A request for a block transfer. plain: what to fall back on. size: announced, of a download. fed: bytes so far."""
 
@@ -72,6 +78,12 @@ class BlockRequest(Request):
         self.is_whole = not is_stream
         self.size: int | None = None
         self.fed = 0
+
+    @property
+    def room(self) -> int:
+        """How many more bytes may be fed now."""
+        room = MAX_FED - len(self.content)
+        return room if self.size is None else min(room, self.size - self.fed)
 
     def feed(self, piece: bytes | bytearray | memoryview, last: bool) -> None:
         """See SdoClient.feed; checks only, and counts."""
@@ -135,10 +147,7 @@ class BlockDownload(BlockSender):
         request = self._request
         if self._asked_at != request.fed:
             self._asked_at = request.fed
-            room = MAX_FED - self.held
-            if request.size is not None:
-                room = min(room, request.size - request.fed)
-            wanted = SdoDataWanted(self._client.node_id, request.request_id, request.index, request.subindex, room)
+            wanted = SdoDataWanted(self._client.node_id, request.request_id, request.index, request.subindex, request.room)
             self._client.out.events.append(wanted)
 
     def _ended(self, now: Time) -> None:

@@ -65,11 +65,6 @@ class BlockSender:
         self._state = STARTING
 
     @property
-    def held(self) -> int:
-        """The bytes that have not been acknowledged."""
-        return len(self._content) - self._base
-
-    @property
     def is_all_sent(self) -> bool:
         """Whether all segments have been sent, as far as we know: the receiver may have everything."""
         return self._is_final and self._sent == self._count

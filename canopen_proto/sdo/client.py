@@ -238,6 +238,11 @@ class SdoClient(RequestQueue):
             request.content += piece
         return True
 
+    def room(self, request_id: RequestId) -> int:
+        """How many bytes a download stream may be fed now; 0 for what is no open one."""
+        request = self._find(request_id)
+        return request.room if isinstance(request, BlockRequest) and not request.is_whole else 0
+
     # ---- inputs ----
 
     def receive(self, frame: Frame, now: Time) -> None:
