@@ -1,4 +1,4 @@
-"""Chapter 2, continued: SDO block transfer and further SDO channels (CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16)."""
+"""Chapter 2, continued: SDO block transfer (CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16)."""
 
 from __future__ import annotations
 
@@ -74,7 +74,6 @@ def wrong_sequence_number(bench: Bench) -> Procedure[None]:
     expect_refusal(abort_code_in(response), BAD_SEQUENCE, "the acknowledgement of segment 128")
 
 
-_CHANNELS: Final = "further SDO channels in a device"
 _GUARD: Final = "Write 0x100C:00 with a block transfer {}, if there is guarding"
 _BEAT: Final = "Write 0x1017:00 with a block transfer {}, if there is a heartbeat"
 _PLAIN, _SAFE = "without CRC", "and CRC"
@@ -89,7 +88,4 @@ CASES: Final = (
     Case("2.25", "SDO 25", _BEAT.format(_SAFE), partial(write_time, HEARTBEAT, True), (HEARTBEAT,)),
     Case("2.26", "SDO 26", "Perform a block read with a wrong block size (128)", wrong_block_size),
     Case("2.27", "SDO 27", "Perform a block read with a wrong sequence number (128)", wrong_sequence_number),
-    Case("2.28", "SDO 28", "Read 0x1201 and following objects", None, waits_for=_CHANNELS),
-    Case("2.29", "SDO 29", "Read 0x1201 and following objects after reset communication", None, waits_for=_CHANNELS),
-    Case("2.30", "SDO 30", "Read 0x1280 and following objects after save and reset communication", None, waits_for=_CHANNELS),
 )

@@ -8,6 +8,7 @@ from typing import Final
 
 from canopen_proto.conformance import (
     block_cases,
+    channel_cases,
     dictionary_cases,
     emergency_cases,
     guarding_cases,
@@ -29,6 +30,7 @@ CASES: Final[tuple[Case, ...]] = (
     EDS_CHECK,
     *sdo_cases.CASES,
     *block_cases.CASES,
+    *channel_cases.CASES,
     *pdo_cases.CASES,
     *pdo_mapping_cases.CASES,
     *dictionary_cases.CASES,

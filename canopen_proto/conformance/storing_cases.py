@@ -23,6 +23,7 @@ from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
 from canopen_proto.pdo.settings import COB_ID, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 
 VERIFY: Final = 0x1020
 
@@ -140,9 +141,11 @@ def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
         if variable.data_type is DataType.UNSIGNED32 and variable.access.writable:
             place, default = place_of(variable.index), bench.default(variable.index, variable.subindex)
             flags = default & ~0x1FFF_FFFF
+            is_pdo = place is not None and not place.is_mapping and variable.subindex == COB_ID
+            is_channel = variable.index in FURTHER_SERVERS and variable.subindex in (TO_SERVER, TO_CLIENT)
             if variable.index in (SYNC_OBJECT, TIME_OBJECT):
                 found.append((variable, default & 0x3FFF_FFFF, flags & 0x3FFF_FFFF))
-            elif variable.index == EMCY_OBJECT or (place is not None and not place.is_mapping and variable.subindex == COB_ID):
+            elif variable.index == EMCY_OBJECT or is_pdo or is_channel:
                 found.append((variable, default | COB_ID_INVALID, flags & ~COB_ID_INVALID))
     if not found:
         does_not_apply("no COB-ID can be written")

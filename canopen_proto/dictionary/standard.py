@@ -9,9 +9,9 @@ Two tables, as text because they are read more often than changed, give each obj
 - the linter, which knows from here that an `rw` may be wrong.
 
 Columns: index (or a range of indices, each of which has the same fields), subindex (or a range), type, access, name, default.
-In a name `{n}` counts the indices of a range from 1 and `{s}` is the subindex; `|` separates further names. `+` behind `ro`
-means that a TPDO may carry it; `rww` is rw that an RPDO may carry. A record whose subindex 0 has no row has there the constant
-"highest sub-index supported". Another axis of one device has the CiA 402 objects 0x800 further on, eight axes at most.
+In a name `{n}` counts the indices of a range from 1, `{m}` from 2, and `{s}` is the subindex; `|` separates further names. `+`
+behind `ro` means that a TPDO may carry it; `rww` is rw that an RPDO may carry. A record whose subindex 0 has no row has there the
+constant "highest sub-index supported". Another axis of one device has the CiA 402 objects 0x800 further on, eight axes at most.
 
 Sources: CiA 301 v4.2.0, 7.5.2. CiA 402: the dictionaries of seven drives and of CiA's own sample, most of which must agree. Where
 they do not: 6060 is `wo` in the sample and readable in every drive; 60B2 has 32 bits in one drive and 16, as all torques, in the
@@ -82,9 +82,9 @@ _COMMUNICATION: Final = """
 1029      02-FE U8   rw    error_behavior:specific_error_{s}
 1200      01    U32  ro    sdo_server_parameter:cob_id_client_to_server = 0x600 + node
 1200      02    U32  ro    sdo_server_parameter:cob_id_server_to_client = 0x580 + node
-1201-127F 01    U32  rw    sdo_server_{n}_parameter:cob_id_client_to_server = 0x80000000
-1201-127F 02    U32  rw    sdo_server_{n}_parameter:cob_id_server_to_client = 0x80000000
-1201-127F 03    U8   rw    sdo_server_{n}_parameter:node_id_of_client
+1201-127F 01    U32  rw    sdo_server_{m}_parameter:cob_id_client_to_server = 0x80000000
+1201-127F 02    U32  rw    sdo_server_{m}_parameter:cob_id_server_to_client = 0x80000000
+1201-127F 03    U8   rw    sdo_server_{m}_parameter:node_id_of_client
 1280-12FF 01    U32  rw    sdo_client_{n}_parameter:cob_id_client_to_server = 0x80000000
 1280-12FF 02    U32  rw    sdo_client_{n}_parameter:cob_id_server_to_client = 0x80000000
 1280-12FF 03    U8   rw    sdo_client_{n}_parameter:node_id_of_server
@@ -259,7 +259,8 @@ class _Row(NamedTuple):
     pattern: Variable
 
     def variable(self, index: int, subindex: int) -> Variable:
-        name, *aliases = (each.format(n=index - self.indices.start + 1, s=subindex) for each in self.names)
+        number = index - self.indices.start + 1
+        name, *aliases = (each.format(n=number, m=number + 1, s=subindex) for each in self.names)
         return replace(self.pattern, index=index, subindex=subindex, name=name, aliases=tuple(aliases))
 
     @property

@@ -28,6 +28,15 @@ class KeepsAll(LocalNode):
         self._start(now)
 
 
+class KeepsChannels(LocalNode):
+    """A reset puts the records of its SDO channels back, but not the channels."""
+
+    def _start(self, now: Time) -> None:
+        self.nmt.boot(now)
+        self.pdos.reload(now)
+        self.communication.reload(now)
+
+
 class BusyWhenOperational(LocalNode):
     """Takes no settings in Operational."""
 

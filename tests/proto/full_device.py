@@ -32,7 +32,10 @@ def _typed() -> Object:
 
 
 def full_device(*changed: Object, node_id: int = NODE_ID, without: tuple[int, ...] = ()) -> ObjectDictionary:
-    """Four RPDOs and four TPDOs of eight entries, two of each valid; changed: objects that take the place of others."""
+    """Three SDO servers, two of them valid, and two clients; four RPDOs and four TPDOs of eight entries, two of each valid.
+
+    changed: objects that take the place of others.
+    """
     rpdos = [0x200 + node_id, 0x300 + node_id, 0x8000_0400 + node_id, 0x8000_0500 + node_id]
     tpdos = [0x4000_0180 + node_id, 0x4000_0280 + node_id, 0xC000_0380 + node_id, 0xC000_0480 + node_id]
     objects = [
@@ -50,7 +53,9 @@ def full_device(*changed: Object, node_id: int = NODE_ID, without: tuple[int, ..
         standard_object(0x1019),
         standard_object(0x1020, highest=2),
         standard_object(0x1029, highest=1),
-        standard_object(0x1200),
+        *(standard_object(index) for index in (0x1200, 0x1201)),
+        standard_object(0x1202, defaults={1: 0x6D8, 2: 0x6D9}),
+        *(standard_object(index) for index in (0x1280, 0x1281)),
         _own(SETTING, "setting", DataType.UNSIGNED32, Access.RW, default=77, pdo_mappable=False),
         _own(LIMITED, "limited", DataType.UNSIGNED8, Access.RW, low_limit=10, high_limit=20, default=15),
         _own(SECRET, "secret", DataType.UNSIGNED16, Access.WO, pdo_mappable=False),

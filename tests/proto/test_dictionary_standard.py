@@ -18,6 +18,8 @@ from canopen_proto.dictionary.standard import STANDARD, find_standard, standard_
         (0x1008, 0, "manufacturer_device_name", DataType.VISIBLE_STRING, Access.CONST),
         (0x1016, 127, "consumer_heartbeat_time:consumer_127", DataType.UNSIGNED32, Access.RW),
         (0x1200, 1, "sdo_server_parameter:cob_id_client_to_server", DataType.UNSIGNED32, Access.RO),
+        (0x1201, 3, "sdo_server_2_parameter:node_id_of_client", DataType.UNSIGNED8, Access.RW),
+        (0x127F, 2, "sdo_server_128_parameter:cob_id_server_to_client", DataType.UNSIGNED32, Access.RW),
         (0x1281, 3, "sdo_client_2_parameter:node_id_of_server", DataType.UNSIGNED8, Access.RW),
         (0x1400, 2, "rpdo1_communication_parameter:transmission_type", DataType.UNSIGNED8, Access.RW),
         (0x15FF, 1, "rpdo512_communication_parameter:cob_id", DataType.UNSIGNED32, Access.RW),
