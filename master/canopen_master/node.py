@@ -177,8 +177,8 @@ class Node:
         with trio.move_on_after(timeout):
             return await events.receive()
         failed = f"node {self.node_id} {missed} within {timeout:g} s"
-        cause, tries = "it was not told to, or it is busy", (f"look at node {self.node_id} (0x{self.node_id:02X}) itself",)
-        known = missing_frame(self._bus.network, self.remote, self._master.now(), cause, tries, pdo=False)
+        cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
+        known = missing_frame(self._bus.network, self.remote, self._master.now(), cause, (), pdo=False)
         raise NodeSilent(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
 
 

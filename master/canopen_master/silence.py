@@ -69,11 +69,16 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
 
 
 def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool) -> Diagnosis:
-    """Why a node did not send what was waited for: a PDO, or a boot-up or heartbeat. cause, tries: for a node that is alive."""
+    """Why a node did not send what was waited for: a PDO, or a boot-up or heartbeat.
+
+    cause, tries: for a node that is alive. They count for a silent one too, but not for PDOs: a device without a heartbeat that
+    nobody asks anything is silent.
+    """
     heard = network.heard(node.node_id)
     time, seen = _sign_of_life(heard, node, now)
     if time is None:
-        return _silent(network, heard, now)
+        silent = _silent(network, heard, now)
+        return silent if pdo else Diagnosis(silent.seen, f"{cause}; or {silent.cause}", (*tries, *silent.tries))
     state = _state(heard, node)
     if pdo and state is not None and Service.PDO not in SERVICES[state]:
         return Diagnosis(seen, f"{_capital(state)}: no PDO in that state", (f"canopen nmt start {node.node_id}",))

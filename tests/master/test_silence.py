@@ -220,6 +220,15 @@ def test_missing_pdos_of_nobody() -> None:
     assert Desk().pdo().seen == "nothing at all was heard on this bus"
 
 
+def test_a_missing_heartbeat_is_no_proof_of_absence() -> None:
+    desk = hearing("706#05")
+    known = missing_frame(desk.network, desk.node, NOW, "it sends none", ["switch it on"], pdo=False)
+    assert known.cause == "it sends none; or no device has this node-ID, or its power is off"
+    assert known.tries == ("switch it on", "check the node-ID 5 (0x05) and its power", SCAN)
+    desk.hear("585#4300100092010200")
+    assert missing_frame(desk.network, desk.node, NOW, "it sends none", [], pdo=False).cause == "it sends none"
+
+
 # ---- as the master tells it ----
 
 
