@@ -96,7 +96,7 @@ def _put_to_rest(stream: IO[str]) -> None:
 
 def _show(settings: Settings, problem: Problem) -> int:
     try:
-        settings.screen().problem(problem)
+        settings.screen().problem(problem.on_bus(settings.bus))
     except BrokenPipeError:  # perhaps that was the problem
         _put_to_rest(sys.stderr)
         return CLOSED_PIPE

@@ -13,6 +13,7 @@ from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
+from canopen_master.silence import missing_frame
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
@@ -95,11 +96,7 @@ async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id:
                 async for report in reports:
                     if getattr(report, "state", expected) is expected:
                         return expected
-    raise Problem(
-        ExitCode.NO_ANSWER,
-        "CO210",
-        f"node {node_id} did not show within {WAIT_TIME:g} s that it is done",
-        cause="it sends no heartbeat, or it is not there",
-        tries=(f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)", "canopen scan"),
-        node=node_id,
-    )
+        cause, tries = "it sends no heartbeat", (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)",)
+        known = missing_frame(session.network, node.remote, session.master.now(), cause, tries, pdo=False)
+    failed = f"node {node_id} did not show within {WAIT_TIME:g} s that it is done"
+    raise Problem(ExitCode.NO_ANSWER, "CO210", failed, node=node_id, **known._asdict())

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import re
+import shlex
 from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
@@ -17,6 +18,7 @@ import click
 
 from canopen_data import DataError
 from canopen_master import errors
+from canopen_master.silence import LONGER, SCAN
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import NotInDictionary
 from canopen_proto.dictionary.findings import DictionaryError
@@ -106,6 +108,12 @@ class Problem(Exception):
         rows += [("also: ", text) for text in self.more]
         return rows + [("or:   " if number else "try:  ", text) for number, text in enumerate(self.tries)]
 
+    def on_bus(self, bus: str | None) -> Problem:
+        """Itself, with the bus of -b in each command that it advises: what is typed next is to ask the same bus."""
+        if bus is not None:
+            self.tries = tuple(_with_bus(step, bus) for step in self.tries)
+        return self
+
     def as_json(self) -> dict[str, Any]:
         """For --json."""
         return {
@@ -131,6 +139,7 @@ def usage(code: str, failed: str, **more: Any) -> Problem:
 def problem_of(error: BaseException) -> Problem:
     """The Problem that an exception is. What nobody foresaw is CO900, our own fault."""
     if isinstance(error, Problem):
+        error.more += [note for note in getattr(error, "__notes__", ()) if note not in error.more]
         return error
     if isinstance(error, BaseExceptionGroup):
         return _of_group(error)
@@ -221,22 +230,37 @@ def _of_bus(code: str) -> ExitCode:
     return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
 
 
-_IN_COMMANDS = {"a longer sdo_timeout": "a longer --timeout"}
-"""What the library advises its callers -> what that is on the command line."""
+_ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim)\b")
+_BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # a remark behind the command, or what must stand last
+
+
+def _with_bus(step: str, bus: str) -> str:
+    if _ON_A_BUS.match(step) is None or re.search(r" (-b|--bus|--help)\b", step) is not None:
+        return step
+    return _BEFORE_BUS.sub(lambda place: f" -b {shlex.quote(bus)}", step, count=1)
+
+
+def advice(steps: Iterable[str]) -> list[str]:
+    """What the library advises its callers, as it is on the command line."""
+    chosen = []
+    for step in steps:
+        longer, _, limit = step.partition(": ")
+        if longer == LONGER:
+            chosen.append(f"--timeout {limit.replace(' ', '')}" if limit else "a longer --timeout")
+        elif not step.startswith("await "):
+            chosen.append(step)
+    return chosen
 
 
 def _spoken(error: TransportError | errors.MasterError, exit_code: ExitCode) -> Problem:
     """The Problem of an error that brings its own words."""
-    tries = [_IN_COMMANDS.get(step, step) for step in error.tries if not step.startswith("await ")]
-    if exit_code is ExitCode.NO_ANSWER:
-        tries.append("canopen scan    (who is there?)")
     return Problem(
         exit_code,
         error.code,
         error.failed,
         seen=error.seen,
         cause=error.cause,
-        tries=tries,
+        tries=advice(error.tries),
         node=getattr(error, "node_id", None),
         index=getattr(error, "index", None),
         subindex=getattr(error, "subindex", None),
@@ -268,7 +292,7 @@ def _of_sdo(error: SdoFailed) -> Problem:
         failed,
         seen=seen,
         cause="no device has this node-ID, its power is off, or it is stopped" if silent else "",
-        tries=("canopen scan", "a longer --timeout") if silent else (),
+        tries=(SCAN, "a longer --timeout") if silent else (),
         node=error.node_id,
         index=error.index,
         subindex=error.subindex,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import click
@@ -12,9 +13,10 @@ from rich.progress import BarColumn, Progress, TextColumn
 from canopen_master.cli.device_types import device_type_text
 from canopen_master.cli.options import Duration, NodeIds, Settings, common
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
 from canopen_proto.machine import SECOND, Time
+from canopen_proto.network import Network
 from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
 from canopen_proto.procedures.scan import scan as scan_procedure
 
@@ -36,7 +38,7 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
     """
     screen = settings.screen()
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
-    found = run(settings, screen, lambda: _scan(settings, screen, asked, listen))
+    found, remark = run(settings, screen, lambda: _scan(settings, screen, asked, listen))
     if settings.json:
         screen.json([_as_json(node) for node in found])
     elif found:
@@ -45,16 +47,31 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
         columns = [name for name in COLUMNS if name not in hidden and any(row[name] for row in cells)]
         screen.table(columns, [[row[name] for name in columns] for row in cells], right=("node",))
     how = "heard" if passive else "found"
-    screen.say(f"{len(found)} node{'' if len(found) == 1 else 's'} {how}" + ("" if found else _nobody(passive)))
+    screen.say(f"{len(found)} node{'' if len(found) == 1 else 's'} {how}" + remark)
 
 
-def _nobody(passive: bool) -> str:
+def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
+    """What else was heard; and where that was nobody, what may be wrong."""
+    rest = set(ALL_NODE_IDS) - {node.node_id for node in found}
+    others = [network.heard(node_id) for node_id in sorted(rest)]
+    text = "".join(f"; heard, by {each.service.value}: {node_text(each.node_id)}" for each in others if each.service is not None)
+    pdos = [node_text(each.node_id) for each in others if each.service is None and each.pdo is not None]
+    if pdos:
+        text += f"; PDOs were heard that may be those of {', '.join(pdos)}"
+    if found or text:
+        return text
+    if network.last_heard is not None:
+        text = ". Frames were heard, but none that shows whose it is"
+    elif network.hears_all:
+        text = ". Nothing at all was heard"
     if passive:
-        return ". Nodes without a heartbeat are silent: the same without --passive asks them."
-    return ". Are they powered, and is the bit rate right? One device alone needs a second one to acknowledge its frames."
+        return f"{text}. Nodes without a heartbeat are silent: the same without --passive asks them."
+    if network.last_heard is not None:
+        return f"{text}. Devices without a node-ID (LSS) are not found by a scan."
+    return f"{text}. Are they powered, and is the bit rate right? One device alone needs a second one to acknowledge its frames."
 
 
-async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> list[NodeFound]:
+async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
     async with open_session(settings, screen) as session:
         master = session.master
         scanner = Scanner(session.network.out)
@@ -67,7 +84,7 @@ async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], l
                 rows = await master.run(scan_procedure(scanner, node_ids, listen=listen, **probe))
             nursery.cancel_scope.cancel()
         session.network.detach(scanner)
-        return rows
+        return rows, _remark(session.network, rows, not node_ids)
 
 
 async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:

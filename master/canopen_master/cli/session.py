@@ -1,21 +1,39 @@
-"""What most commands begin with: the dictionary, the bus of the options, a master on it, and for `-b demo` the drives too."""
+"""What most commands begin with: the dictionary, the bus of the options, a master on it, and for `-b demo` the drives too.
+
+A command that gets no answer has listened for no longer than its time limit, while heartbeats come each second or so. It listens
+on for LISTEN_ON before it says what it heard: of the node that is asked, and of the others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Final
+
+import trio
 
 from canopen_data import load_dictionary
 from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_master.cli.options import DEMO, Settings
+from canopen_master.cli.problem import Problem, advice, problem_of
 from canopen_master.cli.screen import Screen
+from canopen_master.errors import SdoTimeout
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.node import Node
 from canopen_master.session import open_master
+from canopen_master.silence import sdo_silence
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.findings import Severity
 from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.sdo.abort import AbortOrigin
+
+LISTEN_ON: Final = 1.5
+"""Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may only be late."""
+LOOK_AGAIN: Final = 0.05
+"""Seconds between two looks at what was heard."""
 
 
 class Session:
@@ -57,4 +75,37 @@ async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Sess
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
         master = await stack.enter_async_context(open_master(bus, sdo_timeout=timeout, dictionary=dictionary))
-        yield Session(master, dictionary)
+        session = Session(master, dictionary)
+        try:
+            yield session
+        except Exception as error:
+            silence = _silence_in(error)
+            if silence is None:
+                raise
+            raise await _explained(session.node(silence.node_id), session, silence) from error
+
+
+def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
+    """The missing answer that an exception is, be it in the group that a nursery makes of one."""
+    if isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+        return _silence_in(error.exceptions[0])
+    if isinstance(error, SdoTimeout) or (isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT):
+        return error
+    return None
+
+
+async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed) -> Problem:
+    """The problem that a missing answer is, by what was heard until now and a little longer."""
+    if not node.was_enabled:  # else a drive may move, and has to be halted first
+        with trio.move_on_after(LISTEN_ON):
+            while not _is_explained(node, session.network):
+                await trio.sleep(LOOK_AGAIN)
+    problem = problem_of(error)
+    problem.seen, problem.cause, tries = sdo_silence(session.network, node.remote, session.master.now())
+    problem.tries = tuple(advice(tries))
+    return problem
+
+
+def _is_explained(node: Node, network: Network) -> bool:
+    """Whether nothing that could still be heard would change what is said."""
+    return node.nmt_state is NmtState.STOPPED or network.heard(node.node_id).late_answer is not None
