@@ -158,6 +158,8 @@ class Demonstration:
                 master = await stack.enter_async_context(self._open_master(locators))
                 await self._demonstrate(self._chain(master, locators))
         except Exception as error:
+            if _nobody_reads(error):
+                raise BrokenPipeError from error
             problem = problem_of(error)
             problem.more += self.story(not notes_of(error))
             if problem.code == CHAIN_FAULT:
@@ -273,8 +275,9 @@ class Demonstration:
         self._latest[number] = device.position, device.position + device.following_error
 
     async def _draw(self, view: DemoView) -> None:
-        """Keep the picture up to date, while no cycles run."""
+        """Keep the picture up to date, while no cycles run; end it all when nobody reads the result any more."""
         while True:
+            self.screen.check_reader()
             if not self.recording.joints:
                 self._redraw(view)
             await trio.sleep(REFRESH)
@@ -340,6 +343,12 @@ class Demonstration:
                 for result in self.results
             ],
         }
+
+
+def _nobody_reads(error: Exception) -> bool:
+    """Whether it ended only because its reader has gone (`canopen demo | head`), and all drives stand."""
+    rest = error.split(BrokenPipeError)[1] if isinstance(error, ExceptionGroup) else error
+    return (rest is None or isinstance(rest, BrokenPipeError)) and not notes_of(error)
 
 
 def _count(number: int, what: str) -> str:

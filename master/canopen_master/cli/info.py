@@ -6,7 +6,6 @@ import contextlib
 from typing import Any
 
 import click
-from rich.markup import escape
 
 from canopen_master.cli.device_types import DRIVE_PROFILE, device_type_text, profile_of
 from canopen_master.cli.options import NodeId, Settings, common
@@ -50,7 +49,7 @@ def info(settings: Settings, node_id: int) -> None:
         return
     screen.data(f"[bold]{node_text(node_id)}[/]")
     for name, (_, text) in facts.items():
-        screen.data(f"[dim]{name:<18}[/]{escape(text)}")
+        screen.fact(name, text)
 
 
 async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:

@@ -6,9 +6,12 @@ and errors. Progress (what is drawn anew again and again) is shown on a terminal
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import select
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterable, Sequence
 from typing import IO, Any, Final
@@ -24,6 +27,9 @@ from canopen_master.cli.problem import ExitCode, Problem
 
 WIDTH_OFF_TERMINAL: Final = 200
 """Columns of a table that goes into a file or a pipe: nothing of ours is wider, so nothing is cut."""
+
+NAME_WIDTH: Final = 18
+"""Of the names of facts, with the gap behind them."""
 
 GAP: Final = 2
 """Characters between two columns of a table."""
@@ -54,6 +60,13 @@ class Screen:
     def data(self, renderable: RenderableType) -> None:
         """A result, to stdout."""
         self.out.print(renderable)
+
+    def fact(self, name: str, text: str) -> None:
+        """One of several named results, to stdout: where a line is too long, it goes on below itself."""
+        lines = textwrap.wrap(text, max(self.out.width - NAME_WIDTH, NAME_WIDTH), break_on_hyphens=False) or [""]
+        head = [name, *[""] * (len(lines) - 1)]
+        for label, line in zip(head, lines, strict=True):
+            self.out.print(f"[dim]{label:<{NAME_WIDTH}}[/]{escape(line)}", soft_wrap=True)
 
     def json(self, value: Any) -> None:
         """A result as one JSON document, to stdout."""
@@ -96,6 +109,21 @@ class Screen:
             column.width = least + extra
             spare -= extra
         return True
+
+    def check_reader(self) -> None:
+        """BrokenPipeError where whoever was to read stdout has gone: a command that takes its time need not go on then.
+
+        Only a system that can be asked without writing anything (not Windows) knows it before the end.
+        """
+        try:
+            stdout = sys.stdout.fileno()
+        except (OSError, ValueError):
+            return  # no file: a test, a notebook
+        if hasattr(select, "poll"):
+            poll = select.poll()
+            poll.register(stdout, 0)
+            if any(signs & select.POLLERR for _, signs in poll.poll(0)):
+                raise BrokenPipeError(errno.EPIPE, "nobody reads what comes out")
 
     # ---- talk ----
 
