@@ -1,6 +1,6 @@
 """`RemoteNode`: one participant's view of another node, that of a master, a service tool or a bus monitor.
 
-A group of the machines that concern one node: SDO client, heartbeat consumer, EMCY consumer, and the PDOs that it exchanges with
+A group of the machines that concern one node: SDO clients, heartbeat consumer, EMCY consumer, and the PDOs that it exchanges with
 us. It holds
 
 - `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
@@ -35,10 +35,12 @@ from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.multiplexed import MpdoReceived, destination_frame, suits_mpdo
+from canopen_proto.pdo.multiplexed_listener import MpdoListener
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import MAX_PDOS
 from canopen_proto.sdo.abort import AbortCode
-from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 
 FRESH: Final = 100 * MILLISECOND
 """A value younger than this is taken as the present one: ten cycles of the usual 10 ms."""
@@ -54,6 +56,8 @@ class RemoteNode(Group):
         "_boot_listeners",
         "_commanded_at",
         "_listeners",
+        "_mpdo_listener",
+        "_mpdo_rpdos",
         "_wanted",
         "_writes",
         "emcy",
@@ -65,6 +69,7 @@ class RemoteNode(Group):
         "node_id",
         "rpdos",
         "sdo",
+        "sdo_channels",
         "tpdos",
         "values",
     )
@@ -87,16 +92,19 @@ class RemoteNode(Group):
         self.last_sync: Time | None = None
         self._commanded_at: Time = -NEVER
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
+        self.sdo_channels: list[SdoClient] = []
         self.heartbeat = HeartbeatConsumer(self.inner, node_id, heartbeat_timeout)
         self.emcy = EmcyConsumer(self.inner, node_id)
         self.guarding = GuardingMaster(self.inner, node_id)
         self.rpdos: dict[int, PdoProducer] = {}
         self.tpdos: dict[int, PdoConsumer] = {}
+        self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
+        self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
         self._listeners: list[Callable[[Collection[int], Time], None]] = []
         self._boot_listeners: list[Callable[[], None]] = []
-        for machine in (self.sdo, self.heartbeat, self.emcy):
+        for machine in (self.sdo, self.heartbeat, self.emcy, self._mpdo_listener):
             self._members.attach(machine)
         self._reactions.update(
             {
@@ -105,6 +113,7 @@ class RemoteNode(Group):
                 NodeGuardingLost: self._on_lost,
                 HeartbeatReceived: self._on_heartbeat,
                 PdoReceived: self._on_pdo,
+                MpdoReceived: self._on_mpdo,
                 SdoUploaded: self._on_uploaded,
                 SdoDownloaded: self._on_downloaded,
                 SdoAborted: self._on_aborted,
@@ -123,28 +132,64 @@ class RemoteNode(Group):
 
     # ---- objects by SDO ----
 
-    def read(self, key: Key, now: Time, *, urgent: bool = False) -> RequestId:
-        """Ask for an object by SDO. SdoUploaded (see `message_of`) or SdoAborted follows. CiA 301 v4.2.0, 7.2.4.2.5"""
-        variable = self.dictionary.variable(key)
-        return self.sdo.upload(variable.index, variable.subindex, now, urgent=urgent)
+    def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
+        """Ask for an object by SDO. SdoUploaded (see `message_of`) or SdoAborted follows. block: see `Block`.
 
-    def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False) -> RequestId:
-        """Write an object by SDO: a value, or the name of a constant. SdoDownloaded or SdoAborted follows.
+        CiA 301 v4.2.0, 7.2.4.2.5
+        """
+        variable = self.dictionary.variable(key)
+        return self.sdo.upload(variable.index, variable.subindex, now, urgent=urgent, block=block)
+
+    def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
+        """Write an object by SDO: a value, or the name of a constant. SdoDownloaded or SdoAborted follows. block: see `Block`.
 
         Raises LocalProtocolError for an unknown name or a read-only object, ValueRangeError for a value that does not fit; then
         nothing was sent. CiA 301 v4.2.0, 7.2.4.2.2
         """
         variable, meant, data = self.encode(key, value)
-        request_id = self.sdo.download(variable.index, variable.subindex, data, now, urgent=urgent)
+        request_id = self.sdo.download(variable.index, variable.subindex, data, now, urgent=urgent, block=block)
         self._writes[request_id] = (variable, meant)
         return request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
-        """Give up a request of `read` or `write`, or of `sdo`: SdoAborted follows at once. False if it is not open."""
+        """Give up a request of `read` or `write`, or of an SDO client of this node: SdoAborted follows at once.
+
+        False if it is not open.
+        """
         mark = len(self.inner.events)
-        was_open = self.sdo.cancel(request_id, now)
+        was_open = any(client.cancel(request_id, now) for client in self._clients)
         self._settle(mark, now)
         return was_open
+
+    def add_sdo_channel(self, request_key: int, response_key: int) -> SdoClient:
+        """A client for a further SDO server of the node (0x1201 and on): its keys (`Frame.key`) to the server and from it.
+
+        It has a transfer and a queue of its own, so a long one holds nobody else up. Its requests end like those of `sdo` when
+        the node boots or is lost, what it reads and confirms goes into `values`, and `cancel` finds its requests. Raises
+        LocalProtocolError for keys that are none or in use here. CiA 301 v4.2.0, 7.5.2.33
+        """
+        for key in (request_key, response_key):
+            self._check_key("SDO channel", key)
+        if request_key == response_key or any(response_key in client.can_ids() for client in self._clients):
+            raise LocalProtocolError(
+                f"SDO channel of node {self.node_id}: CAN-ID 0x{response_key & ~KEY_EXTENDED:X} is in use by another"
+            )
+        client = SdoClient(self.inner, self.node_id, request_key=request_key, response_key=response_key, timeout=self.sdo.timeout)
+        self.sdo_channels.append(client)
+        self._members.attach(client)
+        return client
+
+    def remove_sdo_channel(self, client: SdoClient, now: Time) -> None:
+        """Use a channel that was added no more: its open requests are aborted."""
+        mark = len(self.inner.events)
+        client.abort_all(AbortCode.GENERAL_ERROR, now)
+        self._settle(mark, now)
+        self._members.detach(client)
+        self.sdo_channels.remove(client)
+
+    @property
+    def _clients(self) -> tuple[SdoClient, ...]:
+        return (self.sdo, *self.sdo_channels)
 
     def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
         """What a write of `value` (or of a constant's name) to `key` means and sends. Raises as `write` does."""
@@ -206,17 +251,23 @@ class RemoteNode(Group):
     def _check_pdo(self, direction: Direction, number: int, key: int) -> None:
         if not 1 <= number <= MAX_PDOS:
             raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: PDOs have the numbers 1..{MAX_PDOS}")
+        self._check_key(f"{direction} {number}", key)
+
+    def _check_key(self, what: str, key: int) -> None:
         if key > 0x7FF and not key & KEY_EXTENDED:
-            raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: CAN-ID 0x{key:X} has more than 11 bits")
+            raise LocalProtocolError(f"{what} of node {self.node_id}: CAN-ID 0x{key:X} has more than 11 bits")
 
     def remove_pdo(self, direction: Direction, number: int) -> None:
-        """Exchange that PDO no more; one that is not exchanged is ignored."""
+        """Exchange that PDO, or MPDO, no more; one that is not exchanged is ignored."""
         machine = (self.tpdos if direction is Direction.TPDO else self.rpdos).pop(number, None)
         if machine is not None:
             self._members.detach(machine)
             self._reroute()
         if direction is Direction.RPDO:
             self._wanted.discard(number)
+            self._mpdo_rpdos.pop(number, None)
+        else:
+            self._mpdo_listener.set_pdo(number, None)
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
         """Let an RPDO be sent while the node is Operational, or not. `values` should hold what the drive is to do: the next SYNC
@@ -233,6 +284,39 @@ class RemoteNode(Group):
             if producer.is_live and producer.mapping.find_component((index, subindex)) is not None:
                 return producer
         return None
+
+    # ---- multiplexed PDOs ----
+
+    def add_mpdo(self, direction: Direction, number: int, key: int) -> None:
+        """Exchange a multiplexed PDO with the node; it replaces the PDO of that number (1..512) and direction.
+
+        A TPDO: one in source address mode is received by this key from now on, whatever objects it brings: `values` and
+        `heard_at` follow, and MpdoReceived is reported. An RPDO: `send_mpdo` sends it, in destination address mode.
+        CiA 301 v4.2.0, 7.2.3
+        """
+        self._check_pdo(direction, number, key)
+        self.remove_pdo(direction, number)
+        if direction is Direction.TPDO:
+            self._mpdo_listener.set_pdo(number, key)
+        else:
+            self._mpdo_rpdos[number] = key
+
+    def send_mpdo(self, number: int, key: Key, value: Value, now: Time) -> bool:
+        """Write an object of the node, a value or the name of a constant, by its RPDO `number`, an MPDO. Nobody confirms it.
+
+        False, and nothing is sent, while the node is not Operational. `values` follows. Raises LocalProtocolError where that RPDO
+        was not added, and for an object that an RPDO may not carry; else as `write` does.
+        """
+        if number not in self._mpdo_rpdos:
+            raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that is an MPDO; add_mpdo makes one")
+        variable, meant, data = self.encode(key, value)
+        if not suits_mpdo(variable, Direction.RPDO):
+            raise LocalProtocolError(f"{variable.label} of node {self.node_id} is no object that an MPDO can carry to it")
+        frame = destination_frame(self._mpdo_rpdos[number], self.node_id, variable.index, variable.subindex, data)
+        if self.is_operational:
+            self.out.frames.append(frame)
+            self.values.store[variable.mux] = meant
+        return self.is_operational
 
     def add_listener(self, listener: Callable[[Collection[int], Time], None], on_boot: Callable[[], None] | None = None) -> None:
         """For what is built upon this node (an Axis): called with the muxes of the values that were just brought up to date.
@@ -282,10 +366,11 @@ class RemoteNode(Group):
         self._wanted.clear()
         for on_boot in self._boot_listeners:
             on_boot()
-        self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
+        self._on_lost(report, now)
 
-    def _on_lost(self, report: HeartbeatLost | NodeGuardingLost, now: Time) -> None:
-        self.sdo.abort_all(AbortCode.NO_SDO_CONNECTION, now)
+    def _on_lost(self, report: NodeBooted | HeartbeatLost | NodeGuardingLost, now: Time) -> None:
+        for client in self._clients:
+            client.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
     def _on_heartbeat(self, report: HeartbeatReceived, now: Time) -> None:
         if report.state is not self.nmt_state and now >= self._commanded_at + NMT_REACTION_TIME:
@@ -299,6 +384,9 @@ class RemoteNode(Group):
 
     def _on_pdo(self, report: PdoReceived, now: Time) -> None:
         self._heard(report.mapping.muxes, now)
+
+    def _on_mpdo(self, report: MpdoReceived, now: Time) -> None:
+        self._heard((report.index << 8 | report.subindex,), now)
 
     def _on_uploaded(self, report: SdoUploaded, now: Time) -> None:
         variable = self.dictionary.get(report.index, report.subindex)

@@ -55,8 +55,8 @@ MAPPABLE: Final = {
 }
 """Which access rights let an object be part of a PDO of that direction. CiA 301 v4.2.0, 7.4.8.3 and CiA 306."""
 
-_MPDO: Final = struct.Struct("<BHB4s")
-_DESTINATION_MODE: Final = 0x80
+MPDO: Final = struct.Struct("<BHB4s")
+DESTINATION_MODE: Final = 0x80
 
 
 class MpdoMode(IntEnum):
@@ -71,7 +71,8 @@ class MpdoReceived(Event):
     """An MPDO's value is in the dictionary.
 
     number, key: of the RPDO. producer: the node that sent it in source address mode, 0 in the other. index, subindex: of our own
-    object that took the value. timestamp: the transport's, if it has one.
+    object that took the value. (Reported by an MpdoListener: of the producer's TPDO, and of its object.) timestamp: the
+    transport's, if it has one.
     """
 
     number: int
@@ -119,6 +120,17 @@ class DispatcherEntry(NamedTuple):
     def of(cls, number: int) -> DispatcherEntry:
         """The entry that stands at 0x1FD0:01 and the like."""
         return cls(ScannerEntry.of(number >> 32), number >> 16 & 0xFFFF, number >> 8 & 0xFF, number & 0xFF)
+
+
+def destination_frame(key: int, node_id: int, index: int, subindex: int, data: bytes) -> Frame:
+    """An MPDO in destination address mode: writes an object of a node, or of all (0). data: 1 to 4 bytes. LocalProtocolError."""
+    if not ALL_NODES <= node_id <= MAX_NODE_ID:
+        raise LocalProtocolError(f"MPDO to node-ID {node_id}: outside 0 (all) to {MAX_NODE_ID}")
+    if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
+        raise LocalProtocolError(f"MPDO to object 0x{index:04X}:{subindex:02X}: there is no such address")
+    if not 1 <= len(data) <= MAX_VALUE_BYTES:
+        raise LocalProtocolError(f"an MPDO carries 1 to {MAX_VALUE_BYTES} bytes, not {len(data)}")
+    return frame_for_key(key, MPDO.pack(node_id | DESTINATION_MODE, index, subindex, data))
 
 
 def suits_mpdo(variable: Variable, direction: Direction) -> bool:
@@ -189,14 +201,14 @@ class MpdoConsumer(Machine):
             return
         key, data = frame.key, frame.data
         for number, mode in self._routes.get(key, ()):
-            if len(data) < _MPDO.size:
+            if len(data) < MPDO.size:
                 stamp = self.out.timestamp
-                error = PdoLengthError(self.node_id, number, key, _MPDO.size, len(data), EMCY_PDO_NOT_PROCESSED, stamp)
+                error = PdoLengthError(self.node_id, number, key, MPDO.size, len(data), EMCY_PDO_NOT_PROCESSED, stamp)
                 self.out.events.append(error)
                 continue
-            address, index, subindex, content = _MPDO.unpack(data)
-            node_id = address & ~_DESTINATION_MODE
-            if (mode is MpdoMode.DESTINATION) != bool(address & _DESTINATION_MODE):
+            address, index, subindex, content = MPDO.unpack(data)
+            node_id = address & ~DESTINATION_MODE
+            if (mode is MpdoMode.DESTINATION) != bool(address & DESTINATION_MODE):
                 self.out.events.append(FrameIgnored(self.node_id, frame, f"not the address mode of RPDO {number}, {mode.name}"))
             elif mode is MpdoMode.SOURCE:
                 self._dispatch_to(number, key, node_id, index, subindex, content)
@@ -312,14 +324,9 @@ class MpdoProducer(Machine):
         key = self._destinations.get(number)
         if key is None:
             raise LocalProtocolError(f"TPDO {number} of node {self.node_id} is no valid MPDO in destination address mode")
-        if not ALL_NODES <= node_id <= MAX_NODE_ID:
-            raise LocalProtocolError(f"MPDO to node-ID {node_id}: outside 0 (all) to {MAX_NODE_ID}")
-        if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
-            raise LocalProtocolError(f"MPDO to object 0x{index:04X}:{subindex:02X}: there is no such address")
-        if not 1 <= len(data) <= MAX_VALUE_BYTES:
-            raise LocalProtocolError(f"an MPDO carries 1 to {MAX_VALUE_BYTES} bytes, not {len(data)}")
+        frame = destination_frame(key, node_id, index, subindex, data)
         if self.enabled:
-            self.out.frames.append(frame_for_key(key, _MPDO.pack(node_id | _DESTINATION_MODE, index, subindex, data)))
+            self.out.frames.append(frame)
         return self.enabled
 
     def handle_timeout(self, now: Time) -> None:
@@ -347,7 +354,7 @@ class MpdoProducer(Machine):
             self.out.events.append(PdoNotSent(self.node_id, number, key, str(error)))
             content = b""
         if content:
-            self.out.frames.append(frame_for_key(key, _MPDO.pack(self.node_id, mux >> 8, mux & 0xFF, content)))
+            self.out.frames.append(frame_for_key(key, MPDO.pack(self.node_id, mux >> 8, mux & 0xFF, content)))
             self._inhibited_until = now + self._inhibit_time
         self._event_due = now + self._event_time if self._event_time else NEVER
 

@@ -1,0 +1,71 @@
+"""What a node says by multiplexed PDOs in source address mode, heard from outside: by a master, a service tool, a bus monitor.
+
+A device needs an object dispatching list to know which of its own objects takes a producer's value (multiplexed.py). Whoever
+looks at the producer needs none: the frame names the producer's own object, and the image of that one is brought up to date.
+Frames in destination address mode concern their consumer, and are not looked at here; `destination_frame` of multiplexed.py makes
+those that we send.
+
+Source: CiA 301 v4.2.0, 7.2.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from canopen_proto.dictionary import Direction, Values
+from canopen_proto.frame import Frame
+from canopen_proto.machine import FrameIgnored, Machine, Outbox, Time, check_node_id
+from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
+from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoReceived, suits_mpdo
+
+
+class MpdoListener(Machine):
+    """Receives the TPDOs of one node that are MPDOs in source address mode; see this module's text."""
+
+    __slots__ = ("_keys", "_values", "node_id")
+
+    def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
+        """node_id: of the producer. values: what is known of its objects, which is brought up to date."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self._values = values
+        self._keys: dict[int, int] = {}  # TPDO number -> key
+
+    def can_ids(self) -> Iterable[int]:
+        return tuple(self._keys.values())
+
+    def set_pdo(self, number: int, key: int | None) -> None:
+        """Receive the node's TPDO `number` by this key; None: no more."""
+        self._keys.pop(number, None)
+        if key is not None:
+            self._keys[number] = key
+        self._reroute()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take the value of an MPDO of this node; those of other producers on the same CAN-ID are not ours.
+
+        Events: MpdoReceived; PdoLengthError for less than eight bytes; FrameIgnored for the other address mode, and for an object
+        that the node's dictionary does not have, or that no TPDO can carry.
+        """
+        key, data = frame.key, frame.data
+        number = next(each for each, its_key in self._keys.items() if its_key == key)
+        if len(data) < MPDO.size:
+            stamp = self.out.timestamp
+            error = PdoLengthError(self.node_id, number, key, MPDO.size, len(data), EMCY_PDO_NOT_PROCESSED, stamp)
+            self.out.events.append(error)
+            return
+        address, index, subindex, content = MPDO.unpack_from(data)
+        if address & DESTINATION_MODE:
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"TPDO {number} is an MPDO in source address mode"))
+            return
+        if address != self.node_id:
+            return
+        variable = self._values.dictionary.get(index, subindex)
+        if variable is None or not suits_mpdo(variable, Direction.TPDO):
+            reason = f"an MPDO about 0x{index:04X}:{subindex:02X}, which is no object that a TPDO can carry"
+            self.out.events.append(FrameIgnored(self.node_id, frame, reason))
+            return
+        value = variable.decode(content[: variable.size])
+        self._values.store[variable.mux] = value
+        report = MpdoReceived(self.node_id, number, key, address, index, subindex, value, self.out.timestamp)
+        self.out.events.append(report)
