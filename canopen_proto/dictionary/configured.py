@@ -1,0 +1,102 @@
+"""From the description of a type of device (EDS, XDD) to that of one device with its settings (DCF, XDC), and back.
+
+`with_configured` is what a configuration tool does: it notes the node-ID, the bit rate and the values that the device is to have.
+`without_configured` takes all of that off again. Neither changes what it is given: a description is never changed.
+
+Source: CiA 306-1 v1.4.0, 5 (device configuration file).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.objects import Object, Variable
+from canopen_proto.machine import LocalProtocolError, check_node_id
+
+_OF_ONE_DEVICE = (FileKind.DCF, FileKind.XDC)
+
+
+def with_configured(
+    description: DeviceDescription,
+    values: Mapping[int, Value],
+    commissioning: Commissioning | None = None,
+    *,
+    file_info: FileInfo | None = None,
+) -> DeviceDescription:
+    """A DCF's description: these values, by mux, are what the device is to be set to, besides what is configured already.
+
+    commissioning: node-ID, bit rate and so on; None: those that the description has. A value that is configured in another form
+    ($NODEID) already keeps that form. file_info: of the new file (its name, who made it, when: the core has no clock); None: that
+    of the old one, which also becomes the LastEDS of a DCF that is made of an EDS.
+
+    Raises ObjectNotFound for a mux that the dictionary does not have, ValueRangeError where a value does not fit its object, and
+    LocalProtocolError where nobody says the node-ID. Limits are not looked at: a device may hold what its EDS does not allow.
+    """
+    commissioning = commissioning or description.commissioning
+    if commissioning is None or commissioning.node_id is None:
+        raise LocalProtocolError("a DCF is of one device: its commissioning needs a node-ID")
+    check_node_id(commissioning.node_id)
+    if file_info is None:
+        file_info = description.file_info
+        if description.kind not in _OF_ONE_DEVICE:
+            file_info = replace(file_info, last_eds=file_info.file_name)
+    return replace(
+        description,
+        dictionary=configure(description.dictionary, values, commissioning.node_id),
+        kind=FileKind.DCF,
+        file_info=file_info,
+        commissioning=commissioning,
+    )
+
+
+def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id: int) -> ObjectDictionary:
+    """The dictionary with these values, by mux, as the configured ones. Raises ObjectNotFound, ValueRangeError."""
+    changed: dict[int, dict[int, Variable]] = {}
+    for key, value in values.items():
+        variable = dictionary.variable((key >> 8, key & 0xFF))
+        variable.encode(value)
+        if variable.configured is None or variable.initial_of(node_id) != value:
+            new = replace(variable, configured=value, configured_adds_node_id=False)
+            changed.setdefault(variable.index, {})[variable.subindex] = new
+    return _with_variables(dictionary, changed)
+
+
+def without_configured(description: DeviceDescription) -> DeviceDescription:
+    """An EDS's description: what is the same for all devices of this type.
+
+    Configured values, commissioning, connected modules, denotations, the files of DOMAINs and LastEDS are gone.
+    """
+    return replace(
+        description,
+        dictionary=without_configured_values(description.dictionary),
+        kind=FileKind.EDS,
+        file_info=replace(description.file_info, last_eds=""),
+        commissioning=None,
+        connected_modules=(),
+    )
+
+
+def without_configured_values(dictionary: ObjectDictionary) -> ObjectDictionary:
+    """The dictionary as an EDS has it: a device made of it has its defaults."""
+    changed: dict[int, dict[int, Variable]] = {}
+    for variable in dictionary:
+        plain = replace(variable, configured=None, configured_adds_node_id=False, denotation="", upload_file="", download_file="")
+        if plain != variable:
+            changed.setdefault(variable.index, {})[variable.subindex] = plain
+    denoted = (each for each in dictionary.objects.values() if each.denotation)
+    return _with_variables(dictionary.with_objects(replace(each, denotation="") for each in denoted), changed)
+
+
+def _with_variables(dictionary: ObjectDictionary, changed: Mapping[int, Mapping[int, Variable]]) -> ObjectDictionary:
+    """The dictionary with other variables, by index and subindex, in the places of these."""
+
+    def renewed(index: int) -> Object:
+        each = dictionary.objects[index]
+        return replace(each, variables=MappingProxyType({**each.variables, **changed[index]}))
+
+    return dictionary.with_objects(map(renewed, changed)) if changed else dictionary
