@@ -19,6 +19,7 @@ from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network
+from canopen_proto.procedures.steps import NOT_CONFIRMED
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.sdo.client import SdoAborted
@@ -118,7 +119,7 @@ class SdoError(NodeError):
 
 
 class SdoTimeout(SdoError, TimeoutError):
-    """The node did not answer. A write may have been executed nevertheless."""
+    """The node did not answer."""
 
 
 class SdoRefused(SdoError):
@@ -127,6 +128,13 @@ class SdoRefused(SdoError):
 
 class SdoGivenUp(SdoError):
     """The transfer was ended on our side: the node was reset or lost meanwhile, or what it sent made no sense."""
+
+
+class SdoNotConfirmed(SdoTimeout, SdoGivenUp):
+    """A write went out as a whole, and was neither confirmed nor refused: it may have been executed. Nobody sends it again.
+
+    Whoever catches SdoTimeout or SdoGivenUp gets it too; `code` tells which of the two it was (CO201, CO203).
+    """
 
 
 class UnexpectedAnswer(NodeError, ValueError):
@@ -226,22 +234,30 @@ class ChainFault(ChainError):
 
 def sdo_error(network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time) -> SdoError:
     """The exception for a transfer that ended with an abort. network: of the node. attempt: "reading", or "writing 5 to"."""
-    reads = attempt == "reading"
     place = f"{attempt} {_name_of(node, aborted.index, aborted.subindex)}"
     who = f"node {aborted.node_id}"
     code_text = f"abort 0x{aborted.abort_code:08X}, {text_of(aborted.abort_code)}"
-    if aborted.origin is AbortOrigin.TIMEOUT:
-        hint = "" if reads else " (not confirmed: it may have been executed)"
+    hint = NOT_CONFIRMED if aborted.not_confirmed else ""
+    if aborted.origin is AbortOrigin.TIMEOUT and aborted.abort_code != AbortCode.CANNOT_TRANSFER:
         failed = f"{who} did not answer {place} in {node.sdo.timeout / SECOND:g} s{hint}"
         seen, cause, tries = sdo_silence(network, node, now)
-        return SdoTimeout(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
+        silent = SdoNotConfirmed if aborted.not_confirmed else SdoTimeout
+        return silent(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
     if aborted.origin is AbortOrigin.PEER:
         cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
         if node.dictionary.get(aborted.index, aborted.subindex) is None:
             cause = cause.partition(", though our dictionary")[0]
         return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
-    cause = "it was reset, or its heartbeat was lost" if aborted.abort_code == AbortCode.NO_SDO_CONNECTION else ""
-    return SdoGivenUp(GIVEN_UP, aborted, bus, f"{place} of {who} was given up", code_text, cause, ())
+    given_up = SdoNotConfirmed if aborted.not_confirmed else SdoGivenUp
+    cause = _OWN_REASONS.get(aborted.abort_code, "")
+    return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", code_text, cause, ())
+
+
+_OWN_REASONS: Final[dict[int, str]] = {
+    AbortCode.NO_SDO_CONNECTION: "it was reset, or its heartbeat was lost",
+    AbortCode.CANNOT_TRANSFER: "our own side was too slow: the next piece of the stream did not come, or was not taken, in time",
+}
+"""Why we end transfers."""
 
 
 _REASONS: Final[dict[int, tuple[str, tuple[str, ...]]]] = {

@@ -1,0 +1,82 @@
+"""Writes whose fate nobody knows: an error of their own, and one frame only on the wire."""
+
+import pytest
+import trio
+
+from canopen_master import SdoGivenUp, SdoNotConfirmed, SdoRefused, SdoTimeout, open_master
+from canopen_transports import Transport, open_transport
+from tests.master.world import BUS, simulated, virtual_time
+
+
+async def requests_on(spy: Transport) -> list[str]:
+    """What clients have said until now."""
+    frames = []
+    with trio.move_on_after(1):
+        while True:
+            frames.append(str((await spy.receive())[0]))
+    return [frame for frame in frames if frame.startswith("6")]
+
+
+@virtual_time
+async def test_a_write_without_answer_is_not_confirmed_and_sent_once() -> None:
+    async with simulated(12), open_master(BUS) as master, await open_transport(BUS) as spy:
+        with pytest.raises(SdoNotConfirmed, match="may have been executed") as caught:
+            await master.node(13).write("controlword", 6)
+        assert isinstance(caught.value, SdoTimeout)
+        assert isinstance(caught.value, TimeoutError)
+        assert caught.value.code == "CO201"
+        assert await requests_on(spy) == ["60D#2B40600006000000", "60D#8040600000000405"]
+
+
+@virtual_time
+async def test_nor_is_one_whose_node_was_reset_meanwhile() -> None:
+    async with simulated(12) as host, open_master(BUS) as master, trio.open_nursery() as nursery:
+        node = master.node(12)
+        host.nodes[0].sdo.disable()
+
+        async def writing() -> None:
+            with pytest.raises(SdoNotConfirmed, match=r"given up .not confirmed: it may have been executed") as caught:
+                await node.write("controlword", 6)
+            assert isinstance(caught.value, SdoGivenUp)
+            assert caught.value.code == "CO203"
+            assert "reset" in caught.value.cause
+
+        nursery.start_soon(writing)
+        await trio.testing.wait_all_tasks_blocked()
+        await node.reset()
+
+
+@virtual_time
+async def test_what_is_certain_is_no_such_error() -> None:
+    async with simulated(12), open_master(BUS) as master:
+        node = master.node(12)
+        with pytest.raises(SdoRefused) as refused:
+            await node.write_bytes(0x5FFF, 0, b"\x00")
+        assert not isinstance(refused.value, SdoNotConfirmed)
+        for attempt in (lambda: master.node(13).read_bytes(0x1000), lambda: master.node(13).write_bytes(0x2000, 0, bytes(100))):
+            with pytest.raises(SdoTimeout) as silent:
+                await attempt()
+            assert not isinstance(silent.value, SdoNotConfirmed)
+            assert "not confirmed" not in str(silent.value)
+
+
+@virtual_time
+async def test_a_slow_nodes_late_answer_is_not_taken_for_the_next_one() -> None:
+    async with open_master(BUS, sdo_timeout=0.1) as master, await open_transport(BUS) as device, trio.open_nursery() as nursery:
+        answered = 0
+
+        async def answer() -> None:
+            nonlocal answered
+            while True:
+                frame, _ = await device.receive()
+                if str(frame).startswith("60C#4041"):
+                    await trio.sleep(0.15 if not answered else 0.01)
+                    answered += 1
+                    await device.send(frame.parse(f"58C#4B4160000{answered}000000"))
+
+        nursery.start_soon(answer)
+        node = master.node(12)
+        with pytest.raises(SdoTimeout):
+            await node.read("statusword")
+        assert await node.read("statusword") == 2
+        nursery.cancel_scope.cancel()
