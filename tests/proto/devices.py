@@ -54,7 +54,8 @@ def whole_device() -> ObjectDictionary:
     fields = [Variable(TABLE, 0, "table:count", DataType.UNSIGNED8, Access.CONST, 3)]
     fields += [Variable(TABLE, each, f"table:{each}", DataType.INTEGER16, pdo_mappable=True) for each in (1, 2, 3)]
     objects = [Object.of("table", fields)]
-    objects += [standard_object(index) for index in (0x1007, 0x100C, 0x100D, 0x1012)]
+    objects += [standard_object(index) for index in (0x1007, 0x100C, 0x100D, 0x1012, 0x1280)]
+    objects += [standard_object(0x1201, defaults={1: 0x6A1, 2: 0x6A2})]
     objects += [standard_object(index, highest=2) for index in (0x1010, 0x1011, 0x1028, 0x1029, 0x1FA0, 0x1FD0)]
     for number in (2, 3):
         objects += [

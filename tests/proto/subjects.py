@@ -124,7 +124,8 @@ class LocalSubject(Subject):
     def __init__(self) -> None:
         super().__init__()
         self.node = LocalNode(self.network.out, NODE, whole_device())
-        self.node.sdo.max_download = LARGEST_TRANSFER
+        for server in self.node.channels.servers.values():
+            server.max_download = LARGEST_TRANSFER
         self.node.deferred.add(LIMITED)
         self.pending: list[ObjectAccessPending] = []
         self.network.attach(self.node)
