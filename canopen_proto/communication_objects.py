@@ -23,7 +23,8 @@ producer's own, and are copied into the values when they are read (`refresh`).
              valid. 0, which no EMCY can have, counts as not valid                                  7.5.2.31
     0x1029   error behaviour: 0, 1 or 2; the rest is reserved, or of manufacturers other than us      7.5.2.32
 
-A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40).
+A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40). Where the
+description of a device has one, or another type than the standard, the service is off or goes by its default: device_notices.py.
 
 The synchronous window (0x1007) and the PDO parameters are in pdo/parameters.py.
 
@@ -34,16 +35,17 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_proto.datatypes import Value
+from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import Values, mux
-from canopen_proto.emcy import EmcyConsumer, EmcyProducer
-from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, key_of_cob_id
+from canopen_proto.emcy import MAX_HISTORY, EmcyConsumer, EmcyProducer
+from canopen_proto.frame import COB_ID_INVALID, EMCY, MAX_NODE_ID, SYNC, key_of_cob_id
 from canopen_proto.group import Members
 from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
 from canopen_proto.nmt import SERVICES, NmtState, Service
-from canopen_proto.pdo.rules import check_cob_id, is_valid
+from canopen_proto.pdo.mapping import number_at
+from canopen_proto.pdo.rules import CAN_ID_AND_FRAME, check_can_id, check_cob_id, is_valid
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
@@ -69,6 +71,10 @@ PRODUCER_HEARTBEAT: Final = mux(0x1017)
 SYNC_OVERFLOW: Final = mux(0x1019)
 LAST_ERROR_BEHAVIOUR: Final = 2
 """Of 0x1029: 0 pre-operational, 1 no change, 2 stopped."""
+
+BYTE: Final = 0xFF
+MAX_NUMBER: Final = 0xFFFF_FFFF
+"""All communication objects are UNSIGNED32 or smaller, whatever a file says. A time of more would reach NEVER."""
 
 DEFAULT_HISTORY_LENGTH: Final = 8
 """Entries kept where the dictionary has no 0x1003."""
@@ -102,7 +108,7 @@ class CommunicationObjects:
         self.node_id = node_id
         self.values = values
         history = values.dictionary.objects.get(0x1003)
-        length = DEFAULT_HISTORY_LENGTH if history is None else max(1, len(history.variables) - 1)
+        length = DEFAULT_HISTORY_LENGTH if history is None else min(max(1, len(history.variables) - 1), MAX_HISTORY)
         self.emcy = EmcyProducer(out, node_id, history_length=length)
         self.heartbeat = HeartbeatProducer(out, node_id)
         self.guarding = GuardingSlave(out, node_id)
@@ -117,15 +123,24 @@ class CommunicationObjects:
             members.attach(machine)
 
     def _int(self, key: int, default: int = 0) -> int:
-        value = self.values.store.get(key, default)
-        return value if isinstance(value, int) else default
+        """The number there; a file may describe a communication object as anything. MAX_NUMBER at most."""
+        return min(number_at(self.values.store, key, default), MAX_NUMBER)
+
+    def _cob_id(self, key: int, default: int) -> int:
+        """The COB-ID there; `default` where its CAN-ID is none that a service may have, which only a file can say."""
+        cob_id = self._int(key, default)
+        return cob_id if check_can_id(cob_id & CAN_ID_AND_FRAME) is None else default
+
+    def _cob_id_emcy(self) -> int:
+        cob_id = self._int(COB_ID_EMCY)
+        return cob_id if cob_id & COB_ID_INVALID else self._cob_id(COB_ID_EMCY, EMCY + self.node_id)
 
     def reload(self, now: Time) -> None:
         """Set all machines by the values: at the start, and when a reset has put the defaults back. Monitoring begins anew."""
         for monitor in self.monitors.values():
             self._members.detach(monitor)
         self.monitors.clear()
-        self.emcy.set_cob_id(self._int(COB_ID_EMCY, 0x80 + self.node_id), now)
+        self.emcy.set_cob_id(self._cob_id_emcy(), now)
         self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
         self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
         self._set_guarding(now)
@@ -147,7 +162,7 @@ class CommunicationObjects:
     @property
     def may_send_time(self) -> bool:
         """Whether the device is a TIME producer (0x1012), and TIME lives in its NMT state."""
-        return bool(self._int(COB_ID_TIME) & TIME_PRODUCER_BIT) and self._lives(Service.TIME)
+        return bool(self._cob_id(COB_ID_TIME, 0) & TIME_PRODUCER_BIT) and self._lives(Service.TIME)
 
     def _lives(self, service: Service) -> bool:
         return service in SERVICES[self._state]
@@ -155,16 +170,22 @@ class CommunicationObjects:
     def refresh(self, index: int, subindex: int) -> AbortCode | None:
         """Bring 0x1001 or 0x1003 into the values, before they are read; or why there is nothing to read."""
         store = self.values.store
-        if index == 0x1001 and ERROR_REGISTER in store:
+        if index == 0x1001 and self._has_room(0x1001, 0, BYTE):
             store[ERROR_REGISTER] = self.emcy.error_register
-        elif index == 0x1003 and ERROR_HISTORY in store:
+        elif index == 0x1003 and self._has_room(0x1003, 0, BYTE):
             shown = {ERROR_HISTORY + number: entry for number, entry in enumerate(self.emcy.history, start=1)}
-            shown = {key: entry for key, entry in shown.items() if key in store}
+            shown = {key: entry for key, entry in shown.items() if self._has_room(0x1003, key & 0xFF, MAX_NUMBER)}
             store.update(shown)
             store[ERROR_HISTORY] = len(shown)
             if subindex and (key := ERROR_HISTORY + subindex) in store and key not in shown:
                 return AbortCode.NO_DATA
         return None
+
+    def _has_room(self, index: int, subindex: int, highest: int) -> bool:
+        """Whether the dictionary has such an object, and as a type that can hold numbers up to `highest`."""
+        variable = self.values.dictionary.get(index, subindex)
+        numbers = None if variable is None else range_of(variable.data_type)
+        return numbers is not None and numbers[1] >= highest
 
     # ---- the two doors of a write ----
 
@@ -202,7 +223,7 @@ class CommunicationObjects:
             case 0x1003:
                 self.emcy.clear_history()
                 for key in self.values.store:
-                    if key >> 8 == 0x1003:
+                    if key >> 8 == 0x1003 and self._has_room(0x1003, key & 0xFF, BYTE):
                         self.values.store[key] = 0
             case 0x1005 | 0x1006 | 0x1019:
                 self._set_sync(now)
@@ -211,7 +232,7 @@ class CommunicationObjects:
             case 0x1012:
                 self._set_time()
             case 0x1014:
-                self.emcy.set_cob_id(self._int(COB_ID_EMCY), now)
+                self.emcy.set_cob_id(self._cob_id_emcy(), now)
             case 0x1015:
                 self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
             case 0x1016:
@@ -276,11 +297,13 @@ class CommunicationObjects:
             self.guarding.set_life_time(life_time, now)
 
     def _set_sync(self, now: Time) -> None:
-        cob_id, overflow = self._int(COB_ID_SYNC, 0x80), self._int(SYNC_OVERFLOW)
+        cob_id, overflow = self._cob_id(COB_ID_SYNC, SYNC), self._int(SYNC_OVERFLOW)
         if not _is_overflow(overflow):
             overflow = 0  # a device's description may hold what no client could write
         produces = self._lives(Service.SYNC) and bool(cob_id & SYNC_PRODUCER_BIT)
-        period = self._int(CYCLE_PERIOD) * MICROSECOND if produces else 0
+        period = self._int(CYCLE_PERIOD) if produces else 0
+        if period:
+            period = max(period, MIN_SYNC_PERIOD_US) * MICROSECOND
         key, producer = key_of_cob_id(cob_id), self.sync_producer
         self.sync_consumer.configure(key, overflow)
         if (producer.key, producer.period, producer.counter_overflow) == (key, period, overflow):
@@ -291,7 +314,7 @@ class CommunicationObjects:
             producer.start(period, now)
 
     def _set_time(self) -> None:
-        cob_id = self._int(COB_ID_TIME)
+        cob_id = self._cob_id(COB_ID_TIME, 0)
         key = key_of_cob_id(cob_id)
         self.time_producer.key = key
         self.time_consumer.set_key(key if cob_id & TIME_CONSUMER_BIT and self._lives(Service.TIME) else None)

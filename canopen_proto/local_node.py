@@ -41,7 +41,8 @@ from canopen_proto.communication_errors import (
 )
 from canopen_proto.communication_objects import COB_ID_TIME, ERROR_REGISTER, CommunicationObjects
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Direction, ObjectDictionary, Values, mux
+from canopen_proto.device_notices import Notice, notices_of
+from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable, mux
 from canopen_proto.emcy import EmcySent
 from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.group import Group
@@ -148,6 +149,11 @@ class LocalNode(Group):
     def dictionary(self) -> ObjectDictionary:
         """The description of this device's objects."""
         return self.values.dictionary
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What of its description does not work, and why; see device_notices.py. Made anew of the values as they are now."""
+        return notices_of(self.node_id, self.values, self.pdos)
 
     @property
     def state(self) -> NmtState:
@@ -289,6 +295,25 @@ class LocalNode(Group):
         if index in self.deferred:
             is_taken = index in self.in_pieces and self.channels.host_takes(index, subindex)
             return AbortCode.DEVICE_STATE if is_taken else PENDING
+        return self._take(variable, value, now)
+
+    def take_write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
+        """The host's part of a write to a `deferred` object that it does not keep itself: store it, as if it was not deferred.
+
+        data: as ObjectAccessPending had it. None, and it is stored and obeyed; or why not, for `complete`. Raises ObjectNotFound.
+        """
+        variable = self.dictionary.variable((index, subindex))
+        value = self._store.decode(variable, data)
+        if isinstance(value, AbortCode):
+            return value
+        mark = len(self.inner.events)
+        refusal = self._take(variable, value, now)
+        self._settle(mark, now)
+        return AbortCode.CANNOT_TRANSFER if isinstance(refusal, Pending) else refusal  # storing is the host's own
+
+    def _take(self, variable: Variable, value: Value, now: Time) -> AbortCode | Pending | None:
+        """Ask the owner of an object, store, and let the owner obey."""
+        index, subindex = variable.index, variable.subindex
         refusal = self._refusal(index, subindex, value)
         if refusal is not None:
             return refusal

@@ -29,14 +29,14 @@ class Values:
     value.
     """
 
-    __slots__ = ("_initial", "dictionary", "node_id", "store", "unfit")
+    __slots__ = ("dictionary", "node_id", "store", "unfit")
 
     def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
-        self.unfit: list[Variable] = []
-        self._initial = {variable.mux: self._fit(variable, variable.initial_of(node_id)) for variable in dictionary}
-        self.store: dict[int, Value] = dict(self._initial)
+        self.store: dict[int, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
+        self.unfit = tuple(variable for variable in dictionary if not _takes(variable, self.store[variable.mux]))
+        self._clear_unfit()
 
     def __getitem__(self, mux: int) -> Value:
         """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
@@ -74,19 +74,20 @@ class Values:
 
         0x1000..0x1FFF is the communication profile area (reset communication). Source: CiA 301 v4.2.0, 7.3.2.2.1.
         """
-        first, last = first_index << 8, last_index << 8 | 0xFF
-        self.store.update({key: value for key, value in self._initial.items() if first <= key <= last})
+        for variable in self.dictionary:
+            if first_index <= variable.index <= last_index:
+                self.store[variable.mux] = variable.initial_of(self.node_id)
+        self._clear_unfit(first_index, last_index)
 
     def put_default(self, variable: Variable) -> None:
         """Give an object its default, whatever a DCF has configured for it."""
         value = variable.default_of(self.node_id)
         self.store[variable.mux] = value if _takes(variable, value) else zero_of(variable.data_type)
 
-    def _fit(self, variable: Variable, value: Value) -> Value:
-        if _takes(variable, value):
-            return value
-        self.unfit.append(variable)
-        return zero_of(variable.data_type)
+    def _clear_unfit(self, first_index: int = 0, last_index: int = 0xFFFF) -> None:
+        for variable in self.unfit:
+            if first_index <= variable.index <= last_index:
+                self.store[variable.mux] = zero_of(variable.data_type)
 
     def _held(self, key: Key) -> Variable:
         variable = self.dictionary.variable(key)

@@ -307,9 +307,14 @@ def may_have_width(data_type: DataType, bit_length: int) -> bool:
 
 
 def number_at(store: ReadOnlyDict[int, Value], mux: int, default: int = 0) -> int:
-    """The number that stands at a mux, as PDO parameters are; `default` where there is none."""
+    """The number that stands at a mux, as PDO parameters are; `default` where there is none.
+
+    A negative one (a file describes a parameter as INTEGERn) counts as the 32 bits that a client reads.
+    """
     value = store.get(mux, default)
-    return value if isinstance(value, int) else default
+    if not isinstance(value, int):
+        return default
+    return value if value >= 0 else value & 0xFFFF_FFFF
 
 
 DUMMY_TYPES: Final = {int(each): each for each in DataType if bit_length_of(each) is not None}

@@ -12,8 +12,8 @@ records these are the synchronous window length (0x1007) and the lists of multip
 
 Bit 30 of a TPDO's COB-ID forbids remote requests; where it is 0, the device answers them.
 
-A default mapping that makes no sense (devices' EDS files have such) disables its PDO and stands in `faults`: it is no reason for
-the whole device not to start.
+What makes no sense in the defaults (devices' EDS files have such) is no reason for the whole device not to start: a record
+without a COB-ID is no PDO; a mapping that cannot be, or a CAN-ID that no PDO may have, disables its PDO. `faults` says which.
 
 Source: CiA 301 v4.2.0, 7.5.2.7 and 7.5.2.35 to 7.5.2.40.
 """
@@ -31,7 +31,7 @@ from canopen_proto.pdo.consumer import EVENT_DRIVEN, PdoConsumer
 from canopen_proto.pdo.mapping import Mapping, MappingError, number_at
 from canopen_proto.pdo.multiplexed import DISPATCHER_LISTS, SCANNER_LISTS, MpdoConsumer, MpdoMode, MpdoProducer
 from canopen_proto.pdo.producer import PdoProducer
-from canopen_proto.pdo.rules import PdoRules
+from canopen_proto.pdo.rules import PdoRules, check_can_id
 from canopen_proto.pdo.settings import (
     COB_ID,
     EVENT_TIMER,
@@ -48,6 +48,9 @@ INHIBIT_UNIT: Final = 100 * MICROSECOND
 SYNC_WINDOW: Final = 0x1007
 """Index of the synchronous window length, in us; 0 is none. CiA 301 v4.2.0, 7.5.2.7"""
 
+MAX_TIME: Final = 0xFFFF_FFFF
+"""Most that a time counts for, in its own unit: more than UNSIGNED32 is a file's mistake, and must not reach NEVER."""
+
 _NOTHING: Final = Mapping()
 _MODES: Final = {int(mode): mode for mode in MpdoMode}
 
@@ -57,7 +60,7 @@ class DevicePdos:
 
     values: the device's memory; the PDOs read and write it. consumers, producers: by PDO number, 1..512; they, mpdo_consumer and
     mpdo_producer are this outbox's machines, and none is added or taken away later. faults: what is wrong with a standing
-    mapping, by the mapping's index.
+    parameter, by its index.
     """
 
     __slots__ = (
@@ -84,7 +87,10 @@ class DevicePdos:
         self._synchronous: tuple[PdoConsumer | PdoProducer, ...] = ()  # those that go by SYNC; producers first
         for index in values.dictionary.objects:
             place = place_of(index)
-            if place is None or place.is_mapping or values.dictionary.get(index, COB_ID) is None:
+            if place is None or place.is_mapping:
+                continue
+            if values.dictionary.get(index, COB_ID) is None:
+                self.faults[index] = f"it has no COB-ID (subindex {COB_ID})"
                 continue
             if place.direction == Direction.RPDO:
                 self.consumers[place.number] = PdoConsumer(out, node_id, place.number, None, _NOTHING, values.store)
@@ -165,16 +171,17 @@ class DevicePdos:
         """Bring one machine into step with the dictionary."""
         mapping, mode = self._standing_mapping(direction, number)
         store = self._values.store
-        base = communication_index(direction, number) << 8
+        index = communication_index(direction, number)
+        base = index << 8
         cob_id = number_at(store, base | COB_ID, COB_ID_INVALID)
-        key = None if cob_id & COB_ID_INVALID else key_of_cob_id(cob_id)
+        key = self._key(index, cob_id)
         transmission_type = number_at(store, base | TRANSMISSION_TYPE, EVENT_DRIVEN)
-        event_time = number_at(store, base | EVENT_TIMER) * MILLISECOND
+        event_time = min(number_at(store, base | EVENT_TIMER), MAX_TIME) * MILLISECOND
         if direction == Direction.RPDO:
             self.mpdo_consumer.set_pdo(number, key, mode)
             self.consumers[number].configure(key, mapping, transmission_type, event_time)
             return
-        inhibit_time = number_at(store, base | INHIBIT_TIME) * INHIBIT_UNIT
+        inhibit_time = min(number_at(store, base | INHIBIT_TIME), MAX_TIME) * INHIBIT_UNIT
         sync_start = number_at(store, base | SYNC_START)
         self.mpdo_producer.set_pdo(number, key, mode, now, inhibit_time, event_time)
         self.producers[number].configure(
@@ -188,6 +195,16 @@ class DevicePdos:
             answers_requests=not cob_id & COB_ID_NO_RTR,
         )
 
+    def _key(self, index: int, cob_id: int) -> int | None:
+        """Of a COB-ID that stands at `index`: the key of its PDO's frames, or None where it is not valid, or cannot be."""
+        self.faults.pop(index, None)
+        if cob_id & COB_ID_INVALID:
+            return None
+        if check_can_id(cob_id) is not None:
+            self.faults[index] = f"COB-ID 0x{cob_id:X} has a CAN-ID that no PDO may have"
+            return None
+        return key_of_cob_id(cob_id)
+
     def _sort(self) -> None:
         """Which PDOs a SYNC and a changed value concern."""
         producers = [each for each in self.producers.values() if each.key is not None]
@@ -199,7 +216,7 @@ class DevicePdos:
                 self._triggers.setdefault(mux, []).append(producer)
 
     def _set_window(self) -> None:
-        window = number_at(self._values.store, SYNC_WINDOW << 8) * MICROSECOND
+        window = min(number_at(self._values.store, SYNC_WINDOW << 8), MAX_TIME) * MICROSECOND
         for consumer in self.consumers.values():
             consumer.set_window(window)
 

@@ -27,6 +27,7 @@ Source: CiA 301 v4.2.0, 7.5.2.33 and 7.5.2.34; 7.3.5, table 40.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Final
 
 from canopen_proto.datatypes import Value
@@ -72,6 +73,30 @@ def is_dynamic(mux: int, value: Value) -> bool:
     """Whether it is the COB-ID of a channel, and an SDO manager has given it."""
     is_cob_id = SdoChannels.owns(mux >> 8) and mux & 0xFF in (TO_SERVER, TO_CLIENT)
     return is_cob_id and isinstance(value, int) and bool(value & DYNAMIC)
+
+
+def _allowed(index: int, subindex: int) -> Container[int]:
+    """Which restricted CAN-IDs a record may have."""
+    return _FIRST_SERVERS[subindex] if index in CLIENTS else ()
+
+
+def channel_of(values: Values, index: int) -> tuple[int, int] | None:
+    """The channel of the record at an index, as `Frame.key`: client to server, server to client. None: it holds none.
+
+    Nor does one with a CAN-ID that nobody could have written: a file may give a further server those of the first.
+    """
+    keys = []
+    for subindex in (TO_SERVER, TO_CLIENT):
+        cob_id = _number(values, index, subindex)
+        if not is_valid(cob_id) or check_cob_id(cob_id, cob_id, in_use=False, allowed=_allowed(index, subindex)) is not None:
+            return None
+        keys.append(key_of_cob_id(cob_id))
+    return keys[0], keys[1]
+
+
+def _number(values: Values, index: int, subindex: int) -> int:
+    value = values.store.get(index << 8 | subindex)
+    return value if isinstance(value, int) else 0
 
 
 class ChannelClient(SdoClient):
@@ -202,29 +227,27 @@ class SdoChannels:
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """What forbids writing this value to a record, or None; it is right in type and limits already. Changes nothing."""
-        standing = self._number(index, subindex)
+        standing = _number(self._values, index, subindex)
         if not isinstance(value, int) or value == standing:
             return None
         if subindex == OTHER_NODE:
             return AbortCode.INVALID_VALUE if value > MAX_NODE_ID else None
         if subindex not in (TO_SERVER, TO_CLIENT) or value & COB_ID_INVALID:
             return None
-        allowed = _FIRST_SERVERS[subindex] if index in CLIENTS else ()
-        return check_cob_id(value, standing, in_use=is_valid(standing), allowed=allowed)
+        return check_cob_id(value, standing, in_use=is_valid(standing), allowed=_allowed(index, subindex))
 
     def apply(self, index: int, now: Time) -> None:
         """A value was stored in a record: its channel goes by it from now on.
 
         Not before the write is confirmed: it may have come over that very channel.
         """
-        cob_ids = self._number(index, TO_SERVER), self._number(index, TO_CLIENT)
-        channel = (key_of_cob_id(cob_ids[0]), key_of_cob_id(cob_ids[1])) if all(map(is_valid, cob_ids)) else None
+        channel = channel_of(self._values, index)
         if index in FURTHER_SERVERS:
             self.servers[index - FIRST_SERVER + 1].set_channel(channel)
             return
         client = self.clients[index - FIRST_CLIENT + 1]
         client.set_channel(channel, now)
-        server_id = self._number(index, OTHER_NODE)
+        server_id = _number(self._values, index, OTHER_NODE)
         if 1 <= server_id <= MAX_NODE_ID:
             client.node_id = server_id
 
@@ -242,9 +265,3 @@ class SdoChannels:
         """Whether an object (any of an index) is being downloaded to the host, over any channel."""
         taken = [server.object_for_host for server in self.servers.values()]
         return any(mux is not None and mux >> 8 == index and subindex in (None, mux & 0xFF) for mux in taken)
-
-    # ---- inside ----
-
-    def _number(self, index: int, subindex: int) -> int:
-        value = self._values.store.get(index << 8 | subindex)
-        return value if isinstance(value, int) else 0
