@@ -74,7 +74,7 @@ def sdo_client(data: bytes) -> None:
         else:
             _ask(client, open_requests, step[1] % 8, step[1] >> 3, now)
         settle()
-    for _ in range(2 * len(open_requests)):  # nobody answers: each times out, or waits for its turn and then times out
+    for _ in range(3 * len(open_requests)):  # nobody answers: each waits for the guards of those before, and times out
         now = _wake(client, now, max(now, client.deadline)) if client.busy else now
         settle()
     assert not client.busy
