@@ -147,7 +147,7 @@ class LocalNode(Group):
 
     @property
     def dictionary(self) -> ObjectDictionary:
-        """The description of this device's objects."""
+        """What the device is."""
         return self.values.dictionary
 
     @property
@@ -253,10 +253,7 @@ class LocalNode(Group):
         self._settle(mark, now)
 
     def sdo_client(self, number: int) -> SdoClient:
-        """The SDO client of record 0x1280 + number - 1, with which the device itself accesses another one.
-
-        See SdoChannels.client, for when it takes requests.
-        """
+        """The SDO client of record 0x1280 + number - 1, by which the device itself accesses another. See SdoChannels.client."""
         return self.channels.client(number)
 
     # ---- what the SDO servers ask: they serve this node ----
@@ -298,9 +295,9 @@ class LocalNode(Group):
         return self._take(variable, value, now)
 
     def take_write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
-        """The host's part of a write to a `deferred` object that it does not keep itself: store it, as if it was not deferred.
+        """For the host: have a write to a `deferred` object stored and obeyed as if it was none. None, or why not, for `complete`.
 
-        data: as ObjectAccessPending had it. None, and it is stored and obeyed; or why not, for `complete`. Raises ObjectNotFound.
+        data: as ObjectAccessPending had it. Raises ObjectNotFound.
         """
         variable = self.dictionary.variable((index, subindex))
         value = self._store.decode(variable, data)

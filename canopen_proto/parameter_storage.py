@@ -34,7 +34,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, range_of
 from canopen_proto.dictionary import Values, Variable
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.channels import is_dynamic
@@ -43,7 +43,6 @@ STORE: Final = 0x1010
 RESTORE: Final = 0x1011
 SIGNATURES: Final = {STORE: 0x65766173, RESTORE: 0x64616F6C}
 """ASCII "save" and "load", as little-endian numbers: what a client has to write. CiA 301 v4.2.0, figures 54 and 58"""
-SIGNATURE_BYTES: Final = 4
 ON_COMMAND: Final = 0x01
 """Bit of what is read: the device stores (restores) on command."""
 
@@ -116,9 +115,11 @@ class ParameterStorage:
         None too where it is described as something that has no room for a signature.
         """
         variable = self._values.dictionary.get(index, subindex) if index in SIGNATURES and subindex else None
-        if variable is None or not is_integer(variable.data_type) or (variable.size or 0) < SIGNATURE_BYTES:
+        numbers = None if variable is None else range_of(variable.data_type)
+        if variable is None or numbers is None or numbers[1] < SIGNATURES[index]:
             return None
-        return variable.default if isinstance(variable.default, int) else ON_COMMAND
+        default = variable.default
+        return default if isinstance(default, int) and numbers[0] <= default <= numbers[1] else ON_COMMAND
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Whether that value begins to store or restore: it is the signature, and the device can do so on command."""

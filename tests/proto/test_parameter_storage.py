@@ -379,3 +379,8 @@ def test_storage_objects_of_another_type_are_plain_memory(data_type: DataType) -
     host = Host(dictionary=storing_device(Object.of("store", fields)))
     assert host.bench.tell("605#4010100100000000")[0][4] != "8"  # it can be read
     assert host.bench.write(0x1010, 1, 1, 1) == (AbortCode.CANNOT_TRANSFER if data_type != DataType.REAL32 else 0x06070013)
+
+
+def test_a_capability_beyond_its_type_counts_as_none_given() -> None:
+    host = Host(dictionary=storing_device(standard_object(0x1010, highest=1, defaults={1: 1 << 40})))
+    assert host.bench.read(0x1010, 1) == b"\x01\x00\x00\x00"
