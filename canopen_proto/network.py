@@ -28,7 +28,7 @@ from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, O
 from canopen_proto.nmt import NmtCommand, NmtCommandSent
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
@@ -245,7 +245,7 @@ class Network:
                 follower.on_nmt_command(sent.command, now)
 
     def _on_sdo_aborted(self, aborted: SdoAborted, now: Time) -> None:
-        if aborted.origin is AbortOrigin.TIMEOUT:
+        if aborted.abort_code == AbortCode.TIMED_OUT and aborted.origin is AbortOrigin.TIMEOUT:
             self._knowledge.on_given_up(aborted.node_id, aborted.index, aborted.subindex, now)
 
     def _on_ignored(self, ignored: FrameIgnored, now: Time) -> None:

@@ -17,7 +17,7 @@ from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_master.cli.options import DEMO, Settings
 from canopen_master.cli.problem import Problem, advice, problem_of
 from canopen_master.cli.screen import Screen
-from canopen_master.errors import SdoTimeout
+from canopen_master.errors import NO_ANSWER, SdoTimeout
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.node import Node
 from canopen_master.session import open_master
@@ -89,7 +89,9 @@ def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
     """The missing answer that an exception is, be it in the group that a nursery makes of one."""
     if isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         return _silence_in(error.exceptions[0])
-    if isinstance(error, SdoTimeout) or (isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT):
+    if isinstance(error, SdoTimeout) and error.code == NO_ANSWER:  # SdoNotConfirmed may also be a transfer that we gave up
+        return error
+    if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
         return error
     return None
 
