@@ -5,6 +5,7 @@ All of this happens inside the pump's turn: nothing here blocks, raises or calls
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ import trio
 
 from canopen_master.bus import Bus
 from canopen_proto.machine import Event, Outcome, RequestId, Time
+from canopen_proto.sdo.events import SdoProgress
 
 
 class ProcedureTakenBack(Exception):
@@ -26,25 +28,46 @@ class Canceller(Protocol):
 
 
 class Waiter:
-    """Who waits for the outcome of one request. done: set when there is a `result`."""
+    """Who waits for the outcome of one request. done: set when there is a `result`. ends: a scope that is cancelled then."""
 
-    __slots__ = ("_error", "_outcome", "canceller", "done")
+    __slots__ = ("_error", "_news", "_outcome", "_parked", "canceller", "done", "ends")
 
     def __init__(self, canceller: Canceller) -> None:
         self.canceller = canceller
         self.done = trio.Event()
+        self.ends: trio.CancelScope | None = None
+        self._news: deque[SdoProgress] = deque()  # a stream tells little before it is answered
+        self._parked = trio.lowlevel.ParkingLot()
         self._outcome: Outcome | None = None
         self._error: Exception | None = None
 
     def resolve(self, outcome: Outcome) -> None:
         """The outcome is there."""
         self._outcome = outcome
-        self.done.set()
+        self._end()
 
     def fail(self, error: Exception) -> None:
         """There will be no outcome, for this reason."""
         self._error = error
+        self._end()
+
+    def _end(self) -> None:
         self.done.set()
+        self._parked.unpark_all()
+        if self.ends is not None:
+            self.ends.cancel()
+
+    def tell(self, report: SdoProgress) -> None:
+        """News of a stream."""
+        self._news.append(report)
+        self._parked.unpark_all()
+
+    async def next_news(self) -> SdoProgress | None:
+        """Wait for the next news; None when all has been told and `done` is set."""
+        await trio.lowlevel.checkpoint_if_cancelled()
+        while not self._news and not self.done.is_set():
+            await self._parked.park()
+        return self._news.popleft() if self._news else None
 
     def result(self) -> Outcome:
         """The outcome, once `done`; raises the reason why there is none."""
@@ -111,6 +134,10 @@ class Dispatcher:
             waiter = self._waiters.pop((bus.network.out.root, event.request_id), None)
             if waiter is not None:
                 waiter.resolve(event)
+        elif isinstance(event, SdoProgress):
+            waiter = self._waiters.get((bus.network.out.root, event.request_id))
+            if waiter is not None:
+                waiter.tell(event)
         kind = type(event)
         watchers = self._by_kind.get(kind)
         if watchers is None:

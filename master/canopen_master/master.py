@@ -34,6 +34,7 @@ from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watc
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, ChainFileError, MasterClosed, UnknownChain
 from canopen_master.joint_procedures import stop
 from canopen_master.node import Node
+from canopen_master.requests import OpenRequest
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
 from canopen_proto.dictionary import ObjectDictionary
@@ -325,19 +326,13 @@ class Master:
     @enable_ki_protection
     async def request(self, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]) -> Outcome:
         """Give a command with an outcome and wait for it. Cancelled, it takes the request back."""
+        return await self.begin(bus, remote, submit).outcome()
+
+    @enable_ki_protection
+    def begin(self, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]) -> OpenRequest:
+        """Give a command with an outcome, which whoever has it waits for or takes back."""
         self.check_open()
-        request_id = submit(self.now())
-        root = bus.network.out.root
-        waiter = self._dispatcher.expect(root, request_id, remote)
-        self._pump.pump()
-        try:
-            await waiter.done.wait()
-        except BaseException:  # Cancelled or KeyboardInterrupt: nobody is interested any more
-            if self._dispatcher.forget(root, request_id):
-                remote.cancel(request_id, self.now())
-                self._pump.pump()
-            raise
-        return waiter.result()
+        return OpenRequest(self._pump, self._dispatcher, bus, remote, submit)
 
     @enable_ki_protection
     async def run(self, procedure: Procedure[T]) -> T:

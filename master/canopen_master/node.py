@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 import trio
 
-from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, UnexpectedAnswer, sdo_error
+from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer, sdo_error
+from canopen_master.requests import OpenRequest
 from canopen_master.silence import missing_frame
+from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.states import COMMAND_BITS, Command
@@ -19,7 +21,7 @@ from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
 if TYPE_CHECKING:
     from canopen_master.bus import Bus
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 E = TypeVar("E", bound=Event)
 
+MAX_SHOWN = 16
+"""Bytes of what was to be written that an error shows."""
 BOOT_TIME = 5.0
 """Seconds that a device may take from a reset to its boot-up frame."""
 
@@ -36,7 +40,9 @@ class Node:
 
     Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing go by SDO; they
     can be cancelled, and are then taken back on the bus. Raises ObjectNotFound for an unknown name, SdoTimeout, SdoRefused,
-    SdoGivenUp, BusError, MasterClosed.
+    SdoGivenUp, SdoNotConfirmed (of writes), BusError, MasterClosed.
+
+    block: whether a transfer goes in blocks: False, True (or it fails), or "auto", where that pays and the device knows it.
     """
 
     def __init__(self, master: Master, bus: Bus, remote: RemoteNode) -> None:
@@ -78,14 +84,14 @@ class Node:
 
     # ---- objects ----
 
-    async def read(self, key: Key) -> Value:
+    async def read(self, key: Key, *, block: Block = False) -> Value:
         """The value of an object. UnexpectedAnswer where its length is not that of the object's type."""
-        return (await self.read_message(key)).value
+        return (await self.read_message(key, block=block)).value
 
-    async def read_message(self, key: Key) -> Message:
+    async def read_message(self, key: Key, *, block: Block = False) -> Message:
         """The value of an object with its name and the constants that it bears. timestamp: when it came, ns on trio's clock."""
         variable = self.dictionary.variable(key)
-        uploaded = await self._upload(lambda now: self.remote.read(variable, now))
+        uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
             message = self.remote.message_of(uploaded)
         except ValueRangeError as error:
@@ -100,29 +106,48 @@ class Node:
             ) from error
         return replace(message, timestamp=self.remote.heard_at.get(variable.mux))
 
-    async def write(self, key: Key, value: Value) -> None:
+    async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
         """Write a value, or a constant by its name; returns when the device has confirmed it.
 
         ValueRangeError, ConstantNotFound, LocalProtocolError (read-only) for what the dictionary forbids; nothing is sent then.
-        After SdoTimeout, or cancelled, it may have been executed nevertheless.
+        After SdoNotConfirmed, or cancelled, it may have been executed nevertheless. It is never sent twice by itself.
         """
         variable, meant, _ = self.remote.encode(key, value)
         self._note(variable.mux, meant)
-        await self._download(lambda now: self.remote.write(variable, meant, now), f"writing {meant!r} to")
+        await self._download(lambda now: self.remote.write(variable, meant, now, block=block), f"writing {meant!r} to")
 
     async def matches(self, key: Key, constant: str) -> bool:
         """Whether an object, read now, bears a constant: `(value & mask) == constant`."""
         self.dictionary.constant(key, constant)  # an unknown name is told before anything is sent
         return self.dictionary.matches(key, constant, await self.read(key))
 
-    async def read_bytes(self, index: int, subindex: int = 0) -> bytes:
+    async def read_bytes(self, index: int, subindex: int = 0, *, block: Block = False) -> bytes:
         """The bytes of any object, whether the dictionary has it or not."""
-        return (await self._upload(lambda now: self.remote.sdo.upload(index, subindex, now))).data
+        return (await self._upload(lambda now: self.remote.sdo.upload(index, subindex, now, block=block))).data
 
-    async def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
+    async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, whether the dictionary has it or not."""
-        self._note(index << 8 | subindex, int.from_bytes(data, "little"))
-        await self._download(lambda now: self.remote.sdo.download(index, subindex, data, now), f"writing {data.hex()} to")
+        self._note(index << 8 | subindex, int.from_bytes(data[:4], "little"))
+        shown = data.hex() if len(data) <= MAX_SHOWN else f"{len(data)} bytes"
+        await self._download(lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to")
+
+    def read_stream(self, index: int, subindex: int = 0, *, block: Block = "auto") -> ReadStream:
+        """The bytes of any object, piece by piece: `async for piece in node.read_stream(0x1F50, 1)`. See streams.py.
+
+        They count only once the loop has ended without an exception: the checksum stands at the end.
+        """
+        return ReadStream(self, index, subindex, block)
+
+    async def write_stream(
+        self, index: int, subindex: int, pieces: Pieces, size: int | None = None, *, block: Block = "auto"
+    ) -> None:
+        """Write bytes to any object, from pieces of any size; returns when the device has confirmed the whole.
+
+        pieces: an iterable or an async iterable. It is asked for more only when there is room; what it raises aborts the transfer
+        on the bus, and is raised as it is. size: in bytes, if it is known; some devices insist on it. Raises LocalProtocolError
+        where the pieces are more or less than that. See streams.py.
+        """
+        await write_stream(self, index, subindex, pieces, size, block)
 
     # ---- network management ----
 
@@ -154,6 +179,20 @@ class Node:
         """As `Master.events`, of this node only."""
         return self._master.events(*kinds, node=self)
 
+    # ---- for what is built upon a node ----
+
+    def now(self) -> Time:
+        """The time of its machines, ns."""
+        return self._master.now()
+
+    def begin(self, submit: Callable[[Time], RequestId]) -> OpenRequest:
+        """Give a command to its machines that has an outcome."""
+        return self._master.begin(self._bus, self.remote, submit)
+
+    def error_of(self, aborted: SdoAborted, attempt: str) -> SdoError:
+        """The exception for a transfer that ended with an abort. attempt: "reading", or "writing 5 to"."""
+        return sdo_error(self._bus.network, self.remote, self.bus, aborted, attempt, self._master.now())
+
     # ---- inside ----
 
     def _note(self, mux: int, value: Value) -> None:
@@ -165,13 +204,13 @@ class Node:
         if isinstance(outcome, SdoUploaded):
             return outcome
         assert isinstance(outcome, SdoAborted)
-        raise sdo_error(self._bus.network, self.remote, self.bus, outcome, "reading", self._master.now())
+        raise self.error_of(outcome, "reading")
 
     async def _download(self, submit: Callable[[Time], RequestId], attempt: str) -> None:
         outcome = await self._master.request(self._bus, self.remote, submit)
         if not isinstance(outcome, SdoDownloaded):
             assert isinstance(outcome, SdoAborted)
-            raise sdo_error(self._bus.network, self.remote, self.bus, outcome, attempt, self._master.now())
+            raise self.error_of(outcome, attempt)
 
     async def _first_of(self, events: Subscription[E], timeout: float, missed: str) -> E:
         with trio.move_on_after(timeout):

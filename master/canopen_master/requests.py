@@ -1,0 +1,72 @@
+"""`OpenRequest`: a command with an outcome, from when it is given until its outcome is there or nobody wants it any more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.dispatch import Dispatcher
+from canopen_proto.machine import Outcome, RequestId, Time
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.events import SdoProgress
+
+if TYPE_CHECKING:
+    from canopen_master.bus import Bus, Pump
+
+
+class OpenRequest:
+    """A request to a node. It is given when this is made; `outcome` waits for its end, `take_back` gives it up."""
+
+    @enable_ki_protection
+    def __init__(
+        self, pump: Pump, dispatcher: Dispatcher, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]
+    ) -> None:
+        self._pump = pump
+        self._dispatcher = dispatcher
+        self._root = bus.network.out.root
+        self._remote = remote
+        self.request_id = submit(pump.now())
+        self._waiter = dispatcher.expect(self._root, self.request_id, remote)
+        pump.pump()
+
+    @enable_ki_protection
+    async def outcome(self) -> Outcome:
+        """Wait for it. Cancelled, the request is taken back. Raises the reason why there is none: BusError, MasterClosed."""
+        try:
+            await self._waiter.done.wait()
+        except BaseException:  # Cancelled or KeyboardInterrupt: nobody is interested any more
+            self.take_back()
+            raise
+        return self._waiter.result()
+
+    async def news(self) -> SdoProgress | None:
+        """What is told of a stream next; None once its outcome is there. Cancelled, it goes on: `take_back`."""
+        return await self._waiter.next_news()
+
+    @contextmanager
+    def while_open(self) -> Iterator[trio.CancelScope]:
+        """A scope that is cancelled when the outcome comes."""
+        with trio.CancelScope() as scope:
+            self._waiter.ends = scope
+            if self._waiter.done.is_set():
+                scope.cancel()
+            try:
+                yield scope
+            finally:
+                self._waiter.ends = None
+
+    @enable_ki_protection
+    def take_back(self) -> None:
+        """Give it up: a transfer under way is aborted on the wire. Nothing happens where the outcome is there."""
+        if self._dispatcher.forget(self._root, self.request_id):
+            self._remote.cancel(self.request_id, self._pump.now())
+            self._pump.pump()
+
+    @enable_ki_protection
+    def pump(self) -> None:
+        """Send what was just fed or asked for."""
+        self._pump.pump()
