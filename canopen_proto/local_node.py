@@ -295,10 +295,9 @@ class LocalNode(Group):
         return self._take(variable, value, now)
 
     def take_write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
-        """For the host: have a write to a `deferred` object stored and obeyed as if it was none. None, or why not, for `complete`.
+        """For the host: store and obey a write to a `deferred` object as if it was none. None, or why not, for `complete`.
 
-        data: as ObjectAccessPending had it. Raises ObjectNotFound.
-        """
+        data: as ObjectAccessPending had it. Raises ObjectNotFound."""
         variable = self.dictionary.variable((index, subindex))
         value = self._store.decode(variable, data)
         if isinstance(value, AbortCode):
