@@ -293,7 +293,7 @@ STIMULI = [
 ]  # fmt: skip
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(dictionaries(), st.integers(1, 127))
 def test_any_description_makes_a_device_that_boots_and_answers(dictionary: ObjectDictionary, node_id: int) -> None:
     bench = DeviceBench(dictionary, make=lambda out, _, described: LocalNode(out, 5, described))
