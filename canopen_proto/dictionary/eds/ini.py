@@ -1,0 +1,337 @@
+"""The form of an EDS or DCF: sections, keys, lines and columns, of whatever bytes.
+
+Theory of operation
+-------------------
+An EDS is an INI file of Windows (CiA 306-1 v1.4.0, 4.2): `[section]`, `key=value`, and comments, which are lines that begin with
+a semicolon. That format has no standard; its one authority is the reading function of Windows. So it is here:
+
+- case of letters makes no difference in names of sections and in keys, nor do blanks around names, keys and values;
+- of two sections of one name, and of two equal keys in a section, the first counts; the other is not looked at (an error);
+- all behind the first `=` is the value, semicolons included.
+
+Beyond that: a line that begins with `#` is a comment too (a notice: other tools take it for a key), what stands behind the
+bracket of a section is left out, and a line that is none of these is a warning. Lines end with LF, CR LF or CR, in any mix.
+
+Bytes become text as UTF-8 (with or without a byte order mark), or UTF-16 with its mark; what is neither is Windows-1252, or
+Latin-1 where a byte has no meaning there. Every byte has a character then: nothing is refused.
+
+Speed: most lines of a file are repetitions (`ObjectType=0x7`). So each distinct line is taken apart once (`_Lines`), and a
+section is a dict that is made of its lines in one call. Keys as they are spelt, and columns, are found when somebody asks.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple
+
+from canopen_proto.dictionary.findings import Finding, Severity
+
+MAX_FILE_SIZE: Final = 16 * 1024 * 1024
+"""Bytes. The largest EDS in the field are below 2 MiB."""
+MAX_LINES: Final = 1_000_000
+"""A file of MAX_FILE_SIZE with lines as short as those of an EDS (17 characters in the mean) has as many."""
+MAX_SECTIONS: Final = 100_000
+"""Of one file; the same number is the bound of its variables. A section takes some 700 bytes of memory."""
+MAX_FINDINGS: Final = 1000
+"""Kept of one file; further ones are counted."""
+MAX_QUOTED: Final = 60
+"""Characters of the file that the text of a finding repeats."""
+
+_SECTION: Final = re.compile(r"\n[ \t]*\[")
+_OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,8})|(name|value|denotation))?", re.ASCII)
+_NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
+_LINE_END: Final = re.compile(r"\r\n|\r|\n")
+_OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
+"""The standard prints the name with one m; half of the tools correct it."""
+
+_NOTHING: Final = ("", "")
+_HASH: Final = ("", "#")
+_JUNK: Final = ("", "junk")
+
+
+class Findings:
+    """What is wrong with one file, each with its place; bounded."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self._list: list[Finding] = []
+        self._hidden = 0
+        self._worst = Severity.NOTICE
+
+    def full(self, severity: Severity) -> bool:
+        """Whether there is no room for another one, which is then counted: who would tell it need not make up its text."""
+        if len(self._list) < MAX_FINDINGS:
+            return False
+        self._hidden += 1
+        self._worst = min(self._worst, severity, key=list(Severity).index)
+        return True
+
+    def add(self, severity: Severity, code: str, message: str, line: int = 0, column: int = 0) -> None:
+        """One more. line, column: from 1; 0 = the whole file."""
+        if not self.full(severity):
+            self._list.append(Finding(severity, code, message, self.source, line, column))
+
+    def all(self) -> tuple[Finding, ...]:
+        """In the order of the file."""
+        found = sorted(self._list, key=lambda each: (each.line, each.column))
+        if self._hidden:
+            found.append(Finding(self._worst, "too-many", f"{self._hidden} more findings are not listed", self.source))
+        return tuple(found)
+
+
+class Entry(NamedTuple):
+    """One `key=value` as it stands in the file. line, column: of the value, from 1."""
+
+    key: str
+    value: str
+    line: int
+    column: int
+
+
+class Section:
+    """One section. name: as it is spelt, without blanks around it. line: of the name, from 1.
+
+    values: by key in small letters, without blanks around; the first of two equal keys. lines: all behind the name, up to the
+    next section, without their ends.
+    """
+
+    __slots__ = ("line", "lines", "name", "values")
+
+    def __init__(self, name: str, line: int, lines: list[str], values: dict[str, str]) -> None:
+        self.name = name
+        self.line = line
+        self.lines = lines
+        self.values = values
+
+    @property
+    def entries(self) -> Iterator[Entry]:
+        """All entries in the order of the file, those that do not count included."""
+        for number, line in enumerate(self.lines, start=self.line + 1):
+            if (pair := _taken_apart(line))[0]:
+                key, _, value = line.partition("=")
+                column = len(line) - len(value.lstrip()) + 1
+                yield Entry(key.strip(), pair[1], number, column)
+
+    def get(self, key: str) -> str | None:
+        """A value by its key, in any case of letters. None: there is no such key."""
+        return self.values.get(key.lower())
+
+    def place_of(self, key: str) -> tuple[int, int]:
+        """Line and column of a value; of the section's name where there is no such key."""
+        folded = key.lower()
+        if folded in self.values:
+            for entry in self.entries:
+                if entry.key.lower() == folded:
+                    return entry.line, entry.column
+        return self.line, 1
+
+
+class EdsDocument:
+    """A file as it stood; see `description.Document`. text: all of it, without a byte order mark. encoding: as `codecs` names it.
+
+    sections: all of them in the file's order. named: by name in small letters (see `fold`), the first of each name, without the
+    objects. objects: sections of objects, by index; subs: of sub-objects, by index and subindex; lists: of names, values and
+    denotations of sub-objects, by index and "name", "value" or "denotation".
+    """
+
+    __slots__ = ("encoding", "lists", "named", "objects", "sections", "subs", "text")
+
+    def __init__(self, text: str, encoding: str, findings: Findings) -> None:
+        self.text = text
+        self.encoding = encoding
+        self.sections: list[Section] = []
+        self.named: dict[str, Section] = {}
+        self.objects: dict[int, Section] = {}
+        self.subs: dict[int, dict[int, Section]] = {}
+        self.lists: dict[tuple[int, str], Section] = {}
+        if "\r" in text:
+            text = text.replace("\r\n", "\n").replace("\r", "\n")
+        if text.count("\n") > MAX_LINES:
+            text = "\n".join(text.split("\n", MAX_LINES)[:MAX_LINES])
+            findings.add(Severity.ERROR, "too-long", f"there are more than {MAX_LINES} lines; the rest was not read", MAX_LINES)
+        self._read(text, findings)
+
+    @property
+    def newline(self) -> str:
+        """How the first line ends; a line feed where none does."""
+        found = _LINE_END.search(self.text)
+        return "\n" if found is None else found[0]
+
+    def section(self, name: str) -> Section | None:
+        """The section of that name, in any spelling (`fold`), that counts."""
+        folded = fold(name)
+        return next((each for each in self.sections if fold(each.name) == folded), None)
+
+    def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
+        """See `description.Document`. Of a sub-object in compact form: where its name or its value stands, if it has its own."""
+        section = self.objects.get(index)
+        if subindex is not None:
+            sub = self.subs.get(index, {}).get(subindex)
+            if sub is not None:
+                return sub.place_of(field)
+            key = str(subindex)
+            entries = self.lists.get((index, _LIST_OF.get(field.lower(), "name")))
+            if entries is not None and key in entries.values:
+                return entries.place_of(key)
+        if section is None:
+            section = next(iter(self.subs.get(index, {}).values()), None)
+            return (0, 0) if section is None else (section.line, 1)
+        return section.place_of(field)
+
+    def _read(self, text: str, findings: Findings) -> None:
+        """Take the text apart. Lines before the first section belong to none."""
+        known = _Lines()
+        take_apart = known.__getitem__
+        head, *parts = _SECTION.split("\n" + text, MAX_SECTIONS + 1)
+        line = head.count("\n")
+        _report(head.split("\n")[1:], 1, known, findings, "")
+        for part in parts:
+            line += 1
+            if len(self.sections) >= MAX_SECTIONS:
+                message = f"there are more than {MAX_SECTIONS} sections; the rest was not read"
+                findings.add(Severity.ERROR, "too-long", message, line, 1)
+                return
+            lines = part.split("\n")
+            header = lines.pop(0)
+            name, bracket, rest = header.partition("]")
+            if rest or not bracket:
+                name = _odd_header(name, bracket, rest, line, findings)
+            name = name.strip()
+            values = dict(map(take_apart, reversed(lines)))  # reversed: the first of two equal keys is to stay
+            if len(values) != len(lines) or known.odd:
+                _report(lines, line + 1, known, findings, name)
+            values.pop("", None)
+            section = Section(name, line, lines, values)
+            self.sections.append(section)
+            first = self._place(section)
+            if first is not section and not findings.full(Severity.ERROR):
+                message = f"[{quoted(name)}] is in line {first.line} already; this one was left out"
+                findings.add(Severity.ERROR, "section-twice", message, line, 1)
+            line += len(lines)
+
+    def _place(self, section: Section) -> Section:
+        """Note a section by what it is about. The section that counts: this one, or an earlier one."""
+        name = section.name.lower()
+        found = _OBJECT.fullmatch(name)
+        if found is None:
+            return self.named.setdefault(_OTHER_SPELLING.get(name, name), section)
+        digits, sub, kind = found.groups()
+        index = int(digits, 16)
+        if sub is not None:
+            subs = self.subs.get(index)
+            if subs is None:
+                subs = self.subs[index] = {}
+            return subs.setdefault(int(sub, 16), section)
+        if kind is not None:
+            return self.lists.setdefault((index, kind), section)
+        return self.objects.setdefault(index, section)
+
+
+_LIST_OF: Final = {"parametername": "name", "defaultvalue": "value", "parametervalue": "value", "denotation": "denotation"}
+
+
+class _Lines(dict[str, tuple[str, str]]):
+    """Each distinct line, taken apart. odd: whether there was one that deserves a finding. hash: whether `#` was told of."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.odd = False
+        self.hash = False
+
+    def __missing__(self, line: str) -> tuple[str, str]:
+        pair = self[line] = _taken_apart(line)
+        if pair is _JUNK or pair is _HASH:
+            self.odd = True
+        return pair
+
+
+def _taken_apart(line: str) -> tuple[str, str]:
+    """The key in small letters, and the value; or one of _NOTHING, _HASH, _JUNK, which have no key."""
+    key, equals, value = line.partition("=")
+    key = key.strip().lower()
+    first = key[:1]
+    if first == ";" or first == "#":
+        return _NOTHING if first == ";" else _HASH
+    if not equals:
+        return _JUNK if key else _NOTHING
+    return (key, value.strip()) if key else _JUNK
+
+
+def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings, section: str) -> None:
+    """Find what is wrong with lines, which belong to a section. number: of the first."""
+    seen: dict[str, int] = {}
+    for line_number, line in enumerate(lines, start=number):
+        pair = known[line]
+        key = pair[0]
+        if pair is _JUNK:
+            if not findings.full(Severity.WARNING):
+                message = f"{quoted(line)!r} is neither a section nor key=value nor a comment; left out"
+                findings.add(Severity.WARNING, "junk", message, line_number, _first_column(line))
+        elif pair is _HASH:
+            if not known.hash:
+                known.hash = True
+                message = "a comment begins with ';'; this line and all others that begin with '#' were taken for comments"
+                findings.add(Severity.NOTICE, "comment", message, line_number, _first_column(line))
+        elif not key:
+            continue
+        elif not section:
+            if not findings.full(Severity.WARNING):
+                message = f"{quoted(line)!r} stands before the first section; left out"
+                findings.add(Severity.WARNING, "junk", message, line_number, _first_column(line))
+        else:
+            first = seen.setdefault(key, line_number)
+            if first != line_number and not findings.full(Severity.ERROR):
+                message = f"{quoted(key)} of [{quoted(section)}] is in line {first} already; this one was left out"
+                findings.add(Severity.ERROR, "key-twice", message, line_number, _first_column(line))
+
+
+def _first_column(line: str) -> int:
+    return len(line) - len(line.lstrip()) + 1
+
+
+def _odd_header(name: str, bracket: str, rest: str, line: int, findings: Findings) -> str:
+    """The name in a line `[name] rest` or `[name`."""
+    if bracket:
+        rest = rest.strip()
+        if rest and rest[0] not in ";#":
+            message = f"{quoted(rest)!r} behind [{quoted(name)}] was left out"
+            findings.add(Severity.WARNING, "junk", message, line, len(name) + 3)
+        return name
+    findings.add(Severity.WARNING, "bracket", f"[{quoted(name)} has no bracket at its end", line, 1)
+    return name.partition(";")[0].partition("#")[0]
+
+
+def fold(name: str) -> str:
+    """A section's name without the freedoms that files take: case, leading zeros of a subindex, "commissioning"."""
+    folded = name.strip().lower()
+    found = _OBJECT.fullmatch(folded)
+    if found is None or found[2] is None:
+        return _OTHER_SPELLING.get(folded, folded)
+    return f"{found[1]}sub{int(found[2], 16):x}"
+
+
+def quoted(text: str) -> str:
+    """A piece of the file for the text of a finding: bounded, one line, printable."""
+    text = text.strip()
+    if len(text) > MAX_QUOTED:
+        text = f"{text[:MAX_QUOTED]}..."
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
+def text_of(data: bytes, findings: Findings) -> tuple[str, str]:
+    """A file's text, and the encoding that it was read with. What is not UTF-8 gets a notice."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", "replace"), "utf-16"
+    marked = data.startswith(b"\xef\xbb\xbf")
+    try:
+        return (data[3:] if marked else data).decode(), "utf-8-sig" if marked else "utf-8"
+    except UnicodeDecodeError as error:
+        before = _LINE_END.split(error.object[: error.start].decode())
+    encoding = "latin-1" if _NOT_CP1252.search(data) else "cp1252"
+    text = data.decode(encoding)
+    findings.add(Severity.NOTICE, "encoding", f"not UTF-8; read as {_ENCODINGS[encoding]}", len(before), len(before[-1]) + 1)
+    return text, encoding
+
+
+_ENCODINGS: Final = {"cp1252": "Windows-1252", "latin-1": "Latin-1 (ISO 8859-1)"}
