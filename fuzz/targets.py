@@ -13,6 +13,8 @@ from typing import Final
 from canopen_proto.dictionary import Values
 from canopen_proto.dictionary.csv import load_csv
 from canopen_proto.dictionary.findings import DictionaryError
+from canopen_proto.dictionary.xdd import read_xdd
+from canopen_proto.dictionary.xdd.elements import MAX_FINDINGS
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
@@ -161,6 +163,16 @@ def csv_files(data: bytes) -> None:
         assert pdo.bit_length <= 64
 
 
+def xdd_files(data: bytes) -> None:
+    """The reader of XDD and XDC. Whatever the bytes are, it gives a description that can be used, and places for it."""
+    description = read_xdd(data, "any.xdd")
+    assert len(description.findings) <= MAX_FINDINGS + 1
+    for variable in description.dictionary:
+        for value in (variable.default, variable.configured):
+            assert value is None or variable.encode(value) is not None
+        assert description.place_of(variable.index, variable.subindex, "DefaultValue")[0] >= 1
+
+
 TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
-    target.__name__: target for target in (local_node, remote_node, sdo_client, sdo_server, csv_files)
+    target.__name__: target for target in (local_node, remote_node, sdo_client, sdo_server, csv_files, xdd_files)
 }

@@ -74,6 +74,8 @@ def test_a_value_that_depends_on_the_node_id(text: str) -> None:
         ('dataType="0008" accessType="rw" defaultValue="x"', "value", "error"),
         ('dataType="000A" accessType="rw" defaultValue="x"', "value", "error"),
         ('dataType="000C" accessType="rw" defaultValue="00"', "value", "error"),
+        ('dataType="0008" accessType="rw" defaultValue="1e39"', "value", "error"),
+        ('dataType="0009" accessType="rw" defaultValue="Ω"', "value", "error"),
         ('dataType="0005" accessType="rw" lowLimit="-1"', "limit", "warning"),
         ('dataType="0005" accessType="rw" highLimit="$NODEID+1"', "limit", "warning"),
         ('dataType="0005" accessType="rx"', "access", "warning"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, is_number, range_of
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, is_number, range_of
 from canopen_proto.dictionary.findings import Severity
 from canopen_proto.dictionary.xdd.elements import Element, Findings
 
@@ -57,6 +57,11 @@ def value_of(
 ) -> tuple[Value | None, bool]:
     """A value as CiA 306 writes it, and whether the node-ID is added to it; None, and a finding, where it is none."""
     value, adds_node_id, fault = read_value(text, data_type)
+    if value is not None:
+        try:
+            encode(value, data_type, what)
+        except ValueRangeError as error:  # a REAL32 that is too large, a text with characters that no device has
+            value, fault = None, f"cannot be held by it: {error}"
     if fault:
         findings.error("value", f"{what} {text[:60]!r} {fault}; left out", element, attribute)
     return value, adds_node_id
