@@ -8,7 +8,7 @@
 For scripts without async there is `canopen_master.direct`, the manual's blocking API on top of this.
 """
 
-from canopen_master.bus import FramesLost
+from canopen_master.bus import BusChanged, FramesLost, FramesNotSent
 from canopen_master.chain import Chain, ChainSettings, ChainState
 from canopen_master.chain_file import ChainDescription, JointDescription, parse_chains, read_chains
 from canopen_master.cycles import Cycle, Cycles
@@ -40,6 +40,7 @@ from canopen_master.simulation import Host, powerballs, simulate, standard_drive
 from canopen_master.subscription import Subscription
 
 __all__ = [
+    "BusChanged",
     "BusError",
     "Chain",
     "ChainDescription",
@@ -53,6 +54,7 @@ __all__ = [
     "Cycles",
     "Device",
     "FramesLost",
+    "FramesNotSent",
     "HaltNotConfirmed",
     "Host",
     "JointDescription",

@@ -23,6 +23,10 @@ trio's own waits are up to 1 ms late (epoll counts in ms); SYNC keeps its phase 
 be sent, and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs behind it, then SDO in what
 is left.
 
+**When a bus is away** for a while and its transport says that it may come back (BusStateChanged: interface down, bus-off), frames
+that cannot be sent are dropped and counted in `FramesNotSent`. They are not kept: a set-point of some seconds ago, sent when the
+bus comes back, would make a drive jump. Requests meanwhile time out as if nobody answered.
+
 **When a bus fails**, its tasks end, what is queued for it is dropped, and `on_failure` is told once; the other buses run on until
 they are stopped. A bug in the core is told in the same way, and the pump runs on, so that drives can still be halted.
 """
@@ -40,7 +44,7 @@ from canopen_proto.frame import EXTENDED, Frame
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time, event
 from canopen_proto.network import Network
 from canopen_proto.sync import SyncProducer
-from canopen_transports import ReceiveOverrun, Transport, TransportError
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, Transport, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
 MAX_SEND_QUEUE: Final = 4096
@@ -69,10 +73,33 @@ class FramesLost(Event):
     reason: str
 
 
+@event
+class BusChanged(Event):
+    """A bus reports something that is no frame, at this place in the order of frames. node_id is 0.
+
+    state: what it is now. reason: what was seen, for people.
+    """
+
+    state: BusState
+    reason: str
+
+
+@event
+class FramesNotSent(Event):
+    """Frames were dropped, as the bus is away for the time being. node_id is 0. One event for the first of them, at once; another
+    for the rest, when the bus changes or takes a frame again.
+
+    count: how many. reason: what was seen with the first, for people.
+    """
+
+    count: int
+    reason: str
+
+
 class Bus:
     """One participant's place on one bus: its Network, the transport, and what waits to be sent.
 
-    name: as this participant calls it. sync: the SYNC producer, if it has one.
+    name: as this participant calls it. sync: the SYNC producer, if it has one. state: what the transport reported last.
     """
 
     def __init__(self, name: str, transport: Transport, network: Network, sync: SyncProducer | None = None) -> None:
@@ -81,6 +108,9 @@ class Bus:
         self.network = network
         self.sync = sync
         self.failed = False
+        self.state = BusState.ACTIVE
+        self._not_sent = 0  # beside the first, which was reported
+        self._reason = ""
         self._first: deque[Frame] = deque()
         self._sdo: deque[Frame] = deque()
         self._is_sending = False
@@ -101,6 +131,31 @@ class Bus:
             (self._sdo if is_sdo else self._first).append(frame)
         self._work.unpark()
         return len(self._first) + len(self._sdo) <= MAX_SEND_QUEUE
+
+    def change(self, state: BusState, reason: str) -> None:
+        """The transport reports a change. Events: FramesNotSent, BusChanged."""
+        self.state = state
+        self.settle_not_sent()
+        self.network.out.events.append(BusChanged(0, state, reason))
+
+    def drop(self, reason: str) -> None:
+        """A frame could not be sent. Event: FramesNotSent, for the first of them."""
+        if self._reason:
+            self._not_sent += 1
+        else:
+            self._reason = reason or "the bus is away"
+            self.network.out.events.append(FramesNotSent(0, 1, self._reason))
+
+    def settle_not_sent(self) -> None:
+        """The bus changed, or takes frames again. Event: FramesNotSent, where more than the first were dropped."""
+        if self._not_sent:
+            self.network.out.events.append(FramesNotSent(0, self._not_sent, self._reason))
+        self._not_sent, self._reason = 0, ""
+
+    @property
+    def is_dropping(self) -> bool:
+        """Whether the last frame could not be sent."""
+        return bool(self._reason)
 
     def fail(self) -> None:
         """Drop what waits: nothing more can be sent."""
@@ -216,6 +271,8 @@ class Pump:
                 frame, timestamp = await bus.transport.receive()
             except ReceiveOverrun as overrun:
                 self._turn(bus.network.out.events.append, FramesLost(0, overrun.lost, overrun.seen))
+            except BusStateChanged as change:
+                self._turn(bus.change, change.state, change.seen)
             except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
                 self._fail(bus, error, "receive")
             else:
@@ -228,8 +285,13 @@ class Pump:
             frame = await bus.next_frame(self.now)
             try:
                 await bus.transport.send(frame)
+            except FrameNotSent as refusal:
+                self._turn(bus.drop, refusal.seen)
             except Exception as error:  # noqa: BLE001 - as above
                 self._fail(bus, error, f"send {frame}")
+            else:
+                if bus.is_dropping:
+                    self._turn(bus.settle_not_sent)
 
     @enable_ki_protection
     async def _keep_time(self) -> None:

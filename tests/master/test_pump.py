@@ -3,12 +3,12 @@
 import pytest
 import trio
 
-from canopen_master import BusError, FramesLost, open_master
+from canopen_master import BusChanged, BusError, FramesLost, FramesNotSent, open_master
 from canopen_master.bus import MAX_SEND_QUEUE
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
-from canopen_transports import Received, VirtualTransport, open_transport
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, VirtualTransport, open_transport
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 
@@ -63,6 +63,58 @@ async def test_lost_frames_are_reported_and_the_master_goes_on() -> None:
             assert report.lost == 7
             assert "4 frames" in report.reason
         assert await master.node(3).read("statusword") == 0x240
+
+
+class Away:
+    """A transport whose bus goes away and comes back as it is told."""
+
+    def __init__(self) -> None:
+        self._report, self._reports = trio.open_memory_channel[BusStateChanged](10)
+        self.is_away = False
+        self.sent: list[str] = []
+
+    def tell(self, state: BusState) -> None:
+        self.is_away = state is BusState.DOWN
+        self._report.send_nowait(BusStateChanged("away", state, f"the plug is {state.value}"))
+
+    async def send(self, frame: Frame) -> None:
+        await trio.lowlevel.checkpoint()
+        if self.is_away:
+            raise FrameNotSent("CO111", "away", f"cannot send {frame} on away", seen="the plug is down")
+        self.sent.append(str(frame))
+
+    async def receive(self) -> Received:
+        raise await self._reports.receive()
+
+    async def aclose(self) -> None:
+        await trio.lowlevel.checkpoint()
+
+
+@virtual_time
+async def test_a_bus_that_goes_away_and_comes_back_is_reported_and_nothing_old_is_sent() -> None:
+    bus = Away()
+    async with open_master(bus) as master:
+        with master.events(BusChanged, FramesNotSent) as events:
+            bus.tell(BusState.PASSIVE)
+            assert await events.receive() == BusChanged(0, BusState.PASSIVE, "the plug is error-passive")
+            bus.tell(BusState.DOWN)
+            assert await events.receive() == BusChanged(0, BusState.DOWN, "the plug is down")
+            assert master.bus().state is BusState.DOWN
+            await master.send_sync()
+            assert await events.receive() == FramesNotSent(0, 1, "the plug is down")
+            for _ in range(5):
+                await master.send_sync()
+            bus.tell(BusState.UP)
+            assert await events.receive() == FramesNotSent(0, 5, "the plug is down")
+            assert await events.receive() == BusChanged(0, BusState.UP, "the plug is up")
+            await master.nmt_start()
+            assert bus.sent == ["000#0100"]
+            bus.is_away = True  # and a transport that says it of the frame only
+            await master.send_sync()
+            await master.send_sync()
+            bus.is_away = False
+            await master.send_sync()
+            assert [(await events.receive()).count for _ in range(2)] == [1, 1]
 
 
 @virtual_time

@@ -4,7 +4,9 @@ Three kinds of failure, and no other, leave a transport:
 
 - `ValueError`: our own caller asked for a frame that classical CAN cannot carry. Nothing was sent.
 - `trio.ClosedResourceError`: our own side closed the transport, before or during the call.
-- `TransportError`: the world refused. `ReceiveOverrun` is the one of these after which the transport works on as before.
+- `TransportError`: the world refused. After three of these the transport works on as before, just call it again: from `receive`
+  come `ReceiveOverrun` (frames were lost here) and `BusStateChanged` (what a bus reports that is no frame), each at its place in
+  the order of frames; from `send` comes `FrameNotSent` (while the bus is away).
 
 The codes are those of the command line: CO1xx is the bus itself.
 """
@@ -12,6 +14,7 @@ The codes are those of the command line: CO1xx is the bus itself.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from enum import Enum
 from typing import Final
 
 BAD_LOCATOR: Final = "CO100"
@@ -26,6 +29,29 @@ BUS_LOST: Final = "CO111"
 """The bus worked and then failed: adapter unplugged, interface set down, driver error."""
 OVERRUN: Final = "CO112"
 """Frames were received faster than they were taken; some are lost."""
+STATE_CHANGED: Final = "CO113"
+"""The bus reports something that is no frame: its controller's state, or that it went away or came back."""
+
+
+class BusState(Enum):
+    """What a bus reports of itself. The first four are the fault confinement states of CAN (ISO 11898-1), in rising order."""
+
+    ACTIVE = "error-active"
+    """As it should be; reported when it is so again, also after bus-off."""
+    WARNING = "error warning"
+    """One of the error counters is at 96 or more: many frames are disturbed."""
+    PASSIVE = "error-passive"
+    """One of the error counters is at 128 or more; a frame that nobody acknowledges takes a controller there, and no further."""
+    BUS_OFF = "bus-off"
+    """The controller has left the bus. What is sent now does not get out (FrameNotSent), until it is ACTIVE again."""
+    NO_ACKNOWLEDGE = "no acknowledge"
+    """A frame of ours was not acknowledged: nobody else is on the bus, or nobody with our bit rate. The controller repeats it."""
+    FAULT = "bus fault"
+    """Something else that an adapter reports: a transceiver's fault, a protocol violation on the wire. See `seen`."""
+    DOWN = "down"
+    """The way to the bus is gone: interface set down, adapter unplugged, connection lost. Frames may be missing from here on."""
+    UP = "up"
+    """It is back, and frames come again."""
 
 
 class TransportError(Exception):
@@ -74,3 +100,21 @@ class ReceiveOverrun(TransportError):
             tries=("take frames in a task that does nothing else",),
         )
         self.lost = lost
+
+
+class BusStateChanged(TransportError):
+    """The bus reports something that is no frame, at this place in the order of frames. The transport works on: receive again.
+
+    state: what it is now. seen: what was observed, in words.
+    """
+
+    def __init__(self, locator: str, state: BusState, seen: str, *, cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(STATE_CHANGED, locator, f"{locator}: {state.value}", seen=seen, cause=cause, tries=tries)
+        self.state = state
+
+
+class FrameNotSent(TransportError):
+    """This one frame was not sent, as the bus is away for the time being (down, bus-off). The transport works on.
+
+    It may be sent again later, but should it? Who waits for the bus to come back listens for BusStateChanged.
+    """

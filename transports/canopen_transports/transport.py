@@ -6,7 +6,8 @@ A transport knows no CANopen. It carries `Frame`s between one participant and on
 - Frames sent by one task arrive at each other participant once and in the order in which they were sent.
 - Our own frames do not come back.
 - Only classical CAN frames that make sense are handed out: CAN FD, error frames and nonsense stop at the edge.
-- A received frame is lost only with a `ReceiveOverrun` at its place.
+- A received frame is lost only with a `ReceiveOverrun` at its place, or while the bus is away: between a `BusStateChanged` with
+  DOWN or BUS_OFF and one with UP or ACTIVE. A frame that is not sent makes `send` raise.
 - `send` and `receive` are whole or nothing: cancelled, the frame was not sent, and no frame was taken.
 - Once closed, a waiting `receive` or `send` wakes with `trio.ClosedResourceError`, and so does each later one.
 """
@@ -31,14 +32,15 @@ class Transport(Protocol):
     async def send(self, frame: Frame) -> None:
         """Hand a frame to the bus: returns once the bus, or the adapter's queue, has taken it; that is not yet an acknowledge.
 
-        Waits for room where a queue is full, and raises TransportError (CO110) when none comes. ValueError for a frame that
-        classical CAN cannot carry.
+        Waits for room where a queue is full, and raises TransportError (CO110) when none comes; FrameNotSent (a TransportError)
+        while a bus is away that may come back. ValueError for a frame that classical CAN cannot carry.
         """
 
     async def receive(self) -> Received:
         """The next frame from another participant, with its time stamp. One task at a time should receive.
 
-        Raises ReceiveOverrun where frames were lost (then receive again), TransportError when the bus fails.
+        Raises ReceiveOverrun where frames were lost and BusStateChanged where the bus has something to report (then receive
+        again), TransportError when the bus fails.
         """
 
     async def aclose(self) -> None:
