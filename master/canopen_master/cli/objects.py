@@ -8,18 +8,24 @@ from typing import Any
 import click
 from rich.markup import escape
 
+from canopen_master.cli.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
-from canopen_master.cli.values import TYPES, as_json, hex_text, parse_value, place_text, value_text
+from canopen_master.cli.values import BYTES, TYPES, as_json, hex_text, parse_value, place_text, value_text
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.sdo.client import AUTO_BLOCK, Block
 
 _TYPE = click.option(
     "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
+)
+
+_BLOCK = click.option(
+    "--block/--no-block", default=None, help="By SDO block transfer, or never so. By default where it pays and the device can."
 )
 
 
@@ -55,13 +61,21 @@ class Reading:
 COLUMNS = ("object", "name", "value", "hex", "constants")
 
 
-async def read_object(node: Node, variable: Variable) -> Reading:
-    """Read it now; also one that the node's dictionary does not have."""
+async def read_object(node: Node, variable: Variable, block: bool | None = None) -> Reading:
+    """Read it now; also one that the node's dictionary does not have. block: see --block; None decides by the object."""
+    how = block_of(variable, block)
     if node.dictionary.get(variable.index, variable.subindex) is not None:
-        message = await node.read_message(variable)
+        message = await node.read_message(variable, block=how)
         return Reading(node.node_id, variable, message.value, message.constants)
-    value = variable.decode(await node.read_bytes(variable.index, variable.subindex))
+    value = variable.decode(await node.read_bytes(variable.index, variable.subindex, block=how))
     return Reading(node.node_id, variable, value, ())
+
+
+def block_of(variable: Variable, block: bool | None) -> Block:
+    """What --block means for an object. By itself a number is never asked for in blocks: the device might not know them."""
+    if block is not None:
+        return block
+    return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
 
 
 def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
@@ -85,9 +99,13 @@ def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Varia
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.argument("keys", metavar="OBJECT...", nargs=-1, required=True)
 @_TYPE
+@_BLOCK
+@click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
 @common
 @click.pass_obj
-def read(settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None) -> None:
+def read(
+    settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None, output: str | None
+) -> None:
     """Read objects of a node.
 
     An OBJECT is a name (statusword, identity_object:vendor_id) or a number in hexadecimal (6041, 0x6041, 60C1:01).
@@ -95,9 +113,16 @@ def read(settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str
     \b
     canopen read 3 statusword -b demo
     canopen read 3 6041 6064 --json -b demo
+    canopen read 3 1008 -o name.bin -b demo
     """
     screen = settings.screen()
-    readings = run(settings, screen, lambda: _read(settings, screen, node_id, keys, type_name))
+    if output is not None:
+        if len(keys) > 1:
+            raise usage("CO001", f"one file takes one object, not {len(keys)}")
+        taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output))
+        _tell_file(settings, screen, taken, "→")
+        return
+    readings = run(settings, screen, lambda: _read(settings, screen, node_id, keys, type_name, block))
     if settings.json:
         documents = [reading.as_json() for reading in readings]
         screen.json(documents if len(documents) > 1 else documents[0])
@@ -106,25 +131,64 @@ def read(settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
 
 
-async def _read(settings: Settings, screen: Screen, node_id: int, keys: tuple[str, ...], type_name: str | None) -> list[Reading]:
+async def _read(
+    settings: Settings, screen: Screen, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None
+) -> list[Reading]:
     async with open_session(settings, screen) as session:
         variables = [find(session.dictionary, key, type_name) for key in keys]
         for variable in variables:
-            if not variable.access.readable:
-                raise usage("CO303", f"{variable.label} is write-only", seen="nothing was sent")
+            _check_readable(variable)
         node = session.node(node_id)
-        return [await read_object(node, variable) for variable in variables]
+        return [await read_object(node, variable, block) for variable in variables]
+
+
+async def _read_file(
+    settings: Settings, screen: Screen, node_id: int, key: str, type_name: str | None, block: bool | None, output: str
+) -> FileTransfer:
+    async with open_session(settings, screen) as session:
+        variable = find(session.dictionary, key, type_name or BYTES)
+        _check_readable(variable)
+        return await read_into_file(screen, session.node(node_id), variable, output, block_of(variable, block))
+
+
+def _check_readable(variable: Variable) -> None:
+    if not variable.access.readable:
+        raise usage("CO303", f"{variable.label} is write-only", seen="nothing was sent")
+
+
+def _check_writable(variable: Variable) -> None:
+    if not variable.access.writable:
+        raise usage("CO303", f"{variable.label} is {variable.access}: it can't be written", seen="nothing was sent")
+
+
+def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow: str, **more: Any) -> None:
+    if settings.json:
+        screen.json({**transfer.as_json(), **more})
+    else:
+        place = f"{node_text(transfer.node_id)} {transfer.variable.label}"
+        screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
 
 
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.argument("key", metavar="OBJECT")
-@click.argument("text", metavar="VALUE")
+@click.argument("text", metavar="[VALUE]", required=False)
 @_TYPE
+@_BLOCK
+@click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
 @click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
 @common
 @click.pass_obj
-def write(settings: Settings, node_id: int, key: str, text: str, type_name: str | None, verify: bool) -> None:
+def write(
+    settings: Settings,
+    node_id: int,
+    key: str,
+    text: str | None,
+    type_name: str | None,
+    block: bool | None,
+    path: str | None,
+    verify: bool,
+) -> None:
     """Write an object of a node, and show its value before and after.
 
     A VALUE is a number (12, 0x0C, -5), or the name of a constant. What does not fit the object is refused before anything is
@@ -133,9 +197,16 @@ def write(settings: Settings, node_id: int, key: str, text: str, type_name: str 
     \b
     canopen write 3 controlword sm_shutdown -b demo
     canopen write 3 6081 20000 -b demo
+    canopen write 5 1F50:01 --file firmware.bin
     """
     screen = settings.screen()
-    before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, verify))
+    if path is not None and text is None:
+        written = run(settings, screen, lambda: _write_file(settings, screen, node_id, key, type_name, block, path, verify))
+        _tell_file(settings, screen, written, "←", verified=verify)
+        return
+    if path is not None or text is None:
+        raise usage("CO001", "either a VALUE or --file FILE is written", tries=("canopen write --help",))
+    before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, block, verify))
     if settings.json:
         screen.json({**after.as_json(), "previous": None if before is None else as_json(before.value), "verified": verify})
         return
@@ -149,26 +220,50 @@ def _shown(reading: Reading) -> str:
     return f"{value_text(reading.value)}{f' ({number})' if number else ''}{words}"
 
 
+async def _write_file(
+    settings: Settings,
+    screen: Screen,
+    node_id: int,
+    key: str,
+    type_name: str | None,
+    block: bool | None,
+    path: str,
+    verify: bool,
+) -> FileTransfer:
+    async with open_session(settings, screen) as session:
+        variable = find(session.dictionary, key, type_name or BYTES)
+        _check_writable(variable)
+        verify = verify and variable.access.readable
+        return await write_from_file(screen, session.node(node_id), variable, path, block_of(variable, block), verify)
+
+
 async def _write(
-    settings: Settings, screen: Screen, node_id: int, key: str, text: str, type_name: str | None, verify: bool
+    settings: Settings,
+    screen: Screen,
+    node_id: int,
+    key: str,
+    text: str,
+    type_name: str | None,
+    block: bool | None,
+    verify: bool,
 ) -> tuple[Reading | None, Reading]:
     async with open_session(settings, screen) as session:
         dictionary = session.dictionary
         variable = find(dictionary, key, type_name)
         value = parse_value(dictionary, variable, text)
-        if not variable.access.writable:
-            raise usage("CO303", f"{variable.label} is {variable.access}: it can't be written", seen="nothing was sent")
+        _check_writable(variable)
         variable.check_limits(value)
         data = variable.encode(value)
         node = session.node(node_id)
-        before = await read_object(node, variable) if variable.access.readable else None
+        before = await read_object(node, variable, block) if variable.access.readable else None
+        how = block_of(variable, block)
         if dictionary.get(variable.index, variable.subindex) is not None:
-            await node.write(variable, value)
+            await node.write(variable, value, block=how)
         else:
-            await node.write_bytes(variable.index, variable.subindex, data)
+            await node.write_bytes(variable.index, variable.subindex, data, block=how)
         after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
         if verify and variable.access.readable:
-            shown = await read_object(node, variable)
+            shown = await read_object(node, variable, block)
             if shown.value != value:
                 raise Problem(
                     ExitCode.VERIFY_MISMATCH,

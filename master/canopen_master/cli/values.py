@@ -10,6 +10,8 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 
 _TRUTH: Final = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
+BYTES: Final = "bytes"
+"""The --type of any object as it goes over the wire: what files hold."""
 TYPES: Final = {
     **{f"u{bits}": DataType[f"UNSIGNED{bits}"] for bits in (8, 16, 24, 32, 40, 48, 56, 64)},
     **{f"i{bits}": DataType[f"INTEGER{bits}"] for bits in (8, 16, 24, 32, 40, 48, 56, 64)},
@@ -17,7 +19,7 @@ TYPES: Final = {
     "f32": DataType.REAL32,
     "f64": DataType.REAL64,
     "text": DataType.VISIBLE_STRING,
-    "bytes": DataType.OCTET_STRING,
+    BYTES: DataType.OCTET_STRING,
 }
 """What --type takes, for objects that the dictionary does not have."""
 
