@@ -12,9 +12,9 @@ from typing import Final
 
 from canopen_proto.dictionary import Values
 from canopen_proto.dictionary.csv import load_csv
+from canopen_proto.dictionary.eds.ini import MAX_FINDINGS
 from canopen_proto.dictionary.findings import DictionaryError
 from canopen_proto.dictionary.xdd import read_xdd
-from canopen_proto.dictionary.xdd.elements import MAX_FINDINGS
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded

@@ -10,8 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.dictionary.description import DeviceDescription
+from canopen_proto.dictionary.eds import ini
+from canopen_proto.dictionary.eds.ini import MAX_FILE_SIZE, MAX_FINDINGS
 from canopen_proto.dictionary.findings import DictionaryError, Severity
-from canopen_proto.dictionary.xdd import MAX_FILE_SIZE, elements, read_xdd, reader
+from canopen_proto.dictionary.xdd import elements, read_xdd, reader
 from tests.proto.xdd_files import read, told, var, xdd
 
 GOOD = xdd(
@@ -33,7 +35,7 @@ def check(data: bytes) -> DeviceDescription:
     for variable in description.dictionary:
         variable.encode(variable.initial_of(5)) if not variable.adds_node_id else variable.initial_of(5)
         assert description.place_of(variable.index, variable.subindex, "DefaultValue")[0] >= 1
-    assert len(description.findings) <= elements.MAX_FINDINGS + 1
+    assert len(description.findings) <= MAX_FINDINGS + 1
     try:
         read_xdd(data, "any.xdd", strict=True)
     except DictionaryError as error:
@@ -126,7 +128,7 @@ def test_bounds_of_objects_and_findings(monkeypatch: pytest.MonkeyPatch) -> None
     description = read(many)
     assert len(description.dictionary) == 10
     assert told(description) == ["14:1 error too-many"]
-    monkeypatch.setattr(elements, "MAX_FINDINGS", 5)
+    monkeypatch.setattr(ini, "MAX_FINDINGS", 5)
     description = read(many.replace('accessType="ro"', ""))
     assert len(description.findings) == 6
     assert description.findings[-1].severity is Severity.ERROR

@@ -15,7 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
 from canopen_proto.dictionary.description import BIT_RATES, Commissioning, DeviceInfo, DynamicChannel, FileInfo
-from canopen_proto.dictionary.xdd.elements import Element, Findings
+from canopen_proto.dictionary.eds.ini import quoted
+from canopen_proto.dictionary.xdd.elements import Element, XddFindings
 from canopen_proto.dictionary.xdd.texts import flag_of, hexadecimal_of, number_of
 from canopen_proto.frame import MAX_NODE_ID
 
@@ -42,7 +43,7 @@ def find_all(bodies: Bodies, *path: str) -> Iterator[Element]:
     return iter(found)
 
 
-def file_info(bodies: Bodies, findings: Findings) -> FileInfo:
+def file_info(bodies: Bodies, findings: XddFindings) -> FileInfo:
     """The file itself, from the attributes of the communication profile, else of the device's one. Dates as they stand there."""
     bodies = list(bodies)
     for body in reversed(bodies):
@@ -53,7 +54,7 @@ def file_info(bodies: Bodies, findings: Findings) -> FileInfo:
     text = body.get("fileVersion")
     version = _VERSION.match(text)
     if text and version is None:
-        findings.warning("number", f"the file's version {text[:40]!r} is no number", body, "fileVersion")
+        findings.warning("number", f"the file's version {quoted(text)!r} is no number", body, "fileVersion")
     by_name = {name: next((each.get(name) for each in reversed(bodies) if each.get(name)), "") for name in _OF_FILE}
     return FileInfo(
         file_name=body.get("fileName"),
@@ -84,7 +85,7 @@ def _product_text(bodies: Bodies) -> str:
     return "" if found is None else found.text
 
 
-def device_info(bodies: Bodies, findings: Findings) -> DeviceInfo:
+def device_info(bodies: Bodies, findings: XddFindings) -> DeviceInfo:
     """The type of device: DeviceIdentity, the bit rates, and the features of network management."""
     bodies = list(bodies)
 
@@ -122,7 +123,7 @@ def device_info(bodies: Bodies, findings: Findings) -> DeviceInfo:
     )
 
 
-def _bit_rates(bodies: Bodies, findings: Findings) -> frozenset[int]:
+def _bit_rates(bodies: Bodies, findings: XddFindings) -> frozenset[int]:
     rates = set()
     for element in find_all(bodies, "TransportLayers", "PhysicalLayer", "baudRate", "supportedBaudRate"):
         text = element.get("value")
@@ -130,7 +131,7 @@ def _bit_rates(bodies: Bodies, findings: Findings) -> frozenset[int]:
         if rate in BIT_RATES:
             rates.add(rate)
         elif not text.lower().startswith("auto"):
-            findings.warning("bit-rate", f"{text[:40]!r} is none of the bit rates {_RATES} kbit/s", element, "value")
+            findings.warning("bit-rate", f"{quoted(text)!r} is none of the bit rates {_RATES} kbit/s", element, "value")
     return frozenset(rates)
 
 
@@ -146,7 +147,7 @@ def _bit_rate(text: str) -> int | None:
     return rate // 1000 if not match[2] and rate >= 10_000 else rate
 
 
-def dummies(bodies: Bodies, findings: Findings) -> Mapping[int, bool] | None:
+def dummies(bodies: Bodies, findings: XddFindings) -> Mapping[int, bool] | None:
     """Which data types may be dummy entries of a mapping; None where the file does not say."""
     usage = find(bodies, "ApplicationLayers", "dummyUsage")
     if usage is None:
@@ -155,14 +156,14 @@ def dummies(bodies: Bodies, findings: Findings) -> Mapping[int, bool] | None:
     for element in usage.all("dummy"):
         match = _DUMMY.fullmatch(element.get("entry"))
         if match is None:
-            message = f"{element.get('entry')[:40]!r} is not of the form Dummy0005=1"
+            message = f"{quoted(element.get('entry'))!r} is not of the form Dummy0005=1"
             findings.warning("dummy", message, element, "entry")
         else:
             known[int(match[1], 16)] = match[2] == "1"
     return known
 
 
-def dynamic_channels(bodies: Bodies, findings: Findings) -> tuple[DynamicChannel, ...]:
+def dynamic_channels(bodies: Bodies, findings: XddFindings) -> tuple[DynamicChannel, ...]:
     """The segments of dynamic channels. Those that cannot be read are left out."""
     channels: list[DynamicChannel] = []
     for element in find_all(bodies, "ApplicationLayers", "dynamicChannels", "dynamicChannel"):
@@ -181,7 +182,7 @@ def dynamic_channels(bodies: Bodies, findings: Findings) -> tuple[DynamicChannel
     return tuple(channels)
 
 
-def commissioning(bodies: Bodies, findings: Findings) -> Commissioning | None:
+def commissioning(bodies: Bodies, findings: XddFindings) -> Commissioning | None:
     """One device in its network, as an XDC has it; None where there is nothing of the kind."""
     element = find(bodies, "NetworkManagement", "deviceCommissioning")
     if element is None:
@@ -197,7 +198,7 @@ def commissioning(bodies: Bodies, findings: Findings) -> Commissioning | None:
     if text and not text.lower().startswith("auto"):
         bit_rate = _bit_rate(text)
         if bit_rate not in BIT_RATES:
-            findings.warning("bit-rate", f"{text[:40]!r} is none of the bit rates {_RATES} kbit/s", element, "actualBaudRate")
+            findings.warning("bit-rate", f"{quoted(text)!r} is none of the bit rates {_RATES} kbit/s", element, "actualBaudRate")
             bit_rate = None
     net_number = None
     if element.get("networkNumber"):

@@ -23,10 +23,9 @@ from collections.abc import Iterator
 from typing import Final
 from xml.parsers import expat
 
-from canopen_proto.dictionary.findings import Finding, Severity
+from canopen_proto.dictionary.eds.ini import MAX_FILE_SIZE, Findings
+from canopen_proto.dictionary.findings import Severity
 
-MAX_FILE_SIZE: Final = 16 * 1024 * 1024
-"""Bytes. The largest XDD of a device with all its texts is below 2 MiB."""
 MAX_ELEMENTS: Final = 300_000
 """A device of 2000 objects with parameters and texts has 20 000. An element takes some 300 bytes of memory."""
 MAX_DEPTH: Final = 64
@@ -35,9 +34,6 @@ MAX_ATTRIBUTES: Final = 64
 """Of one element; CiA 311 has 14 for an object."""
 MAX_TAG: Final = 1 << 16
 """Bytes of a tag in which the place of an attribute is looked for; in a longer one the findings point to its beginning."""
-MAX_FINDINGS: Final = 1000
-"""Kept of one file; further ones are counted."""
-
 _DECLARATION: Final = re.compile(rb"""<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
 _DECLARATION_16: Final = {b"<\x00?\x00": "utf-16-le", b"\x00<\x00?": "utf-16-be"}
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
@@ -97,45 +93,25 @@ class Element:
         return found
 
 
-class Findings:
+class XddFindings(Findings):
     """What is wrong with one file, each with its place. text: the file as UTF-8."""
 
     def __init__(self, source: str) -> None:
-        self.source = source
+        super().__init__(source)
         self.text = b""
-        self._list: list[Finding] = []
-        self._hidden = 0
-        self._worst = Severity.NOTICE
 
-    def add(self, severity: Severity, code: str, message: str, element: Element | None = None, attribute: str = "") -> None:
+    def about(self, severity: Severity, code: str, message: str, element: Element, attribute: str = "") -> None:
         """One more, of an element, or of one of its attributes."""
-        if element is None or len(self._list) >= MAX_FINDINGS:
-            self.add_at(severity, code, message, 0, 0)
-        else:
-            self.add_at(severity, code, message, *place_in(self.text, element, attribute))
+        if not self.full(severity):
+            self.add(severity, code, message, *place_in(self.text, element, attribute))
 
-    def add_at(self, severity: Severity, code: str, message: str, line: int, column: int) -> None:
-        """One more, at a line and a column."""
-        if len(self._list) < MAX_FINDINGS:
-            self._list.append(Finding(severity, code, message, self.source, line, column))
-        else:
-            self._hidden += 1
-            self._worst = min(self._worst, severity, key=list(Severity).index)
+    def error(self, code: str, message: str, element: Element, attribute: str = "") -> None:
+        """Something was left out."""
+        self.about(Severity.ERROR, code, message, element, attribute)
 
-    def error(self, code: str, message: str, element: Element | None = None, attribute: str = "") -> None:
-        """Something is lost by it."""
-        self.add(Severity.ERROR, code, message, element, attribute)
-
-    def warning(self, code: str, message: str, element: Element | None = None, attribute: str = "") -> None:
-        """It can be read, but it is not as it should be."""
-        self.add(Severity.WARNING, code, message, element, attribute)
-
-    def all(self) -> tuple[Finding, ...]:
-        """In the order of the file."""
-        found = sorted(self._list, key=lambda each: (each.line, each.column))
-        if self._hidden:
-            found.append(Finding(self._worst, "too-many", f"{self._hidden} more findings are not listed", self.source))
-        return tuple(found)
+    def warning(self, code: str, message: str, element: Element, attribute: str = "") -> None:
+        """It was read, but it is not as it should be."""
+        self.about(Severity.WARNING, code, message, element, attribute)
 
 
 def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, int]:
@@ -151,10 +127,11 @@ def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, i
     return element.line, element.column
 
 
-def parse(data: bytes, findings: Findings) -> tuple[Element | None, str]:
+def parse(data: bytes, findings: XddFindings) -> tuple[Element | None, str]:
     """The root element of a file, or None, and the encoding by which it was read. Never raises."""
     if len(data) > MAX_FILE_SIZE:
-        findings.error("too-large", f"the file has {len(data)} bytes, more than {MAX_FILE_SIZE // 1024**2} MiB; nothing was read")
+        message = f"the file has {len(data)} bytes, more than {MAX_FILE_SIZE // 1024**2} MiB; nothing was read"
+        findings.add(Severity.ERROR, "too-large", message)
         return None, "utf-8"
     text, encoding = _decode(data, findings)
     findings.text = text.encode("utf-8")
@@ -168,11 +145,11 @@ def parse(data: bytes, findings: Findings) -> tuple[Element | None, str]:
         message = f"this is no well-formed XML: {expat.ErrorString(error.code)}"
         if builder.root is not None:
             message += "; what follows was not read"
-        findings.add_at(Severity.ERROR, "xml", message, error.lineno, error.offset + 1)
+        findings.add(Severity.ERROR, "xml", message, error.lineno, error.offset + 1)
     return builder.root, encoding
 
 
-def _decode(data: bytes, findings: Findings) -> tuple[str, str]:
+def _decode(data: bytes, findings: XddFindings) -> tuple[str, str]:
     """The file's text without its byte order mark, and how it was read: as it says, else by what fits."""
     encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "")
     if not encoding:
@@ -180,7 +157,7 @@ def _decode(data: bytes, findings: Findings) -> tuple[str, str]:
         named = declared[1].decode("ascii").lower() if declared is not None else "utf-8"
         encoding = _DECLARATION_16.get(data[:4]) or _ENCODINGS.get(named, "")
         if not encoding:
-            findings.add_at(Severity.WARNING, "encoding", f"the encoding {named!r} is not known here; read as UTF-8", 1, 1)
+            findings.add(Severity.WARNING, "encoding", f"the encoding {named!r} is not known here; read as UTF-8", 1, 1)
             encoding = "utf-8"
     try:
         return data.decode(encoding), encoding
@@ -188,7 +165,7 @@ def _decode(data: bytes, findings: Findings) -> tuple[str, str]:
         start = error.start
     fitting = "latin-1" if _NOT_CP1252.search(data) else "cp1252"
     message = f"the byte 0x{data[start]:02X} cannot be read as {encoding}; the whole file was read as {fitting}"
-    findings.add_at(Severity.WARNING, "encoding", message, data.count(b"\n", 0, start) + 1, start - data.rfind(b"\n", 0, start))
+    findings.add(Severity.WARNING, "encoding", message, data.count(b"\n", 0, start) + 1, start - data.rfind(b"\n", 0, start))
     return data.decode(fitting), fitting
 
 
@@ -199,7 +176,7 @@ class _Enough(Exception):
 class _Builder:
     """Takes what expat finds, and makes the tree."""
 
-    def __init__(self, parser: expat.XMLParserType, findings: Findings) -> None:
+    def __init__(self, parser: expat.XMLParserType, findings: XddFindings) -> None:
         self.root: Element | None = None
         self._parser = parser
         self._findings = findings
@@ -213,7 +190,7 @@ class _Builder:
 
     def _stop(self, code: str, message: str) -> None:
         line, column = self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
-        self._findings.add_at(Severity.ERROR, code, f"{message}; what follows was not read", line, column)
+        self._findings.add(Severity.ERROR, code, f"{message}; what follows was not read", line, column)
         raise _Enough
 
     def _doctype(self, *_: object) -> None:

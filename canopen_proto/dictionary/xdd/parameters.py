@@ -25,8 +25,9 @@ from itertools import islice
 from typing import Final
 
 from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary.eds.ini import quoted
 from canopen_proto.dictionary.objects import Access
-from canopen_proto.dictionary.xdd.elements import Element, Findings
+from canopen_proto.dictionary.xdd.elements import Element, XddFindings
 
 ELEMENTARY: Final = {
     "BOOL": DataType.BOOLEAN,
@@ -121,7 +122,7 @@ class _Type:
 class ApplicationProcess:
     """The parameters of a device by their unique ID. Each parameter and each type is read once, however many refer to it."""
 
-    def __init__(self, processes: Iterable[Element], findings: Findings) -> None:
+    def __init__(self, processes: Iterable[Element], findings: XddFindings) -> None:
         self._findings = findings
         self._types: dict[str, Element] = {}
         self._parameters: dict[str, Element] = {}
@@ -187,7 +188,7 @@ class ApplicationProcess:
             factor = 0.0
         if factor and math.isfinite(factor):
             return factor
-        message = f"the multiplier {text[:40]!r} is no number other than 0; it was left out"
+        message = f"the multiplier {quoted(text)!r} is no number other than 0; it was left out"
         self._findings.warning("number", message, element, "multiplier")
         return 1.0
 
@@ -215,7 +216,9 @@ class ApplicationProcess:
             return self._known_types[unique_id]
         element = self._types.get(unique_id)
         if element is None or depth == 0:
-            reason = f"there is no type {unique_id[:80]!r}" if element is None else f"the type {unique_id[:80]!r} has no end"
+            reason = (
+                f"there is no type {quoted(unique_id)!r}" if element is None else f"the type {quoted(unique_id)!r} has no end"
+            )
             self._findings.warning("reference", reason, reference, "uniqueIDRef")
             return _Type()
         if element.name == "struct":

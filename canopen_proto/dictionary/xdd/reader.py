@@ -30,13 +30,14 @@ from typing import Final, TypeAlias
 
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.description import DeviceDescription, FileKind
+from canopen_proto.dictionary.eds.ini import quoted
 from canopen_proto.dictionary.findings import DictionaryError, Severity
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable, mux
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.dictionary.xdd import device
 from canopen_proto.dictionary.xdd.document import XddDocument
-from canopen_proto.dictionary.xdd.elements import Element, Findings, parse
+from canopen_proto.dictionary.xdd.elements import Element, XddFindings, parse
 from canopen_proto.dictionary.xdd.parameters import ACCESS, ApplicationProcess, Parameter
 from canopen_proto.dictionary.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number_of, value_of
 
@@ -66,12 +67,12 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
     All that is wrong with it stands in the description's findings, whatever the bytes are; with strict, the first error is raised
     as a DictionaryError. Of a broken file comes what stands before the break. Source: CiA 311 v1.1.
     """
-    findings = Findings(source)
+    findings = XddFindings(source)
     root, encoding = parse(data, findings)
     bodies: list[Element] = []
     if root is not None:
         if root.name != ROOT:
-            findings.error("not-xdd", f"the file's root is <{root.name[:40]}>, not <{ROOT}>: this is no XDD", root)
+            findings.error("not-xdd", f"the file's root is <{quoted(root.name)}>, not <{ROOT}>: this is no XDD", root)
         bodies = list(device.find_all([root], "ISO15745Profile", "ProfileBody"))
     reader = _Reader(bodies, findings)
     lists = list(device.find_all(bodies, "ApplicationLayers", "CANopenObjectList"))
@@ -126,7 +127,7 @@ _ValueKey: TypeAlias = tuple[int, str, str, DataType]
 class _Reader:
     """Reads lists of objects. objects: by index; elements, parameters: where they stand (see XddDocument)."""
 
-    def __init__(self, bodies: Iterable[Element], findings: Findings) -> None:
+    def __init__(self, bodies: Iterable[Element], findings: XddFindings) -> None:
         self.objects: dict[int, Object] = {}
         self.elements: dict[tuple[int, int | None], Element] = {}
         self.parameters: dict[tuple[int, int | None], Element] = {}
@@ -167,7 +168,7 @@ class _Reader:
         if parameter is not None:
             self.parameters[index, subindex] = parameter.element
         elif unique_id:
-            self._findings.warning("reference", f"there is no parameter {unique_id[:80]!r}", element, "uniqueIDRef")
+            self._findings.warning("reference", f"there is no parameter {quoted(unique_id)!r}", element, "uniqueIDRef")
         return _Part(element, parameter)
 
     def _object(self, element: Element, index: int) -> Object:
@@ -245,7 +246,7 @@ class _Reader:
         mapping = element.get("PDOmapping").lower()
         if mapping and mapping not in _MAPPINGS:
             known = "no, default, optional, TPDO, RPDO"
-            message = f"PDOmapping {mapping[:40]!r} is none of {known}; taken as no"
+            message = f"PDOmapping {quoted(mapping)!r} is none of {known}; taken as no"
             self._findings.warning("pdo-mapping", message, element, "PDOmapping")
         return Variable(
             index,
@@ -294,7 +295,7 @@ class _Reader:
             return likely
         standard = find_standard(index, subindex) if index < PROFILES else None
         guess = standard.data_type if standard is not None else DataType.OCTET_STRING
-        reason = f"{text[:40]!r} is no data type that a value can have" if text else "the data type is missing"
+        reason = f"{quoted(text)!r} is no data type that a value can have" if text else "the data type is missing"
         self._findings.warning("data-type", f"{reason}; taken as {guess.name}", part.element, "dataType")
         return guess
 
@@ -321,7 +322,7 @@ class _Reader:
         access = _ACCESS.get(text)
         if access is None:
             access = _likely_access(index, subindex, mapping)
-            reason = f"the access {text[:40]!r} is none of SDO" if text else "the access is missing"
+            reason = f"the access {quoted(text)!r} is none of SDO" if text else "the access is missing"
             at, name = (part.element, "accessType") if own or part.parameter is None else (part.parameter.element, "access")
             self._findings.warning("access", f"{reason}; taken as {access}", at, name)
         if access is Access.RW:
@@ -338,7 +339,7 @@ class _Reader:
             mask = (1 << bits) - 1
             constants: dict[str, Constant] = {}
             for name, text in parameter.named_values:
-                value, _ = value_of(text, data_type, f"the value of {name[:40]!r}", self._findings, parameter.element)
+                value, _ = value_of(text, data_type, f"the value of {quoted(name)!r}", self._findings, parameter.element)
                 if isinstance(value, int):
                     constants.setdefault(name, Constant(name, mask, value & mask))
             self._named[key] = list(constants.values())
