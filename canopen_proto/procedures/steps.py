@@ -21,7 +21,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any, Final, Protocol, TypeAlias, TypeVar
 
 from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.abort import AbortOrigin, text_of
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.events import SdoProgress
 from canopen_proto.sdo.request import Buffer
@@ -59,7 +59,7 @@ class SdoFailed(ProcedureError):
         self.origin = aborted.origin
         self.not_confirmed = aborted.not_confirmed
         place = f"{attempt} 0x{aborted.index:04X}:{aborted.subindex:02X}"
-        if aborted.origin is AbortOrigin.TIMEOUT:
+        if aborted.origin is AbortOrigin.TIMEOUT and aborted.abort_code != AbortCode.CANNOT_TRANSFER:  # that was our own side
             message = f"node {self.node_id} did not answer {place}"
         elif aborted.origin is AbortOrigin.PEER:
             message = f"node {self.node_id} refused {place}: abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"

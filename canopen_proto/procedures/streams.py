@@ -56,7 +56,7 @@ def download_stream(
     client: SdoClient,
     index: int,
     subindex: int,
-    pieces: Iterable[Buffer],
+    pieces: Iterable[Buffer] | Buffer,
     size: int | None = None,
     *,
     block: Block = "auto",
@@ -85,10 +85,10 @@ def download_stream(
 class Feeder:
     """Feeds a download stream from pieces of any size."""
 
-    def __init__(self, client: SdoClient, pieces: Iterable[Buffer], size: int | None) -> None:
+    def __init__(self, client: SdoClient, pieces: Iterable[Buffer] | Buffer, size: int | None) -> None:
         self.has_begun = False
         self._client = client
-        self._pieces: Iterator[Buffer] = iter(pieces)
+        self._pieces: Iterator[Buffer] = iter((pieces,) if isinstance(pieces, bytes | bytearray | memoryview) else pieces)
         self._size = size
         self._rest = memoryview(b"")  # of the piece at hand
         self._fed = 0

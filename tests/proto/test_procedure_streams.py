@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canopen_proto.machine import LocalProtocolError, Outbox, Time
+from canopen_proto.machine import LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Cancelled, Procedure, Request, SdoFailed, download, upload
@@ -17,7 +17,7 @@ from canopen_proto.procedures.streams import download_stream, upload_stream
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoClient
-from canopen_proto.sdo.events import SdoDataWanted
+from canopen_proto.sdo.events import SdoAborted, SdoDataWanted
 from canopen_proto.sdo.server import SdoServer
 from tests.proto.block_pair import INDEX, Store, pattern
 from tests.proto.bus import Bus
@@ -110,6 +110,22 @@ def test_another_size_than_announced_aborts(given: int, block: Any) -> None:
     assert isinstance(error, LocalProtocolError)
     assert pair.store.written == []
     assert block is False or pair.bus.trace()[-1] == "60C#8000200000000008"
+
+
+def test_one_piece_may_be_given_as_it_is() -> None:
+    pair = Pair()
+    for block in (True, False):
+        assert pair.run(download_stream(pair.client, INDEX, 0, pattern(100), block=block)) is None
+    assert pair.store.written == [pattern(100)] * 2
+
+
+def test_our_own_slowness_is_not_called_silence(desk: Desk) -> None:
+    request_id = desk.run(iter_request(desk))
+    desk.receive("58C#A400200002000000")
+    desk.wait(desk.sdo.stream_timeout)
+    outcome = desk.result(request_id)
+    assert isinstance(outcome, SdoAborted)
+    assert "was given up" in str(SdoFailed(outcome, "writing"))
 
 
 def test_what_the_producer_raises_aborts_and_is_raised_as_it_is() -> None:
@@ -231,8 +247,8 @@ def test_news_that_nobody_wants_is_left_alone(desk: Desk) -> None:
     cancel(desk, request_id)
 
 
-def iter_request(desk: Desk) -> Procedure[None]:
-    yield Request(desk.sdo, lambda now, urgent: desk.sdo.download_stream(0x2000, 0, now))
+def iter_request(desk: Desk) -> Procedure[Outcome]:
+    return (yield Request(desk.sdo, lambda now, urgent: desk.sdo.download_stream(0x2000, 0, now)))
 
 
 def test_not_confirmed_in_procedures(desk: Desk) -> None:
