@@ -20,10 +20,11 @@ Everything else unexpected is an abort with 0x05040001 or 0x05030000.
 
 What SDO cannot tell apart: a second copy (or a late one, after a timeout or `cancel`) of an answer, and the answer to the *next*
 request, where both transfer the same object in the same direction. Two pauses close that gap by time.
-- `late_guard`, after a time-out: the same object is not asked for again in that direction until its late answer has come (it is
-  ignored and reported), until the server has answered something else, or until that much time is over. Without it a server that
-  is slower than `timeout` would be misunderstood for as long as somebody asks: each answer would be taken for the next one's.
-  Other objects need not wait, and urgent requests don't (a halt matters more than its confirmation).
+- `late_guard`, after a time-out: the same object is not accessed again until its late answer has come (it is ignored and
+  reported), until the server has answered something else, or until that much time is over. Without it a server that is slower
+  than `timeout` would be misunderstood for as long as somebody asks: each answer would be taken for the next one's. Both
+  directions wait, since an abort does not say which it means. Other objects need not wait, and urgent requests don't (a halt
+  matters more than its confirmation).
 - `copy_guard`: such a request, and any request after a transfer that was given up, waits until that long after the end of the
   one before. It is 0 by default, for buses that make no copies; about a millisecond will do on a real one.
 Under copies that come later still, or out of order, every transfer still ends, but its bytes may be wrong: a segmented transfer

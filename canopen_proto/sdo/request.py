@@ -40,12 +40,9 @@ class Request:
         """Whether the answers to both look the same."""
         return self.first[1:4] == other.first[1:4] and self.first[0] >> 5 == other.first[0] >> 5
 
-    @property
-    def is_upload(self) -> bool:
-        return self.first[0] & SPECIFIER in (INITIATE_UPLOAD, BLOCK_UPLOAD)
-
     def __str__(self) -> str:
-        return f"{'upload' if self.is_upload else 'download'} 0x{self.index:04X}:{self.subindex:02X}"
+        is_upload = self.first[0] & SPECIFIER in (INITIATE_UPLOAD, BLOCK_UPLOAD)
+        return f"{'upload' if is_upload else 'download'} 0x{self.index:04X}:{self.subindex:02X}"
 
 
 def upload_request(index: int, subindex: int) -> Request:

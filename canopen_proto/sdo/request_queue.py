@@ -85,7 +85,7 @@ class RequestQueue(Machine):
         self._last = b""  # the last accepted response; empty once its copy was seen
         self._unsettled = False  # the transfer before ended without its last response
         self._ended: Time = -NEVER
-        self._overdue: dict[tuple[bytes, bool], Time] = {}  # multiplexer and direction -> how long its answer is waited for
+        self._overdue: dict[bytes, Time] = {}  # multiplexer -> until when its answer is waited for
 
     # ---- commands ----
 
@@ -180,7 +180,7 @@ class RequestQueue(Machine):
         if self._unsettled or self._request.is_like(request):
             held_until = self._ended + self.copy_guard
         if self._overdue and not is_urgent:  # what is urgent (a halt) matters more than its confirmation
-            held_until = max(held_until, self._overdue.get((request.first[1:4], request.is_upload), -NEVER))
+            held_until = max(held_until, self._overdue.get(request.first[1:4], -NEVER))
         return held_until
 
     def _begin(self, request: Request, now: Time) -> None:
@@ -191,9 +191,9 @@ class RequestQueue(Machine):
         request = self._request
         not_confirmed = self._is_all_sent()
         if origin is AbortOrigin.TIMEOUT and self._is_answer_ambiguous():
-            overdue = self._overdue
-            overdue.pop((request.first[1:4], request.is_upload), None)
-            overdue[request.first[1:4], request.is_upload] = now + self.late_guard
+            overdue, multiplexer = self._overdue, request.first[1:4]
+            overdue.pop(multiplexer, None)
+            overdue[multiplexer] = now + self.late_guard
             if len(overdue) > MAX_OVERDUE:
                 del overdue[next(iter(overdue))]
         self._send(INITIATE.pack(ABORT, request.index, request.subindex, abort_code))
@@ -223,10 +223,8 @@ class RequestQueue(Machine):
 
     def _is_overdue(self, specifier: int, multiplexer: bytes) -> bool:
         """Whether a response is the late one to a request that timed out. It is not waited for any more then."""
-        for answer, is_upload in ((INITIATE_UPLOAD_RESPONSE, True), (INITIATE_DOWNLOAD_RESPONSE, False)):
-            if specifier in (answer, ABORT) and self._overdue.pop((multiplexer, is_upload), None) is not None:
-                return True
-        return False
+        bears_it = specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE, ABORT)
+        return bears_it and self._overdue.pop(multiplexer, None) is not None
 
     def _send(self, payload: bytes) -> None:
         self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))

@@ -17,7 +17,7 @@ from canopen_proto.procedures.streams import download_stream, upload_stream
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoClient
-from canopen_proto.sdo.events import SdoAborted, SdoDataWanted
+from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sdo.server import SdoServer
 from tests.proto.block_pair import INDEX, Store, pattern
 from tests.proto.bus import Bus
@@ -265,7 +265,3 @@ def test_not_confirmed_in_procedures(desk: Desk) -> None:
     assert isinstance(error, SdoFailed)
     assert not error.not_confirmed
     assert str(error) == "node 12 did not answer writing 0x2000:00"
-
-
-def test_the_event_says_how_much_there_is_room_for() -> None:
-    assert SdoDataWanted(12, 1, 0x2000, 0, 7).room == 7

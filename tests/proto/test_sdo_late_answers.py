@@ -133,10 +133,19 @@ def test_a_slow_server_is_understood() -> None:
         assert values[:2] == brought
 
 
-def test_the_other_direction_and_urgent_requests_do_not_wait() -> None:
+def test_the_other_direction_waits_too_for_an_abort_does_not_say_which_it_means() -> None:
     bench = timed_out(0x6040, b"\x0f\x00")
-    bench.client.upload(0x6040, 0, bench.now)
+    request = bench.client.upload(0x6040, 0, bench.now)
+    assert bench.frames() == []
+    bench.hear("80 40 60 00 22 00 00 08")
+    (report,) = take_events(bench.out)
+    assert isinstance(report, FrameIgnored)
     assert bench.frames() == ["60C#4040600000000000"]
+    bench.hear("4B 40 60 00 06 00 00 00")
+    assert bench.outcome() == SdoUploaded(12, request, 0x6040, 0, b"\x06\x00")
+
+
+def test_urgent_requests_do_not_wait() -> None:
     bench = timed_out(0x6040, b"\x0f\x00")
     bench.client.download(0x6040, 0, b"\x07\x00", bench.now)
     bench.client.download(0x6040, 0, b"\x0f\x01", bench.now, urgent=True)
