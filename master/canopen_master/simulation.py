@@ -3,11 +3,15 @@
     await nursery.start(simulate, await open_transport("virtual:demo"), powerballs(3, 4, 5, 6, 7, 8))
 
 All devices of one call are one participant of the bus, as if they shared one CAN controller: they do not hear each other.
+
+A `DeviceModel` makes one of any dictionary, as it comes from an EDS or DCF; the simulated drive may stand behind it, and a script
+may animate it (hooks.py). What a device stores (0x1010) is kept by the Host, which is what a device's host is for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
@@ -15,15 +19,40 @@ import trio
 
 from canopen_master.bus import Bus, Pump
 from canopen_master.errors import BusError
+from canopen_master.hooks import Hooks, Script
+from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_proto.cia402.drive_node import DriveNode, powerball
 from canopen_proto.cia402.servo import DriveSettings
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event, Outbox
 from canopen_proto.network import Network
+from canopen_proto.parameter_storage import SIGNATURES
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_transports import Transport, TransportError
 
 DeviceMaker: TypeAlias = Callable[[Outbox], LocalNode]
 """Makes a device with the outbox of the network that it will be attached to."""
+
+
+@dataclass(frozen=True)
+class DeviceModel:
+    """Makes a device of a dictionary: a DeviceMaker.
+
+    drive: what moves behind it, which has to suit the dictionary (`drive_obstacle`); None: nothing, its objects are plain memory.
+    script: what animates it.
+    """
+
+    dictionary: ObjectDictionary
+    node_id: int
+    drive: DriveSettings | None = None
+    script: Script | None = None
+
+    def __call__(self, out: Outbox) -> LocalNode:
+        if self.drive is None:
+            return LocalNode(out, self.node_id, self.dictionary)
+        return DriveNode(out, self.node_id, self.drive, self.dictionary)
 
 
 def powerballs(*node_ids: int) -> list[DeviceMaker]:
@@ -56,20 +85,42 @@ async def simulate(
 
 
 class Host:
-    """Devices on one transport. `pump()` after whatever is done to one of them by hand (`node.raise_error(...)`)."""
+    """Devices on one transport. `pump()` after whatever is done to one of them by hand (`node.raise_error(...)`).
+
+    keeper: of what they store; by default in memory. say: takes what scripts have to tell, their errors among it. Raises
+    ScriptError where a script cannot be run.
+    """
 
     def __init__(
-        self, transport: Transport, devices: Iterable[DeviceMaker], on_event: Callable[[Event], object] | None = None
+        self,
+        transport: Transport,
+        devices: Iterable[DeviceMaker],
+        on_event: Callable[[Event], object] | None = None,
+        *,
+        keeper: ParameterKeeper | None = None,
+        say: Callable[[str], object] = lambda text: None,
     ) -> None:
         network = Network()
         self._bus = Bus(getattr(transport, "locator", "bus"), transport, network)
         self._pump = Pump((self._bus,), self)
         self._on_event = on_event
+        self._keeper = ParameterKeeper() if keeper is None else keeper
+        self._say = say
         self._failure: Exception | None = None
         self._ended = trio.Event()
-        self.nodes = tuple(make(network.out) for make in devices)
+        made = [(make, make(network.out)) for make in devices]
+        self.nodes = tuple(node for _, node in made)
+        self._by_id = {node.node_id: node for node in self.nodes}
+        self._hooks = {
+            node.node_id: Hooks(make.script, node, self, say)
+            for make, node in made
+            if isinstance(make, DeviceModel) and make.script is not None
+        }
         for node in self.nodes:
             network.attach(node)
+            kept = self._keeper.kept(node.node_id)
+            if kept is not None:
+                node.storage.load(kept)
 
     def now(self) -> int:
         """The devices' time, in ns."""
@@ -84,20 +135,46 @@ class Host:
         async with trio.open_nursery() as nursery:
             nursery.start_soon(self._pump.run)
             try:
-                for node in self.nodes:
-                    node.boot(self.now())
-                self._pump.pump()
-                await self._pump.flush()  # a master that opens now must not take these boot-ups for a reset behind its back
-                task_status.started(self)
-                await self._ended.wait()
+                async with trio.open_nursery() as scripts:
+                    await self._boot(scripts)
+                    await self._pump.flush()  # a master that opens now must not take these boot-ups for a reset behind its back
+                    task_status.started(self)
+                    await self._ended.wait()
+                    scripts.cancel_scope.cancel()
             finally:
                 self._pump.stop()
         if self._failure is not None:
             raise self._failure
 
+    async def _boot(self, scripts: trio.Nursery) -> None:
+        for hooks in self._hooks.values():
+            hooks.set_up()
+            await scripts.start(hooks.run)
+        for node in self.nodes:
+            node.boot(self.now())
+        self._pump.pump()
+
     def on_event(self, bus: Bus, event: Event) -> None:
+        if isinstance(event, ObjectAccessPending) and event.index in SIGNATURES:
+            self._store(event)
+        hooks = self._hooks.get(event.node_id)
+        if hooks is not None:
+            hooks.on_event(event)
         if self._on_event is not None:
             self._on_event(event)
+
+    def _store(self, access: ObjectAccessPending) -> None:
+        """A device stores or restores its parameters."""
+        node = self._by_id[access.node_id]
+        if access.index in node.deferred:
+            return  # whoever deferred it serves it
+        try:
+            self._keeper.keep(access.node_id, node.storage.to_keep(access.index, access.subindex))
+        except OSError as error:
+            self._say(f"node {access.node_id}: what it stores cannot be kept: {error}")
+            node.complete(access.access_id, AbortCode.HARDWARE_ERROR, self.now())
+        else:
+            node.complete(access.access_id, None, self.now())
 
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         self._failure = BusError(bus.name, error) if bus is not None and isinstance(error, TransportError) else error

@@ -7,13 +7,14 @@ as long as that takes, as real ones would.
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Final
 
 import trio
 
+from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.simulation import DeviceMaker, Host
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
@@ -21,7 +22,7 @@ from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.cia402.servo import DriveSettings, Shape, Track
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Event
-from canopen_transports import open_transport
+from canopen_transports import Transport, open_transport
 
 DEMO_LOCATOR: Final = "virtual:demo"
 DEMO_NODES: Final = tuple(range(3, 9))
@@ -86,10 +87,30 @@ async def simulated_fleet(
     makers: dict[str, list[DeviceMaker]] = {}
     for number, (locator, node_id) in enumerate(drives):
         makers.setdefault(locator, []).append(drive_maker(number, node_id, shape))
+    async with simulated_devices(makers, on_event) as fleet:
+        yield fleet
+
+
+@asynccontextmanager
+async def simulated_devices(
+    makers: Mapping[str, Sequence[DeviceMaker]],
+    on_event: Callable[[Event], object] | None = None,
+    *,
+    keeper: ParameterKeeper | None = None,
+    say: Callable[[str], object] = lambda text: None,
+) -> AsyncIterator[Fleet]:
+    """Serve devices, by locator, while the block runs. keeper, say: as of `Host`.
+
+    Raises BusError, TransportError, ScriptError.
+    """
+
+    def host_on(transport: Transport, each: Sequence[DeviceMaker]) -> Host:
+        return Host(transport, each, on_event, keeper=keeper, say=say)
+
     failure: Exception | None = None
     async with trio.open_nursery() as nursery:
         serving = trio.CancelScope()
-        hosts: list[Host] = await nursery.start(_serve, makers, on_event, serving)
+        hosts: list[Host] = await nursery.start(_serve, makers, host_on, serving)
         serving.shield = True  # from now on: a start that is cancelled waits for what it has begun, and that must end then
         try:
             await trio.sleep(BOOT_TIME)
@@ -103,8 +124,8 @@ async def simulated_fleet(
 
 
 async def _serve(
-    makers: dict[str, list[DeviceMaker]],
-    on_event: Callable[[Event], object] | None,
+    makers: Mapping[str, Sequence[DeviceMaker]],
+    host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
     scope: trio.CancelScope,
     task_status: trio.TaskStatus[list[Host]],
 ) -> None:
@@ -113,12 +134,18 @@ async def _serve(
         async with trio.open_nursery() as nursery:
             for locator, each in makers.items():
                 transport = await open_transport(locator)
-                host = Host(transport, each, on_event)
-                hosts.append(host)
-                await nursery.start(_serve_host, host, transport)
+                hosts.append(await nursery.start(_serve_on, transport, each, host_on))
             task_status.started(hosts)
 
 
-async def _serve_host(host: Host, transport: trio.abc.AsyncResource, task_status: trio.TaskStatus[object]) -> None:
-    async with transport:
-        await host.serve(task_status)
+async def _serve_on(
+    transport: Transport,
+    makers: Sequence[DeviceMaker],
+    host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
+    task_status: trio.TaskStatus[Host],
+) -> None:
+    try:
+        await host_on(transport, makers).serve(task_status)
+    finally:
+        with trio.CancelScope(shield=True):
+            await transport.aclose()

@@ -1,48 +1,126 @@
-"""`canopen sim`: simulated drives on any bus, for other programs or another terminal to play with."""
+"""`canopen sim`: simulated devices on any bus, for other programs or another terminal to play with; any device's file is one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
 from typing import Final
 
 import click
 import trio
+from rich.markup import escape
 
-from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
+from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
 from canopen_master.cli.options import DEMO, NodeIds, Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import node_text
+from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.sim_devices import SHAPES, models, script_problem, wanted
+from canopen_master.hooks import ScriptError
+from canopen_master.parameter_keeper import ParameterKeeper, StateFileError
+from canopen_master.plant import PROFILES, DeviceEntry
 from canopen_proto.cia402.drive import DriveFault, DriveStateChanged
-from canopen_proto.cia402.servo import Shape
 from canopen_proto.error_codes import error_text
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtStateChanged
 
-SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
-DEFAULT_IDS: Final = f"{DEMO_NODES[0]}-{DEMO_NODES[-1]}"
+DEFAULT_IDS: Final = DEMO_NODES
 
 
 @click.command()
-@click.option("--ids", "node_ids", type=NodeIds(), default=DEFAULT_IDS, show_default=True, help="Their node-IDs.")
+@click.argument("files", metavar="[[NODES=]FILE]...", nargs=-1)
 @click.option(
-    "--shape", type=click.Choice(list(SHAPES)), default="schunk", show_default=True, help="Powerball joints, or CiA 402."
+    "--id",
+    "--ids",
+    "node_ids",
+    type=NodeIds(),
+    help=f"Node-IDs: 5, or 3-8. By default that of a DCF; without a file {DEFAULT_IDS[0]}-{DEFAULT_IDS[-1]}.",
 )
+@click.option(
+    "--profile",
+    type=click.Choice(PROFILES),
+    default=PROFILES[0],
+    show_default=True,
+    help="What is behind a file: 402, our simulated drive; none, plain memory; auto, what its device type says.",
+)
+@click.option("--shape", type=click.Choice(list(SHAPES)), help="Of drives: Powerball joints (without a file), or CiA 402.")
+@click.option("--script", metavar="FILE.py", default="", help="A Python file that animates the devices.")
+@click.option("--overlay", "overlays", metavar="FILE.toml", multiple=True, help="Units, names of values and bits, aliases.")
+@click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
+@click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
 @click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
 @common
 @click.pass_obj
-def sim(settings: Settings, node_ids: tuple[int, ...], shape: str, seconds: float | None) -> None:
-    """Serve simulated drives on a bus until Ctrl-C.
+def sim(
+    settings: Settings,
+    files: tuple[str, ...],
+    node_ids: tuple[int, ...] | None,
+    profile: str,
+    shape: str | None,
+    script: str,
+    overlays: tuple[str, ...],
+    state: str | None,
+    defaults: bool,
+    seconds: float | None,
+) -> None:
+    """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own where no FILE is named.
 
     Two terminals without hardware meet on udp_multicast:
 
     \b
     canopen sim -b udp_multicast
     canopen demo -b udp_multicast
+
+    \b
+    canopen sim drive.eds --id 5 -b can0
+    canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
+    canopen sim plant.toml
     """
     screen = settings.screen()
+    plant = wanted(files, node_ids, DeviceEntry("", (), profile, shape or "", script, overlays, defaults)) if files else None
+    if plant is not None and plant.bus and settings.named_bus() is None:
+        settings.bus = plant.bus
     bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")
     locator = DEMO_LOCATOR if bus == DEMO else bus
+    tell = _teller(screen)
+
+    def report(text: str) -> None:
+        screen.err.print(escape(text), style="yellow", highlight=False, soft_wrap=True)
+
+    def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
+        if plant is None:
+            ids = node_ids or DEFAULT_IDS
+            what = f"{len(ids)} simulated drive{'s' if len(ids) > 1 else ''}"
+            fleet = simulated_fleet([(locator, node_id) for node_id in ids], SHAPES[shape or "schunk"], tell)
+            return what, fleet
+        made = models(plant.devices, screen)
+        keeper = _keeper(state or plant.state)
+        what = f"{len(made)} simulated device{'s' if len(made) > 1 else ''}"
+        return what, simulated_devices({locator: made}, tell, keeper=keeper, say=report)
+
+    async def serve() -> None:
+        what, fleet = devices()
+        screen.say(f"[bold]{what} on {bus}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+        if locator.startswith("virtual:"):
+            screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
+        try:
+            async with fleet:
+                await trio.sleep(math.inf if seconds is None else seconds)
+        except* ScriptError as errors:
+            raise script_problem(_first(errors)) from None
+
+    try:
+        run(settings, screen, serve)
+    except Problem as ended:
+        if ended.exit_code is not ExitCode.INTERRUPTED:
+            raise
+        screen.say("ended")  # as it was to end
+
+
+def _teller(screen: Screen) -> Callable[[Event], None]:
+    """Tells what happens to the devices."""
 
     def tell(event: Event) -> None:
         match event:
@@ -53,17 +131,20 @@ def sim(settings: Settings, node_ids: tuple[int, ...], shape: str, seconds: floa
             case DriveFault(node_id=node_id, error_code=code):
                 screen.say(f"{node_text(node_id)}  [red]fault 0x{code:04X} {error_text(code)}[/]")
 
-    async def serve() -> None:
-        drives = f"{len(node_ids)} simulated drive{'s' if len(node_ids) > 1 else ''}"
-        screen.say(f"[bold]{drives} on {bus}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
-        if locator.startswith("virtual:"):
-            screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
-        async with simulated_fleet([(locator, node_id) for node_id in node_ids], SHAPES[shape], tell):
-            await trio.sleep(math.inf if seconds is None else seconds)
+    return tell
 
+
+def _first(errors: BaseExceptionGroup[ScriptError]) -> ScriptError:
+    first: BaseException = errors
+    while isinstance(first, BaseExceptionGroup):
+        first = first.exceptions[0]
+    assert isinstance(first, ScriptError)
+    return first
+
+
+def _keeper(path: str) -> ParameterKeeper:
     try:
-        run(settings, screen, serve)
-    except Problem as ended:
-        if ended.exit_code is not ExitCode.INTERRUPTED:
-            raise
-        screen.say("ended")  # as it was to end
+        return ParameterKeeper(Path(path) if path else None)
+    except StateFileError as error:
+        tries = ("another --state; it is written anew when a device stores",)
+        raise Problem(ExitCode.BAD_FILE, "CO333", f"{error.path} is no state of devices", seen=error.seen, tries=tries) from None

@@ -1,0 +1,115 @@
+"""The simulated drive behind the dictionary of a real one's file: what it needs there, and what it fills in.
+
+A drive's EDS describes what the drive holds in its own memory, and often has no defaults for it: no supported modes, no speeds.
+A simulated drive that took these for 0 would have no mode and stand still, so `drive_dictionary_of` gives such objects the values
+of the simulated drive (see `drive_dictionary`). What a file does say stays, but for `NEVER_ZERO`: with 0 there no drive would
+move.
+
+The drive shows its state in objects of the types that CiA 402 gives them. A file that has other types for these cannot have it,
+and `drive_obstacle` says so.
+
+Source: IEC 61800-7-201 (CiA 402-2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.servo import FALLBACKS, Shape
+from canopen_proto.datatypes import Value, range_of
+from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary.standard import find_standard
+
+SHOWN: Final = (
+    objects.ERROR_CODE,
+    objects.STATUSWORD,
+    objects.CONTROLWORD,
+    objects.MODES_OF_OPERATION_DISPLAY,
+    objects.POSITION_DEMAND_VALUE,
+    objects.POSITION_ACTUAL_VALUE,
+    objects.VELOCITY_DEMAND_VALUE,
+    objects.VELOCITY_ACTUAL_VALUE,
+    objects.TORQUE_ACTUAL_VALUE,
+    objects.FOLLOWING_ERROR_ACTUAL_VALUE,
+    objects.DIGITAL_INPUTS,
+)
+"""What the drive writes into its dictionary."""
+
+NEEDED: Final = (objects.CONTROLWORD, objects.STATUSWORD)
+
+NEVER_ZERO: Final = frozenset({
+    objects.SUPPORTED_DRIVE_MODES,
+    objects.FOLLOWING_ERROR_WINDOW,
+    objects.MAX_PROFILE_VELOCITY,
+    objects.PROFILE_VELOCITY,
+    objects.PROFILE_ACCELERATION,
+    objects.PROFILE_DECELERATION,
+    objects.QUICK_STOP_DECELERATION,
+    objects.HOMING_SPEED_SEARCH_SWITCH,
+    objects.HOMING_SPEED_SEARCH_ZERO,
+    objects.HOMING_ACCELERATION,
+    objects.MAX_ACCELERATION,
+    objects.MAX_DECELERATION,
+    objects.INTERPOLATION_TIME_UNITS,
+})  # fmt: skip
+"""Objects in which a 0 of the file counts as not said."""
+
+
+def drive_obstacle(dictionary: ObjectDictionary) -> str:
+    """Why the simulated drive cannot stand behind a dictionary; empty where it can."""
+    for key in SHOWN:
+        variable, standard = dictionary.get(key >> 8, key & 0xFF), find_standard(key >> 8, key & 0xFF)
+        assert standard is not None  # CiA 402 has all of them
+        if variable is None:
+            if key in NEEDED:
+                return f"it has no {standard.label}"
+            continue
+        ours, needed = range_of(variable.data_type), range_of(standard.data_type)
+        assert needed is not None  # they are integers
+        if ours is None or ours[0] > needed[0] or ours[1] < needed[1]:
+            return f"{variable.label} is {variable.data_type.name}; in CiA 402 it is {standard.data_type.name}"
+    return ""
+
+
+def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[ObjectDictionary, list[Variable]]:
+    """The dictionary with values for what the drive needs and the file does not say; and these variables as they are now."""
+    simulated = drive_dictionary(shape)
+    filled: dict[int, dict[int, Variable]] = {}
+    for key in (*FALLBACKS, objects.SUPPORTED_DRIVE_MODES):
+        variable, model = dictionary.get(key >> 8, key & 0xFF), simulated.get(key >> 8, key & 0xFF)
+        default = FALLBACKS.get(key) if model is None else model.default
+        if variable is not None and default is not None and _is_open(variable):
+            changed = _with_default(variable, default)
+            if changed is not None:
+                filled.setdefault(variable.index, {})[variable.subindex] = changed
+    changed_objects = []
+    for index, members in filled.items():
+        described = dictionary.objects[index]
+        changed_objects.append(replace(described, variables=MappingProxyType({**described.variables, **members})))
+    variables = [variable for members in filled.values() for variable in members.values()]
+    return dictionary.with_objects(changed_objects) if filled else dictionary, variables
+
+
+def _is_open(variable: Variable) -> bool:
+    """Whether the file leaves the value to us."""
+    if variable.configured is not None:
+        return variable.configured == 0 and variable.mux in NEVER_ZERO
+    return variable.default is None or (variable.default == 0 and variable.mux in NEVER_ZERO)
+
+
+def _with_default(variable: Variable, default: Value) -> Variable | None:
+    """With that value, within the file's type and limits; None where there is no such."""
+    numbers = range_of(variable.data_type)
+    if numbers is None or not isinstance(default, int):
+        return None
+    low, high = numbers
+    if isinstance(variable.low_limit, int):
+        low = max(low, variable.low_limit)
+    if isinstance(variable.high_limit, int):
+        high = min(high, variable.high_limit)
+    value = max(low, min(high, default))
+    return replace(variable, default=value, configured=None, adds_node_id=False) if low <= high else None

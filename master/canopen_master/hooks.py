@@ -1,0 +1,383 @@
+"""Scripts that animate a simulated device: a plain Python file beside its EDS.
+
+    OBJECTS = ["temperature", "2001:02"]        # whose reading and writing the script serves
+
+    def setup(device):                          # power-on, and after each NMT reset of the node
+        device["serial_number"] = 4711
+
+    def on_read(device, index, subindex):       # a client reads one of OBJECTS; None: what is stored
+        return 20 + index % 5
+
+    def on_write(device, index, subindex, value):       # one of OBJECTS is written; then it is stored
+        if value > 100:
+            device.abort(0x06090031)            # not taken
+
+    def step(device, t):                        # every PERIOD seconds (0.01), t seconds after power-on
+        device["position actual value"] = round(1000 * math.sin(t))
+
+    async def run(device):                      # or as a task of trio's, from power-on
+        await trio.sleep(2)
+        device.raise_error(0x4210)
+
+Each of these may be left out. Without OBJECTS, on_read and on_write serve all objects from 0x2000 on. `device` is a `Device`:
+`device[name]` reads and writes what it holds, by name, index or (index, subindex), and a value that is set goes out by the
+event-driven TPDOs that carry it.
+
+Theory of operation
+-------------------
+Objects that a script serves are `LocalNode.deferred`: the core reports ObjectAccessPending, and the answer is the script's, by
+`complete`. on_read and on_write may be `async`; the client waits, up to 5 s. By PDO things go another way: a TPDO carries what is
+stored and asks nobody, and what an RPDO brings is stored before on_write hears of it, and cannot be refused.
+
+A script is somebody else's code, and its errors must not end the simulation: an error in on_read or on_write is answered with
+0x08000020, and all are told, with file and line. `step` is called no more after MAX_FAILURES errors in a row, `run` when it ends.
+Nothing of this may block: what takes time is for `run`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Awaitable, Callable, Coroutine
+from pathlib import Path
+from typing import Any, Final, NoReturn, Protocol
+
+import trio
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Key, NotInDictionary, ObjectDictionary
+from canopen_proto.error_codes import register_bits_of
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import SECOND, Event, LocalProtocolError, Time
+from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.pdo.multiplexed import MpdoReceived
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.server import ObjectAccessPending
+
+PERIOD: Final = 0.01
+"""Seconds between two calls of `step`, where a script says nothing."""
+MIN_PERIOD: Final = 0.001
+MAX_FAILURES: Final = 10
+"""Errors of `step` in a row: it will not get better, and nobody reads on."""
+FIRST_SERVED: Final = 0x2000
+"""The first index that a script may serve. Those below are the protocol's own."""
+
+FUNCTIONS: Final = {"setup": 1, "run": 1, "step": 2, "on_read": 3, "on_write": 4}
+"""What a script may have, and how many arguments each takes."""
+
+
+class ScriptError(Exception):
+    """A script cannot be used. place: file and line."""
+
+    def __init__(self, place: str, message: str) -> None:
+        super().__init__(f"{place}: {message}")
+        self.place = place
+        self.message = message
+
+
+class HookAbort(Exception):
+    """What `Device.abort` raises."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"0x{code:08X}")
+        self.code = code
+
+
+class Owner(Protocol):
+    """What drives the device: `simulation.Host`."""
+
+    def now(self) -> Time:
+        """The devices' time."""
+
+    def pump(self) -> None:
+        """Send and report what the devices have to say."""
+
+
+class Script:
+    """A script's text. Each device runs it anew, so that two devices of one script share nothing.
+
+    path: for messages. Raises ScriptError where the text is no Python.
+    """
+
+    def __init__(self, text: str, path: str | Path = "script") -> None:
+        self.path = str(path)
+        try:
+            self._code = compile(text, self.path, "exec")
+        except (SyntaxError, ValueError) as error:  # ValueError: a NUL in it
+            line = getattr(error, "lineno", None)
+            message = error.msg if isinstance(error, SyntaxError) else str(error)
+            raise ScriptError(f"{self.path}:{line}" if line else self.path, str(message)) from None
+
+    def load(self) -> dict[str, Any]:
+        """Run it: its names. Raises ScriptError for whatever goes wrong in it."""
+        names: dict[str, Any] = {"__name__": Path(self.path).stem, "__file__": self.path}
+        try:
+            exec(self._code, names)
+        except Exception as error:
+            raise ScriptError(*self.describe(error)) from error
+        for name, count in FUNCTIONS.items():
+            function = names.get(name)
+            if function is not None and not _takes(function, count):
+                raise ScriptError(self.path, f"{name} must be a function of {count} argument{'s' if count > 1 else ''}")
+        return names
+
+    def describe(self, error: BaseException) -> tuple[str, str]:
+        """Where in the script an error is, and what."""
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == self.path]
+        return f"{self.path}:{lines[-1]}" if lines else self.path, f"{type(error).__name__}: {error}"
+
+
+def _takes(function: object, count: int) -> bool:
+    if not callable(function):
+        return False
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    return True
+
+
+class Device:
+    """What a script sees of its device. node: the `LocalNode`, for all that is not here."""
+
+    def __init__(self, node: LocalNode, owner: Owner, say: Callable[[str], object]) -> None:
+        self.node = node
+        self._owner = owner
+        self._say = say
+
+    @property
+    def node_id(self) -> int:
+        """1..127."""
+        return self.node.node_id
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """Its objects."""
+        return self.node.dictionary
+
+    @property
+    def is_operational(self) -> bool:
+        """Whether PDOs live."""
+        return self.node.state is NmtState.OPERATIONAL
+
+    def __getitem__(self, key: Key) -> Value:
+        """What an object holds now. Raises ObjectNotFound."""
+        if self.node.application is not None:
+            self.node.application.refresh(self._owner.now())
+        return self.node.values.read(key)
+
+    def __setitem__(self, key: Key, value: Value) -> None:
+        """The device's own side changes an object; the name of a constant stands for its value.
+
+        Event-driven TPDOs that carry it are sent. Raises ObjectNotFound, or ValueRangeError where it cannot hold that value.
+        """
+        variable = self.dictionary.variable(key)
+        value = self.dictionary.value_from(variable, value)
+        self.node.set_value(variable.index, variable.subindex, value, self._owner.now())
+        self._owner.pump()
+
+    def raise_error(self, code: int, vendor_data: bytes = b"") -> None:
+        """An error is there: EMCY, 0x1001 and 0x1003. code: 0x0100..0xFFFF."""
+        self.node.raise_error(code, int(register_bits_of(code)), vendor_data, self._owner.now())
+        self._owner.pump()
+
+    def clear_error(self, code: int) -> None:
+        """It is gone."""
+        self.node.clear_error(code, self._owner.now())
+        self._owner.pump()
+
+    def abort(self, code: int = AbortCode.CANNOT_TRANSFER) -> NoReturn:
+        """In on_read and on_write: refuse, with an SDO abort code."""
+        raise HookAbort(code)
+
+    def say(self, text: str) -> None:
+        """Tell something to whoever watches the simulation."""
+        self._say(text)
+
+
+class Hooks:
+    """One device's run of a script."""
+
+    def __init__(self, script: Script, node: LocalNode, owner: Owner, say: Callable[[str], object]) -> None:
+        """say: takes what is to be told. Raises ScriptError where the script fails, or names objects that there are not."""
+        self._script = script
+        self._node = node
+        self._owner = owner
+        self._say = say
+        self._names = script.load()
+        self._device = Device(node, owner, self._tell)
+        self._served = self._find_served()
+        self._nursery: trio.Nursery | None = None
+        if "on_read" in self._names or "on_write" in self._names:
+            node.deferred |= self._served
+
+    def _find_served(self) -> set[int]:
+        dictionary = self._node.dictionary
+        listed = self._names.get("OBJECTS")
+        if listed is None:
+            return {index for index in dictionary.objects if index >= FIRST_SERVED}
+        try:
+            served = {dictionary.variable(key).index for key in listed}
+        except (NotInDictionary, TypeError, ValueError) as error:
+            raise ScriptError(self._script.path, f"OBJECTS: {error}") from None
+        if served and min(served) < FIRST_SERVED:
+            raise ScriptError(
+                self._script.path, f"OBJECTS: 0x{min(served):04X} is the protocol's own: from 0x2000 on they are free"
+            )
+        return served
+
+    # ---- the life of the device ----
+
+    def set_up(self) -> None:
+        """Power-on: its values are the defaults."""
+        self._guard("setup", self._device)
+
+    async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
+        """From power-on until cancelled."""
+        async with trio.open_nursery() as self._nursery:
+            try:
+                if "run" in self._names:
+                    self._nursery.start_soon(self._run)
+                if "step" in self._names:
+                    self._nursery.start_soon(self._step)
+                task_status.started()
+                await trio.sleep_forever()
+            finally:
+                self._nursery = None
+
+    async def _run(self) -> None:
+        try:
+            running = self._names["run"](self._device)
+            if inspect.iscoroutine(running):
+                await running
+        except Exception as error:  # noqa: BLE001 - somebody else's code
+            self._complain("run", error)
+
+    async def _step(self) -> None:
+        start, failures = self._owner.now(), 0
+        period = self._period()
+        wake = trio.current_time()
+        while failures < MAX_FAILURES:
+            done, _ = self._guard("step", self._device, (self._owner.now() - start) / SECOND)
+            failures = 0 if done else failures + 1
+            wake = max(wake + period, trio.current_time())
+            await trio.sleep_until(wake)
+        self._tell(f"{self._script.path}: step failed {MAX_FAILURES} times in a row and is called no more")
+
+    def _period(self) -> float:
+        period = self._names.get("PERIOD", PERIOD)
+        return max(MIN_PERIOD, float(period)) if isinstance(period, int | float) and period == period else PERIOD
+
+    # ---- accesses ----
+
+    def on_event(self, event: Event) -> None:
+        """Something happened to the device."""
+        match event:
+            case ObjectAccessPending(index=index) if index in self._served and index in self._node.deferred:
+                self._answer(event)
+            case PdoReceived():
+                for entry, value in zip(event.mapping.components, event.components, strict=True):
+                    self._written_by_pdo(entry.index, entry.subindex, value)
+            case MpdoReceived():
+                self._written_by_pdo(event.index, event.subindex, event.value)
+            case NmtResetRequested(command=NmtCommand.RESET_NODE):
+                self.set_up()
+
+    def _written_by_pdo(self, index: int, subindex: int, value: Value) -> None:
+        if index in self._served and "on_write" in self._names:
+            done, result = self._guard("on_write", self._device, index, subindex, value)
+            if done and inspect.iscoroutine(result):
+                self._start(result, self._finish, "on_write", result)
+
+    def _start(
+        self, coroutine: Coroutine[object, object, object], task: Callable[..., Awaitable[object]], *arguments: object
+    ) -> bool:
+        """Run what an async function of the script gave, by `task`; False, and it is dropped, where the device is ending."""
+        if self._nursery is None:
+            coroutine.close()
+            return False
+        self._nursery.start_soon(task, *arguments)
+        return True
+
+    async def _finish(self, name: str, result: Awaitable[object]) -> tuple[bool, object]:
+        try:
+            return True, await result
+        except HookAbort as refusal:
+            return False, refusal.code
+        except Exception as error:  # noqa: BLE001 - somebody else's code
+            self._complain(name, error)
+            return False, AbortCode.CANNOT_TRANSFER
+
+    def _answer(self, access: ObjectAccessPending) -> None:
+        name = "on_read" if access.data is None else "on_write"
+        done, result = True, None
+        if name in self._names:
+            place = (access.index, access.subindex)
+            if access.data is None:
+                done, result = self._guard(name, self._device, *place)
+            else:
+                value = self._node.dictionary.variable(place).decode(access.data)
+                done, result = self._guard(name, self._device, *place, value)
+        if not done or not inspect.iscoroutine(result):
+            self._complete(access, name, done, result)
+        elif not self._start(result, self._answer_later, access, name, result):
+            self._complete(access, name, False, AbortCode.LOCAL_CONTROL)
+
+    async def _answer_later(self, access: ObjectAccessPending, name: str, result: Awaitable[object]) -> None:
+        self._complete(access, name, *await self._finish(name, result))
+
+    def _complete(self, access: ObjectAccessPending, name: str, done: bool, result: object) -> None:
+        """done: the script was content; result: what it gave, else the abort code."""
+        now, node = self._owner.now(), self._node
+        answer: bytes | AbortCode | None
+        if not done:
+            assert isinstance(result, int)
+            answer = _abort_code(result)
+        elif access.data is not None:
+            answer = node.take_write(access.index, access.subindex, access.data, now)
+        else:
+            answer = self._bytes(access, name, result)
+        node.complete(access.access_id, answer, now)
+        self._owner.pump()
+
+    def _bytes(self, access: ObjectAccessPending, name: str, result: object) -> bytes | AbortCode:
+        """What is read: the script's value, which is stored too, or what is stored."""
+        variable = self._node.dictionary.variable((access.index, access.subindex))
+        try:
+            if result is not None:
+                self._device[variable] = result  # type: ignore[assignment]
+            return variable.encode(self._device[variable])
+        except LocalProtocolError as error:
+            self._complain(name, error)
+            return AbortCode.CANNOT_TRANSFER
+
+    # ---- somebody else's code ----
+
+    def _guard(self, name: str, *arguments: object) -> tuple[bool, object]:
+        """Call a function of the script, if there is one: whether all went well, and what it gave, else the abort code."""
+        function = self._names.get(name)
+        if function is None:
+            return True, None
+        try:
+            return True, function(*arguments)
+        except HookAbort as refusal:
+            return False, refusal.code
+        except Exception as error:  # noqa: BLE001 - somebody else's code
+            self._complain(name, error)
+            return False, AbortCode.CANNOT_TRANSFER
+
+    def _complain(self, name: str, error: Exception) -> None:
+        place, message = self._script.describe(error)
+        self._tell(f"{place}: in {name}: {message}")
+
+    def _tell(self, text: str) -> None:
+        self._say(f"node {self._node.node_id}: {text}")
+
+
+def _abort_code(code: int) -> AbortCode:
+    """A script may have made up any code."""
+    try:
+        return AbortCode(code)
+    except ValueError:
+        return AbortCode.CANNOT_TRANSFER

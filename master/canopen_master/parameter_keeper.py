@@ -1,0 +1,88 @@
+"""Keeps what simulated devices store by 0x1010: in memory, and in a file so that it outlives the simulation.
+
+The file is JSON, by node-ID and object, bytes as SDO carries them:
+
+    {"format": "canopen-sim-state 1", "devices": {"5": {"1017:00": "E803", "607F:00": "102700000"}}}
+
+It is read once and written anew whenever a device stores or restores: beside its place first, so that a power cut leaves the old
+one. A device that is not simulated this time keeps its entry.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+FORMAT: Final = "canopen-sim-state 1"
+MAX_FILE_SIZE: Final = 16 * 1024 * 1024
+"""Bytes: 127 devices with thousands of parameters each. A larger file is none of ours."""
+
+_OBJECT: Final = re.compile("([0-9A-Fa-f]{4}):([0-9A-Fa-f]{2})")
+
+
+class StateFileError(Exception):
+    """The file cannot be used. seen: what is wrong with it."""
+
+    def __init__(self, path: Path, seen: str) -> None:
+        super().__init__(f"{path}: {seen}")
+        self.path = path
+        self.seen = seen
+
+
+class ParameterKeeper:
+    """What is kept, by node-ID: the bytes of parameters by mux. path: of the file; None for memory only."""
+
+    def __init__(self, path: Path | None = None) -> None:
+        """Raises StateFileError where there is such a file, but not of ours, and OSError where it cannot be read."""
+        self._path = path
+        self._kept: dict[int, dict[int, bytes]] = {}
+        if path is not None and path.exists():
+            if path.stat().st_size > MAX_FILE_SIZE:
+                raise StateFileError(path, f"it has more than {MAX_FILE_SIZE} bytes")
+            self._kept = _parse(path, path.read_bytes())
+
+    def kept(self, node_id: int) -> dict[int, bytes] | None:
+        """What a device has stored, for `ParameterStorage.load`; None where it never did."""
+        return self._kept.get(node_id)
+
+    def keep(self, node_id: int, parameters: Mapping[int, bytes]) -> None:
+        """A device stores all this, and nothing else. Raises OSError where it cannot be written; then nothing has changed."""
+        after = {**self._kept, node_id: dict(parameters)}
+        if self._path is not None:
+            beside = self._path.with_name(self._path.name + ".new")
+            beside.write_text(_text(after), encoding="utf-8")
+            os.replace(beside, self._path)
+        self._kept = after
+
+
+def _text(kept: Mapping[int, Mapping[int, bytes]]) -> str:
+    devices = {
+        str(node_id): {f"{mux >> 8:04X}:{mux & 0xFF:02X}": data.hex().upper() for mux, data in sorted(parameters.items())}
+        for node_id, parameters in sorted(kept.items())
+    }
+    return json.dumps({"format": FORMAT, "devices": devices}, indent=1) + "\n"
+
+
+def _parse(path: Path, content: bytes) -> dict[int, dict[int, bytes]]:
+    try:
+        document = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise StateFileError(path, f"it is no JSON: {error}") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise StateFileError(path, f'it does not say "format": "{FORMAT}"')
+    devices = document.get("devices")
+    try:
+        return {int(node_id): dict(map(_parameter, entries.items())) for node_id, entries in devices.items()}  # type: ignore[union-attr]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise StateFileError(path, f"its devices make no sense: {error}") from None
+
+
+def _parameter(entry: tuple[str, str]) -> tuple[int, bytes]:
+    match = _OBJECT.fullmatch(entry[0])
+    if match is None:
+        raise ValueError(f"{entry[0]!r} is no object")
+    return int(match[1] + match[2], 16), bytes.fromhex(entry[1])
