@@ -4,7 +4,8 @@ Theory of operation
 -------------------
 An `Object` stands at an index (16 bits) and has one `Variable` per subindex (8 bits); CiA 301 v4.2.0, 7.4. A variable is what
 SDO and PDO transfer. Variables carry names (aliases): "statusword" or, for a field of a record, "record:field". Names and
-numbers are equally good keys; see `Key`.
+numbers are equally good keys; see `Key`. Files of CiA 306 and CiA 311 give the field its own name only ("COB-ID"), which many
+records have: it is found as "record:field" too, and by its own name where no other field has that.
 
 To that the product's own files (see csv.py) add
 
@@ -157,7 +158,7 @@ class ObjectDictionary:
     Iteration gives all variables by index and subindex, without pseudo objects. source: where it came from, for people.
     """
 
-    __slots__ = ("_by_mux", "_by_name", "_constants", "_fillers", "_folded", "_pseudo", "objects", "pdos", "source")
+    __slots__ = ("_by_mux", "_constants", "_fillers", "_names", "_pseudo", "objects", "pdos", "source")
 
     def __init__(
         self,
@@ -172,18 +173,26 @@ class ObjectDictionary:
         by_index = {each.index: each for each in objects}
         self._pseudo = by_index.pop(PSEUDO_INDEX, None)
         self.objects: Mapping[int, Object] = MappingProxyType(dict(sorted(by_index.items())))
-        self._by_mux: dict[int, Variable] = {
-            variable.mux: variable for each in self.objects.values() for _, variable in sorted(each.variables.items())
-        }
-        self._by_name = {name: variable for variable in self._named() for name in variable.names}
-        self._folded = {_fold(name): variable for name, variable in self._by_name.items()}
+        self._by_mux: dict[int, Variable] = {}
+        for each in self.objects.values():
+            if len(each.variables) == 1:
+                (variable,) = each.variables.values()
+                self._by_mux[variable.mux] = variable
+            else:
+                for subindex in sorted(each.variables):
+                    variable = each.variables[subindex]
+                    self._by_mux[variable.mux] = variable
+        self._names: _Names | None = None
         self._constants = {key: tuple(each) for key, each in (constants or {}).items()}
         self.pdos: tuple[PdoDescription, ...] = tuple(pdos)
         self._fillers = {filler.name: filler for filler in fillers}
         self.source = source
 
-    def _named(self) -> list[Variable]:
-        return [*(self._pseudo.variables.values() if self._pseudo else ()), *self._by_mux.values()]
+    def _by_name(self) -> _Names:
+        """The names, when somebody asks for them first: who works with numbers need not wait for them."""
+        if self._names is None:
+            self._names = _Names([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
+        return self._names
 
     # ---- objects ----
 
@@ -220,7 +229,7 @@ class ObjectDictionary:
         if isinstance(key, Variable):
             return key
         if isinstance(key, str):
-            found = self._by_name.get(key) or self._folded.get(_fold(key))
+            found = self._by_name().find(key)
             if found is not None:
                 return found
             number = _NUMBER.fullmatch(key.strip())
@@ -245,7 +254,10 @@ class ObjectDictionary:
     def _not_named(self, name: str) -> NoReturn:
         if name in self._fillers:
             raise ObjectNotFound(f"{name!r} is a filler of PDOs; it has no value")
-        raise ObjectNotFound(f"object {name!r} is not in the dictionary{self._of_source()}{did_you_mean(name, self._by_name)}")
+        names = self._by_name()
+        if name in names.shared:
+            raise ObjectNotFound(f"{names.shared[name]} objects have a field {name!r}; say which one, as {names.example(name)!r}")
+        raise ObjectNotFound(f"object {name!r} is not in the dictionary{self._of_source()}{did_you_mean(name, names.exact)}")
 
     def _of_source(self) -> str:
         return f" ({self.source})" if self.source else ""
@@ -360,6 +372,44 @@ class ObjectDictionary:
                 return None
             entries.append(ours)
         return replace(pdo, entries=tuple(entries))
+
+
+class _Names:
+    """What names stand for. exact: as they are spelt. shared: fields that several records have, and how many."""
+
+    __slots__ = ("exact", "folded", "shared")
+
+    def __init__(self, objects: Iterable[Object]) -> None:
+        self.exact: dict[str, Variable] = {}
+        self.shared: dict[str, int] = {}
+        fields: dict[str, Variable] = {}
+        whole: dict[str, Variable] = {}
+        for each in objects:
+            alone = len(each.variables) == 1 and each.object_type not in _WITH_FIELDS
+            for variable in each.variables.values():
+                for name in variable.names:
+                    if alone or ":" in name:
+                        self.exact[name] = variable
+                        continue
+                    whole[f"{each.name}:{name}"] = variable
+                    if fields.setdefault(name, variable).index != variable.index:
+                        self.shared[name] = self.shared.get(name, 1) + 1
+        for name, variable in whole.items():
+            self.exact.setdefault(name, variable)
+        for name, variable in fields.items():
+            if name not in self.shared:
+                self.exact.setdefault(name, variable)
+        self.folded = {_fold(name): variable for name, variable in self.exact.items()}
+
+    def find(self, name: str) -> Variable | None:
+        return self.exact.get(name) or self.folded.get(_fold(name))
+
+    def example(self, field: str) -> str:
+        """One of the whole names of a field that several records have."""
+        return next(name for name in self.exact if name.endswith(f":{field}"))
+
+
+_WITH_FIELDS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 
 
 def _renamed(each: Object, other: ObjectDictionary) -> Object:

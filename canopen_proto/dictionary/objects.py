@@ -5,17 +5,31 @@ Theory of operation
 A variable is what SDO and PDO transfer: its place, its name, its type, what may be done with it, what it holds at first. Most
 fields are CiA 301's (v4.2.0, 7.4); what only an EDS or DCF knows of it (CiA 306-1) stands at the end, and no machine of the core
 looks at it: a configuration tool does. Neither class changes once made.
+
+A vendor's file has thousands of variables, most of which are never used: so they are cheap to make.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, dataclass_transform
 
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length_of, decode, encode, size_of, zero_of
+
+_T = TypeVar("_T")
+
+_SIZES: Final = {data_type: size_of(data_type) for data_type in DataType}
+_BIT_LENGTHS: Final = {data_type: bit_length_of(data_type) for data_type in DataType}
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def _description(cls: type[_T]) -> type[_T]:
+    """Class decorator: a dataclass with slots and a hash, immutable to the type checker only (see `machine.event`)."""
+    return dataclasses.dataclass(slots=True, unsafe_hash=True)(cls)
 
 
 def mux(index: int, subindex: int = 0) -> int:
@@ -54,14 +68,14 @@ class ObjectType(IntEnum):
     RECORD = 9
 
 
-@dataclass(frozen=True, slots=True)
+@_description
 class Variable:
     """What stands at one index and subindex.
 
     default: what it holds after start-up; None = the type's zero. adds_node_id: the device's node-ID is added to the default
     ("$NODEID+0x80" of an EDS). low_limit, high_limit: what a write may not pass, None = the type's own limits. pdo_mappable: a
     PDO may carry it, in the direction that its access allows. mux, size (bytes by SDO, None = any) and bit_length (in a PDO,
-    None = cannot be mapped) follow from the rest.
+    None = cannot be mapped), label (name and place, for people) follow from the rest.
 
     configured, configured_adds_node_id: what a DCF sets it to (ParameterValue), None = nothing; see `initial_of`. object_flags:
     bit 0, not to be written by a download of the whole dictionary; bit 1, not to be read by an upload of it (ObjFlags). unit,
@@ -95,11 +109,19 @@ class Variable:
     label: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        put = object.__setattr__  # the dataclass is frozen
-        put(self, "mux", mux(self.index, self.subindex))
-        put(self, "size", size_of(self.data_type))
-        put(self, "bit_length", bit_length_of(self.data_type))
-        put(self, "label", f"{self.name} (0x{self.index:04X}:{self.subindex:02X})")
+        made: Any = self  # immutable to the type checker
+        made.mux = self.index << 8 | self.subindex
+        made.size = _SIZES[self.data_type]
+        made.bit_length = _BIT_LENGTHS[self.data_type]
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> str:
+            """The label, when it is asked for first: a slot that was never set brings us here."""
+            if name != "label":
+                raise AttributeError(f"a Variable has no {name!r}")
+            self.label = f"{self.name} (0x{self.index:04X}:{self.subindex:02X})"
+            return self.label
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,7 +165,7 @@ Key: TypeAlias = str | int | tuple[int, int] | Variable
 0x6041; (0x60C1, 1); the Variable itself."""
 
 
-@dataclass(frozen=True, slots=True)
+@_description
 class Object:
     """What stands at one index: its variables by subindex.
 

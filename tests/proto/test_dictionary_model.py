@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -252,12 +254,46 @@ def test_objects() -> None:
 
 
 def test_a_description_cannot_be_changed(dictionary: ObjectDictionary) -> None:
-    with pytest.raises(AttributeError):
-        STATUSWORD.name = "x"  # type: ignore[misc]
     with pytest.raises(TypeError):
         dictionary.objects[1] = dictionary.objects[0x6040]  # type: ignore[index]
     with pytest.raises(TypeError):
         dictionary.objects[0x6040].variables[1] = TORQUE  # type: ignore[index]
+
+
+def test_a_variable_is_a_value() -> None:
+    """Equal by what it says, and usable as a key; its label is made when it is asked for, and is no part of that."""
+    twin = replace(STATUSWORD)
+    assert STATUSWORD.label == "statusword (0x6041:00)"
+    assert (twin, hash(twin), repr(twin)) == (STATUSWORD, hash(STATUSWORD), repr(STATUSWORD))
+    assert (twin.mux, twin.size, twin.bit_length, twin.label) == (0x604100, 2, 16, STATUSWORD.label)
+    renamed = replace(STATUSWORD, name="x")
+    assert renamed != STATUSWORD
+    assert renamed.label == "x (0x6041:00)"
+    with pytest.raises(AttributeError, match="has no 'lable'"):
+        STATUSWORD.lable  # type: ignore[attr-defined]  # noqa: B018
+
+
+# ---- names of fields ----
+
+
+def field_of(index: int, name: str) -> Object:
+    count = Variable(index, 0, "Highest sub-index supported", DataType.UNSIGNED8)
+    return Object(index, name, ObjectType.RECORD, {0: count, 1: Variable(index, 1, "COB-ID", DataType.UNSIGNED32)})
+
+
+def test_a_field_is_found_by_its_records_name_and_by_its_own_where_that_is_enough() -> None:
+    alone = ObjectDictionary([field_of(0x1800, "TPDO 1")])
+    assert alone.variable("COB-ID").mux == alone.variable("tpdo 1:cob-id").mux == 0x180001
+    both = ObjectDictionary([field_of(0x1800, "TPDO 1"), field_of(0x1801, "TPDO 2")])
+    assert both.variable("TPDO 1:COB-ID").mux == 0x180001
+    assert both.variable("TPDO 2:COB-ID").mux == 0x180101
+    with pytest.raises(ObjectNotFound, match=r"2 objects have a field 'COB-ID'; say which one, as 'TPDO 1:COB-ID'"):
+        both.variable("COB-ID")
+
+
+def test_an_object_goes_before_a_field_of_its_name() -> None:
+    objects = [Object.of("COB-ID", [Variable(0x2000, 0, "COB-ID", DataType.UNSIGNED32)]), field_of(0x1800, "TPDO 1")]
+    assert ObjectDictionary(objects).variable("COB-ID").mux == 0x200000
 
 
 # ---- PDOs ----
