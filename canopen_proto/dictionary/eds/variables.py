@@ -1,0 +1,234 @@
+"""One variable out of the section that describes it: its type, access, values and limits.
+
+Theory of operation
+-------------------
+The section of a VAR, of a sub-object, and of an array in compact form have the same keys (CiA 306-1 v1.4.0, 4.6). What is missing
+or makes no sense is made good, each with a finding:
+
+- DataType: of subindex 0 of an array or record UNSIGNED8; of an entry of an array that of the array; else the type that the
+  standards give the object; else OCTET_STRING, which can hold whatever a device sends;
+- AccessType: that of the standards; else `rw` (the device refuses what it does not allow);
+- a value that cannot be read, or does not fit the type, is left out;
+- PDOMapping is 0.
+
+The first three are warnings, a value that is lost is an error. A name that is missing is the linter's business.
+
+Speed: the texts repeat from object to object, so each is looked up in a table that was filled when it first occurred. Keys that
+nearly every section has are looked at one by one, the others only where there are any.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from canopen_proto.datatypes import DataType, Value, is_number
+from canopen_proto.dictionary.eds.ini import Findings, Section, quoted
+from canopen_proto.dictionary.eds.numbers import Reading, read_number, read_value
+from canopen_proto.dictionary.findings import Severity
+from canopen_proto.dictionary.objects import Access, ObjectType, Variable
+from canopen_proto.dictionary.standard import find_standard
+
+PROFILES: Final = 0x2000
+"""Below it an object means the same in all devices (CiA 301 v4.2.0, table 41)."""
+OBJECT_FLAGS: Final = 0xFFFF_FFFF
+"""ObjFlags is an UNSIGNED32."""
+
+_COMMON: Final = frozenset(
+    ("parametername", "objecttype", "datatype", "accesstype", "defaultvalue", "pdomapping", "lowlimit", "highlimit")
+)
+_RARE: Final = frozenset(
+    (
+        "compactsubobj",
+        "denotation",
+        "description",
+        "downloadfile",
+        "factor",
+        "objflags",
+        "parametervalue",
+        "subnumber",
+        "unit",
+        "uploadfile",
+    )
+)
+_FOREIGN: Final = "_"
+"""A key that begins so, or with a semicolon, is a maker's own by custom."""
+_ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
+_FLAGS: Final[dict[str | None, bool]] = {"0": False, "0x0": False, "": False, None: False, "1": True, "0x1": True}
+_TYPES: Final = {int(each): each for each in DataType}
+_TEXTS_OF_TYPES: Final[Mapping[str | None, DataType]] = {
+    text: each for each in DataType for text in (f"0x{each:04X}", f"0x{each:X}", f"0x{each:04x}", str(int(each)))
+}
+
+
+class _Readings(dict[str, Reading]):
+    """What each text means for one data type."""
+
+    def __init__(self, data_type: DataType) -> None:
+        super().__init__()
+        self._data_type = data_type
+
+    def __missing__(self, text: str) -> Reading:
+        reading = self[text] = read_value(text, self._data_type)
+        return reading
+
+
+class Variables:
+    """Makes variables out of sections. has_configured: whether one of them had a ParameterValue."""
+
+    def __init__(self, findings: Findings) -> None:
+        self.has_configured = False
+        self._findings = findings
+        self._readings = {data_type: _Readings(data_type) for data_type in DataType}
+
+    def read(
+        self, section: Section, index: int, subindex: int, likely: DataType | None = None, *, in_array: bool = False
+    ) -> Variable:
+        """The variable of a section. likely: its type where the section has none. in_array: subindex 0 counts the others."""
+        values = section.values
+        get = values.get
+        data_type = _TEXTS_OF_TYPES.get(get("datatype")) or self._odd_type(section, index, subindex, likely, in_array)
+        access = _ACCESSES.get(get("accesstype", "")) or self._odd_access(section, index, subindex)
+        mappable = _FLAGS.get(get("pdomapping"))
+        if mappable is None:
+            mappable = bool(self.number(section, "PDOMapping", 1))
+        default: Value | None = None
+        adds_node_id = False
+        if text := get("defaultvalue"):
+            default, adds_node_id, remark, lost = self._readings[data_type][text]
+            if remark:
+                self._remark(section, "DefaultValue", remark, lost)
+        low = self._limit(section, "LowLimit", text, data_type) if (text := get("lowlimit")) else None
+        high = self._limit(section, "HighLimit", text, data_type) if (text := get("highlimit")) else None
+        name = get("parametername", "")
+        if values.keys() <= _COMMON:
+            return Variable(index, subindex, name, data_type, access, default, low, high, mappable, (), adds_node_id)
+        configured, configured_adds = self.value(section, "ParameterValue", get("parametervalue", ""), data_type)
+        if configured is not None:
+            self.has_configured = True
+        self.foreign(section)
+        return Variable(
+            index,
+            subindex,
+            name,
+            data_type,
+            access,
+            default,
+            low,
+            high,
+            mappable,
+            (),
+            adds_node_id,
+            configured,
+            configured_adds,
+            self.number(section, "ObjFlags", OBJECT_FLAGS),
+            get("unit", ""),
+            self._factor(section) if get("factor") else 1.0,
+            get("description", ""),
+            get("denotation", ""),
+            get("uploadfile", ""),
+            get("downloadfile", ""),
+        )
+
+    def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
+        """A value that stands somewhere in a section, and whether the node-ID is added to it."""
+        if not text:
+            return None, False
+        value, adds_node_id, remark, lost = self._readings[data_type][text]
+        if remark:
+            self._remark(section, key, remark, lost)
+        return value, adds_node_id
+
+    def number(self, section: Section, key: str, most: int) -> int:
+        """A whole number 0..most; 0, and a warning, where it cannot be read."""
+        text = section.values.get(key.lower(), "")
+        if not text:
+            return 0
+        number, remark = read_number(text)
+        if number is None or not 0 <= number <= most:
+            remark, number = remark or f"is outside 0..{most}", 0
+        if remark:
+            self.warn(section, key, "number", f"{key} {quoted(text)!r} {remark}; taken as {number}")
+        return number
+
+    def foreign(self, section: Section) -> None:
+        """A notice of keys that CiA 306 does not have: one of them may be a misspelt one."""
+        keys = [key for key in section.values if key not in _COMMON and key not in _RARE and not key.startswith(_FOREIGN)]
+        if keys and not self._findings.full(Severity.NOTICE):
+            names = ", ".join(quoted(key) for key in keys[:5])
+            message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
+            self._findings.add(Severity.NOTICE, "unknown-key", message, *section.place_of(keys[0]))
+
+    def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
+        """A finding about a key of a section."""
+        if not self._findings.full(severity):
+            line, column = section.place_of(key)
+            self._findings.add(severity, code, f"in [{quoted(section.name)}]: {message}", line, column)
+
+    def _remark(self, section: Section, key: str, remark: str, lost: bool) -> None:
+        self.warn(section, key, "value", f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
+
+    def _limit(self, section: Section, key: str, text: str, data_type: DataType) -> int | float | None:
+        if not is_number(data_type):
+            return self._idle_limit(section, key, text)
+        value, adds_node_id, remark, lost = self._readings[data_type][text]
+        if adds_node_id:
+            self._remark(section, key, f"{quoted(text)!r} depends on the node-ID, which a limit cannot; left out", True)
+            return None
+        if remark:
+            self._remark(section, key, remark, lost)
+        return value if isinstance(value, int | float) else None
+
+    def _idle_limit(self, section: Section, key: str, text: str) -> int | None:
+        """A limit of what is no number: it has no effect, but the linter shall see it."""
+        number, _ = read_number(text)
+        if number is None:
+            self._remark(section, key, f"{quoted(text)!r} is no number; left out", True)
+        return number
+
+    def _factor(self, section: Section) -> float:
+        text = section.values["factor"]
+        try:
+            factor = float(text)
+        except ValueError:
+            factor = 0.0
+        if factor and math.isfinite(factor):
+            return factor
+        self.warn(section, "Factor", "number", f"Factor {quoted(text)!r} is no number other than 0; taken as 1")
+        return 1.0
+
+    def _odd_type(self, section: Section, index: int, subindex: int, likely: DataType | None, in_array: bool) -> DataType:
+        """The type where the text is none that the table has."""
+        text = section.values.get("datatype", "")
+        number, remark = read_number(text) if text else (None, "")
+        if number in _TYPES:
+            if remark:
+                self.warn(section, "DataType", "number", f"DataType {quoted(text)!r}: {remark}")
+            return _TYPES[number]
+        if in_array and subindex == 0:
+            guess: DataType = DataType.UNSIGNED8
+        elif likely is not None:
+            guess = likely
+        elif not text and read_number(section.values.get("objecttype", ""))[0] == ObjectType.DOMAIN:
+            return DataType.DOMAIN
+        else:
+            known = find_standard(index, subindex) if index < PROFILES else None
+            guess = DataType.OCTET_STRING if known is None else known.data_type
+        reason = f"DataType {quoted(text)!r} is none that a value can have" if text else "DataType is missing"
+        self.warn(section, "DataType", "data-type", f"{reason}; taken as {guess.name}")
+        return guess
+
+    def _odd_access(self, section: Section, index: int, subindex: int) -> Access:
+        text = section.values.get("accesstype", "")
+        bare = text.partition("#")[0].partition(";")[0].strip().lower()
+        access = _ACCESSES.get(bare)
+        if access is not None:
+            if len(bare) != len(text):
+                self.warn(section, "AccessType", "access", "the comment behind AccessType was left out")
+            return access
+        known = find_standard(index, subindex) if index < PROFILES else None
+        access = Access.RW if known is None else known.access
+        reason = f"AccessType {quoted(text)!r} is none of {', '.join(Access)}" if text else "AccessType is missing"
+        self.warn(section, "AccessType", "access", f"{reason}; taken as {access}")
+        return access
