@@ -99,7 +99,7 @@ def test_a_guess_is_the_standards() -> None:
     description = read(var("", "1017", "heartbeat") + var('PDOmapping="TPDO"', "6000", "input"))
     heartbeat = description.dictionary.variable(0x1017)
     assert (heartbeat.data_type, heartbeat.access) == (DataType.UNSIGNED16, Access.RW)
-    assert description.dictionary.variable(0x6000).access is Access.RO
+    assert description.dictionary.variable(0x6000).access is Access.RWR
     assert len(description.findings) == 4
 
 
@@ -118,6 +118,18 @@ def test_a_record() -> None:
     assert (record.object_type, record.name, list(record.variables)) == (ObjectType.RECORD, "Identity", [0, 1])
     assert description.dictionary.variable((0x1018, 1)).default == 0x55
     assert description.mandatory == (0x1018,)
+
+
+def test_subindex_0_counts_the_others() -> None:
+    description = read(SUBS.format(2, "").replace(' dataType="0005"', "").replace("1018", "2018"))
+    assert [each.code for each in description.findings] == ["data-type"]
+    assert description.dictionary.variable((0x2018, 0)).data_type is DataType.UNSIGNED8
+
+
+def test_a_limit_of_what_is_no_number_is_kept_for_the_linter() -> None:
+    description = read(var('dataType="0009" accessType="rw" lowLimit="5" highLimit="z"'))
+    assert [each.code for each in description.findings] == ["limit"]
+    assert (description.dictionary.variable("thing").low_limit, description.dictionary.variable("thing").high_limit) == (5, None)
 
 
 def test_sub_objects_that_cannot_be_read() -> None:
@@ -288,8 +300,14 @@ def test_commissioning_that_cannot_be(node_id: str, rate: str) -> None:
     assert description.commissioning == Commissioning(node_name="left")
 
 
-def test_real_numbers_stay_finite_or_not() -> None:
-    description = read(var('dataType="0008" accessType="rw" defaultValue="nan" lowLimit="-inf"'))
-    default = description.dictionary.variable("thing").default
-    assert isinstance(default, float)
-    assert math.isnan(default)
+def test_real_numbers() -> None:
+    description = read(var('dataType="0008" accessType="rw" defaultValue="-inf" lowLimit="-1.5e3" highLimit="0x10"'))
+    thing = description.dictionary.variable("thing")
+    assert (thing.default, thing.low_limit, thing.high_limit) == (-math.inf, -1500.0, 16.0)
+    assert [(each.code, each.severity) for each in description.findings] == [("limit", "warning")]
+
+
+def test_an_odd_value_is_read_with_a_warning() -> None:
+    description = read(var('dataType="0007" accessType="rw" defaultValue="0180h"'))
+    assert description.dictionary.variable("thing").default == 0x180
+    assert told(description) == ["4:103 warning value"]

@@ -55,7 +55,7 @@ def test_access(text: str, mapping: str, access: Access) -> None:
     assert (thing.access, thing.pdo_mappable) == (access, mapping != "no")
 
 
-@pytest.mark.parametrize(("mapping", "access"), [("no", Access.RO), ("TPDO", Access.RO)])
+@pytest.mark.parametrize(("mapping", "access"), [("no", Access.RW), ("TPDO", Access.RWR)])
 def test_no_access_is_told(mapping: str, access: Access) -> None:
     description = of_parameter("<UINT/>", 'access="noAccess"', mapping=mapping)
     assert [(each.code, each.severity) for each in description.findings] == [("access", "warning")]

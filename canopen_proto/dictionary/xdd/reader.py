@@ -43,6 +43,7 @@ from canopen_proto.dictionary.xdd.texts import HEXADECIMAL, hexadecimal_of, limi
 
 PROFILES: Final = 0x2000
 """Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); what lies higher depends on the profile."""
+SUB_OBJECT: Final = "CANopenSubObject"
 ROOT: Final = "ISO15745ProfileContainer"
 MANDATORY: Final = (0x1000, 0x1001, 0x1018)
 """The objects that each device has (CiA 301 v4.2.0, 7.5.1); an XDD does not list them apart."""
@@ -173,7 +174,7 @@ class _Reader:
 
     def _object(self, element: Element, index: int) -> Object:
         part = self._part(element, index, None)
-        subs = list(element.all("CANopenSubObject"))
+        subs = list(element.all(SUB_OBJECT))
         object_type = self._object_type(element, bool(subs))
         name, flags = self._name(part), self._flags(element)
         own_type = _code_of(element.get("dataType"))
@@ -295,6 +296,8 @@ class _Reader:
             return likely
         standard = find_standard(index, subindex) if index < PROFILES else None
         guess = standard.data_type if standard is not None else DataType.OCTET_STRING
+        if subindex == 0 and part.element.name == SUB_OBJECT:
+            guess = DataType.UNSIGNED8  # it counts the others
         reason = f"{quoted(text)!r} is no data type that a value can have" if text else "the data type is missing"
         self._findings.warning("data-type", f"{reason}; taken as {guess.name}", part.element, "dataType")
         return guess
@@ -321,7 +324,7 @@ class _Reader:
         text = own or (part.parameter.access.lower() or "read" if part.parameter is not None else "")
         access = _ACCESS.get(text)
         if access is None:
-            access = _likely_access(index, subindex, mapping)
+            access = _likely_access(index, subindex)
             reason = f"the access {quoted(text)!r} is none of SDO" if text else "the access is missing"
             at, name = (part.element, "accessType") if own or part.parameter is None else (part.parameter.element, "access")
             self._findings.warning("access", f"{reason}; taken as {access}", at, name)
@@ -352,12 +355,10 @@ def _code_of(text: str) -> int | None:
     return int(match[1], 16) if match is not None else None
 
 
-def _likely_access(index: int, subindex: int, mapping: str) -> Access:
-    """The access of an object whose file does not say it: the standard's, or what fits its mapping."""
+def _likely_access(index: int, subindex: int) -> Access:
+    """The access of an object whose file does not say it: the standard's, else rw; the device refuses what it does not allow."""
     standard = find_standard(index, subindex) if index < PROFILES else None
-    if standard is not None:
-        return standard.access
-    return Access.RO if mapping == "tpdo" or subindex == 0 else Access.RW
+    return Access.RW if standard is None else standard.access
 
 
 def _member_type(whole: Parameter | None, subindex: int, position: int, count: int) -> DataType | None:
