@@ -27,6 +27,8 @@ __all__ = [
     "Copied",
     "DataError",
     "DataFile",
+    "content_of",
+    "expanded",
     "init",
     "load_dictionary",
     "read",
@@ -80,7 +82,7 @@ def user_directory(directory: str | Path | None = None) -> Path | None:
     if not named:
         home = _home_directory()
         return home if home is not None and home.is_dir() else None
-    path = _expanded(named)
+    path = expanded(named)
     if not os.path.isdir(path):
         if os.path.exists(path):
             raise DataError(f"the data folder {path}{origin} is not a folder", "name another one")
@@ -111,7 +113,7 @@ def read(name: str, directory: str | Path | None = None) -> DataFile:
 
 def read_chain_file(name: str | Path, directory: str | Path | None = None) -> DataFile:
     """A chain file by its path or, where there is no such file, by its name (see `read`). Raises DataError."""
-    path = _expanded(name)
+    path = expanded(name)
     text = _text_of(path, str(path))
     return read(str(name), directory) if text is None else DataFile(path.name, text, str(path))
 
@@ -184,7 +186,7 @@ def _copy(name: str, path: Path, force: bool) -> Copied:
 def _target(target: str | Path | None) -> Path:
     named = target if target is not None else os.environ.get(ENVIRONMENT_VARIABLE)
     if named:
-        return _expanded(named)
+        return expanded(named)
     home = _home_directory()
     if home is None:
         raise DataError("there is no home folder", f"name a folder, or set ${ENVIRONMENT_VARIABLE}")
@@ -198,15 +200,16 @@ def _home_directory() -> Path | None:
         return None
 
 
-def _expanded(path: str | Path) -> Path:
+def expanded(path: str | Path) -> Path:
+    """A path with ~ replaced. Raises DataError where there is no home folder."""
     try:
         return Path(path).expanduser()
     except RuntimeError:
         raise DataError(f"there is no home folder for {path}", "name the folder without ~") from None
 
 
-def _text_of(path: Path | Traversable, source: str) -> str | None:
-    """The text of a file; None where there is no such file."""
+def content_of(path: Path | Traversable, source: str) -> bytes | None:
+    """The bytes of a file, MAX_FILE_SIZE at most; None where there is none. source: what errors call it. Raises DataError."""
     try:
         with path.open("rb") as file:
             content = file.read(MAX_FILE_SIZE + 1)
@@ -217,6 +220,14 @@ def _text_of(path: Path | Traversable, source: str) -> str | None:
         raise DataError(f"cannot read {source}: {reason}", "check that it is a file and that you may read it") from None
     if len(content) > MAX_FILE_SIZE:
         raise DataError(f"{source} is larger than {MAX_FILE_SIZE // 1024**2} MiB", "it cannot be a data file; check its name")
+    return content
+
+
+def _text_of(path: Path | Traversable, source: str) -> str | None:
+    """The text of a file; None where there is no such file."""
+    content = content_of(path, source)
+    if content is None:
+        return None
     try:
         return content.decode("utf-8-sig")  # Windows' editors begin a file with a byte order mark
     except UnicodeDecodeError as error:

@@ -1,0 +1,84 @@
+"""Device descriptions from files: EDS, DCF, XDD and XDC, a user's own or one of the samples that come with this package.
+
+The samples were written for this project. A sample is named without a folder (`sample_io.xdd`), and a file of that name in the
+current folder goes before it. As all of this package: files are read here, `canopen_proto` takes their bytes, nothing prints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from canopen_data import DataError, content_of, expanded, load_dictionary
+from canopen_proto.dictionary.description import DeviceDescription
+from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.reading import read_description
+
+__all__ = ["load_description", "load_description_with_names", "read_file", "samples", "with_names"]
+
+SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
+DRIVE_PROFILE: Final = 402
+PROFILE_AREA: Final = 0x6000
+"""From here on, what an index means depends on the device profile (CiA 301 v4.2.0, table 41)."""
+
+_SAMPLES: Final = resources.files("canopen_data") / "samples"
+
+
+def samples() -> list[str]:
+    """The names of the samples."""
+    return sorted(each.name for each in _SAMPLES.iterdir() if each.name.endswith(SUFFIXES))
+
+
+def read_file(path: str | Path) -> bytes:
+    """The bytes of a description's file, or of a sample. Raises DataError where there is none, or where it cannot be read."""
+    own = expanded(path)
+    content = content_of(own, str(own))
+    if content is None and str(path) in samples():
+        content = content_of(_SAMPLES / str(path), f"installed {path}")
+    if content is None:
+        raise DataError(f"there is no file {str(own)!r}", f"check the path; samples that always work are {', '.join(samples())}")
+    return content
+
+
+def load_description(path: str | Path, *, strict: bool = False) -> DeviceDescription:
+    """The description in a file, whatever is wrong with it: see its findings.
+
+    Raises DataError where it cannot be read; with strict, DictionaryError for the first error in it.
+    """
+    return read_description(read_file(path), str(path), strict=strict)
+
+
+def load_description_with_names(
+    path: str | Path, *, overlay: bool = True, directory: str | Path | None = None
+) -> DeviceDescription:
+    """As `load_description`, with aliases and constants of the data files laid over its dictionary; see `with_names`.
+
+    overlay: False for the file's own names only. directory: of the user's data files; see `load_dictionary`, which also tells
+    what else may be raised.
+    """
+    description = load_description(path)
+    return with_names(description, load_dictionary(directory)[0]) if overlay else description
+
+
+def with_names(description: DeviceDescription, names: ObjectDictionary) -> DeviceDescription:
+    """The description with names, aliases and constants of another dictionary laid over its own, which stay as further aliases.
+
+    Communication objects mean the same in all devices. Objects of the profile area are named only where the device is a drive,
+    as the objects of the data files are.
+    """
+    whole = description.dictionary
+    device_type = whole.get(0x1000)
+    profile = device_type.default if device_type is not None else None
+    if isinstance(profile, int) and profile & 0xFFFF == DRIVE_PROFILE:
+        return replace(description, dictionary=whole.with_names_of(names))
+    common = ObjectDictionary(
+        [each for each in whole.objects.values() if each.index < PROFILE_AREA],
+        constants={each.mux: whole.constants_of(each) for each in whole},
+        pdos=whole.pdos,
+        fillers=whole.fillers.values(),
+        source=whole.source,
+    )
+    rest = [each for each in whole.objects.values() if each.index >= PROFILE_AREA]
+    return replace(description, dictionary=common.with_names_of(names).with_objects(rest))
