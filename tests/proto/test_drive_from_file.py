@@ -1,0 +1,100 @@
+"""The simulated drive behind a dictionary that is none of ours: what it needs, what it fills in, and that it runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_from_file import NEEDED, NEVER_ZERO, SHOWN, drive_dictionary_of, drive_obstacle
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.servo import FALLBACKS, DriveSettings, Shape
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, ObjectDictionary
+from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
+from tests.proto.device_bench import START, DeviceBench
+
+BASE = [standard_object(index) for index in (0x1000, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x6081, 0x6065, 0x6502)]
+
+
+def with_variable(index: int, **changes: Any) -> ObjectDictionary:
+    return ObjectDictionary([*BASE, Object.of("changed", [standard_variable(index, **changes)])])
+
+
+def test_what_it_needs() -> None:
+    assert drive_obstacle(ObjectDictionary(BASE)) == ""
+    for index, name in ((0x6040, "controlword"), (0x6041, "statusword")):
+        without = ObjectDictionary(each for each in BASE if each.index != index)
+        assert drive_obstacle(without) == f"it has no {name} (0x{index:04X}:00)"
+
+
+@pytest.mark.parametrize("data_type", [DataType.UNSIGNED8, DataType.INTEGER16, DataType.VISIBLE_STRING, DataType.REAL32])
+def test_types_that_cannot_show_its_state(data_type: DataType) -> None:
+    dictionary = with_variable(0x6041, data_type=data_type)
+    assert drive_obstacle(dictionary) == f"statusword (0x6041:00) is {data_type.name}; in CiA 402 it is UNSIGNED16"
+
+
+def test_a_wider_type_does() -> None:
+    assert drive_obstacle(with_variable(0x6041, data_type=DataType.UNSIGNED32)) == ""
+
+
+def test_all_that_it_shows_is_of_the_standard() -> None:
+    assert all(find_standard(key >> 8, key & 0xFF) is not None for key in (*SHOWN, *NEEDED, *NEVER_ZERO, *FALLBACKS))
+
+
+def test_what_the_file_does_not_say_is_filled_in() -> None:
+    dictionary, filled = drive_dictionary_of(ObjectDictionary(BASE), Shape.STANDARD)
+    assert {variable.mux: variable.default for variable in filled} == {
+        objects.SUPPORTED_DRIVE_MODES: 0xE5,
+        objects.PROFILE_VELOCITY: 20_000,
+        objects.FOLLOWING_ERROR_WINDOW: 10_000,
+    }
+    assert dictionary.variable(0x6081).default == 20_000
+    again, none = drive_dictionary_of(dictionary, Shape.STANDARD)
+    assert again is dictionary
+    assert none == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "value"),
+    [
+        ({"default": 5}, 5),
+        ({"default": 0}, 20_000),
+        ({"default": 0, "configured": 7}, 7),
+        ({"default": 9, "configured": 0}, 20_000),
+        ({"high_limit": 100}, 100),
+        ({"low_limit": 100_000}, 100_000),
+        ({"low_limit": 0.5, "high_limit": float("inf")}, 20_000),
+        ({"low_limit": 9, "high_limit": 8}, 0),
+        ({"data_type": DataType.INTEGER16}, 20_000),
+        ({"data_type": DataType.UNSIGNED8}, 255),
+        ({"data_type": DataType.VISIBLE_STRING}, ""),
+    ],
+)
+def test_what_the_file_says_counts_and_limits_are_kept(changes: dict[str, Any], value: object) -> None:
+    dictionary, _ = drive_dictionary_of(with_variable(0x6081, **changes), Shape.STANDARD)
+    assert dictionary.variable(0x6081).initial_of(5) == value
+
+
+def test_a_zero_that_means_zero_stays() -> None:
+    dictionary, filled = drive_dictionary_of(ObjectDictionary([*BASE, standard_object(0x605C, 0)]), Shape.STANDARD)
+    assert dictionary.variable(0x605C).default == 0
+    assert 0x605C not in {variable.index for variable in filled}
+
+
+def test_the_drive_runs_behind_it() -> None:
+    dictionary, _ = drive_dictionary_of(ObjectDictionary(BASE), Shape.STANDARD)
+    bench = DeviceBench(dictionary, make=lambda out, node_id, described: DriveNode(out, node_id, DriveSettings(), described))
+    bench.tell(START)
+    for command, state in ((6, 0x21), (7, 0x23), (15, 0x27)):
+        assert bench.write(0x6040, 0, command, 2) is None
+        assert bench.number(0x6041) & 0x6F == state
+    assert bench.write(0x6060, 0, 1, 1) is None
+    assert bench.number(0x6061) == 1
+
+
+def test_the_shape_decides_what_is_filled_in() -> None:
+    bare = ObjectDictionary([*BASE[:-1], replace(standard_object(0x6502), name="modes")])
+    assert drive_dictionary_of(bare, Shape.SCHUNK_POWERBALL)[0].variable(0x6502).default == 0x43
