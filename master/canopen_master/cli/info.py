@@ -16,7 +16,8 @@ from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
-from canopen_proto.dictionary import Direction
+from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.dictionary.description import DeviceDescription, FileKind
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import COB_ID_INVALID
@@ -41,7 +42,10 @@ Facts = dict[str, tuple[Any, str]]
 @common
 @click.pass_obj
 def info(settings: Settings, node_id: int) -> None:
-    """Show what a node is, and how it is."""
+    """Show what a node is, and how it is.
+
+    With -e FILE also, whether it is the device that the file describes.
+    """
     screen = settings.screen()
     facts = run(settings, screen, lambda: _info(settings, screen, node_id))
     if settings.json:
@@ -66,11 +70,53 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
             number = await _standard(node, 0x1018, subindex)
             if isinstance(number, int):
                 facts[name] = (number, f"0x{number:08X}")
+        description = session.description_of(node_id)
+        if description is not None:
+            facts["file"] = _compared(description, facts, node_id)
         await _add_health(node, facts)
         await _add_pdos(session, node, facts)
         if profile_of(device_type) == DRIVE_PROFILE:
             await _add_drive(node, facts)
         return facts
+
+
+def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:
+    """Whether the node is of the type that its file describes. What the file does not say, or says as 0, fits everything."""
+    different = []
+    compared = 0
+    for name, wanted in _identity_of(description, node_id).items():
+        if name not in facts:
+            continue
+        compared += 1
+        number = facts[name][0]
+        if number != wanted:
+            different.append({"field": name, "node": number, "file": wanted})
+    raw = {"name": description.source, "matches": not different if compared else None, "different": different}
+    if not compared:
+        return raw, f"{description.source}: it says nothing of the device's identity"
+    if not different:
+        return raw, f"{description.source}: MATCH"
+    fields = ", ".join(f"{each['field']} 0x{each['node']:08X} (file: 0x{each['file']:08X})" for each in different)
+    return raw, f"{description.source}: ANOTHER DEVICE by {fields}"
+
+
+def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]:
+    """What the file says, by the names of `Facts`. A serial number counts only where the file is of one device."""
+    device = description.device_info
+    said = {"vendor-ID": device.vendor_number, "product code": device.product_number, "revision": device.revision_number}
+    for subindex, name in IDENTITY:
+        variable = description.dictionary.get(0x1018, subindex)
+        if variable is not None and (variable.default is not None or variable.configured is not None):
+            value = variable.initial_of(node_id)
+            if isinstance(value, int) and value:
+                said[name] = value
+    if description.kind not in (FileKind.DCF, FileKind.XDC):
+        said.pop("serial number", None)
+    wanted = {name: number for name, number in said.items() if number}
+    device_type = description.dictionary.get(0x1000)
+    if device_type is not None and isinstance(device_type.default, int):
+        wanted = {"device type": device_type.default} | wanted
+    return wanted
 
 
 async def _add_health(node: Node, facts: Facts) -> None:
@@ -111,19 +157,21 @@ async def _add_pdos(session: Session, node: Node, facts: Facts) -> None:
                 facts[f"{direction}{number}"] = (None, str(strange))
                 continue
             if not settings.cob_id & COB_ID_INVALID:
-                facts[f"{direction}{number}"] = _pdo(settings)
+                facts[f"{direction}{number}"] = _pdo(settings, session.description_of(node.node_id))
 
 
-def _pdo(settings: PdoSettings) -> tuple[dict[str, Any], str]:
+def _pdo(settings: PdoSettings, description: DeviceDescription | None) -> tuple[dict[str, Any], str]:
     objects = [f"{entry >> 16:04X}:{entry >> 8 & 0xFF:02X}" for entry in settings.entries]
     can_id = settings.cob_id & 0x1FFFFFFF
     raw = {"can_id": can_id, "transmission_type": settings.transmission_type, "objects": objects}
-    names = [_object_name(entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
+    dictionary = None if description is None else description.dictionary
+    names = [_object_name(dictionary, entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
     return raw, f"0x{can_id:X}, type {settings.transmission_type}: {', '.join(names) or 'nothing'}"
 
 
-def _object_name(index: int, subindex: int) -> str:
-    variable = find_standard(index, subindex)
+def _object_name(dictionary: ObjectDictionary | None, index: int, subindex: int) -> str:
+    """What an object is called by the device's own file, else by the standard."""
+    variable = find_standard(index, subindex) if dictionary is None else dictionary.get(index, subindex)
     return f"{index:04X}:{subindex:02X}" if variable is None else variable.name
 
 

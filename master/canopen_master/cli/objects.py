@@ -135,7 +135,7 @@ async def _read(
     settings: Settings, screen: Screen, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None
 ) -> list[Reading]:
     async with open_session(settings, screen) as session:
-        variables = [find(session.dictionary, key, type_name) for key in keys]
+        variables = [find(session.dictionary_of(node_id), key, type_name) for key in keys]
         for variable in variables:
             _check_readable(variable)
         node = session.node(node_id)
@@ -146,7 +146,7 @@ async def _read_file(
     settings: Settings, screen: Screen, node_id: int, key: str, type_name: str | None, block: bool | None, output: str
 ) -> FileTransfer:
     async with open_session(settings, screen) as session:
-        variable = find(session.dictionary, key, type_name or BYTES)
+        variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
         _check_readable(variable)
         return await read_into_file(screen, session.node(node_id), variable, output, block_of(variable, block))
 
@@ -231,7 +231,7 @@ async def _write_file(
     verify: bool,
 ) -> FileTransfer:
     async with open_session(settings, screen) as session:
-        variable = find(session.dictionary, key, type_name or BYTES)
+        variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
         _check_writable(variable)
         verify = verify and variable.access.readable
         return await write_from_file(screen, session.node(node_id), variable, path, block_of(variable, block), verify)
@@ -248,7 +248,7 @@ async def _write(
     verify: bool,
 ) -> tuple[Reading | None, Reading]:
     async with open_session(settings, screen) as session:
-        dictionary = session.dictionary
+        dictionary = session.dictionary_of(node_id)
         variable = find(dictionary, key, type_name)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)

@@ -1,6 +1,6 @@
 """The options and the kinds of argument that all commands share.
 
-`common` adds -b, --timeout, --json, -q, -v and --no-color to a command. They may also stand before the command's name
+`common` adds -b, -e, --timeout, --json, -q, -v and --no-color to a command. They may also stand before the command's name
 (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
 """
 
@@ -34,9 +34,10 @@ DEMO: Final = "demo"
 
 @dataclass
 class Settings:
-    """What the common options say. clock: a test's virtual one."""
+    """What the common options say. eds: files of devices as they were typed, see device_files.py. clock: a test's virtual one."""
 
     bus: str | None = None
+    eds: tuple[str, ...] = ()
     timeout: Time | None = None
     json: bool = False
     verbosity: int = 0
@@ -158,6 +159,8 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
     match param.name:
         case "bus" if value is not None:
             settings.bus = value
+        case "eds":
+            settings.eds += value
         case "timeout" if value is not None:
             settings.timeout = value
         case "json_output" if value:
@@ -182,6 +185,13 @@ def common(command: F) -> F:
             "--bus",
             metavar="BUS",
             help=f"The bus: demo, socketcan:can0, pcan:PCAN_USBBUS1@500k, slcan:/dev/ttyACM0@250k ...  [env: {BUS_VARIABLE}]",
+        ),
+        _option(
+            "-e",
+            "--eds",
+            multiple=True,
+            metavar="[NODE=]FILE",
+            help="The device's own file (EDS, DCF, XDD, XDC), which names its objects; once for each device.",
         ),
         _option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
         _option("--json", "json_output", is_flag=True, help="Results and errors as JSON."),

@@ -13,6 +13,7 @@ from typing import Final
 import trio
 
 from canopen_data import load_dictionary
+from canopen_master.cli.device_files import DeviceFiles, description_of, read_device_files
 from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_master.cli.options import DEMO, Settings
 from canopen_master.cli.problem import Problem, advice, problem_of
@@ -23,6 +24,7 @@ from canopen_master.node import Node
 from canopen_master.session import open_master
 from canopen_master.silence import sdo_silence
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.dictionary.findings import Severity
 from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
@@ -37,15 +39,25 @@ LOOK_AGAIN: Final = 0.05
 
 
 class Session:
-    """An open master and its dictionary."""
+    """An open master, and the dictionaries: that of the data files, and those of the devices' own files."""
 
-    def __init__(self, master: Master, dictionary: ObjectDictionary) -> None:
+    def __init__(self, master: Master, dictionary: ObjectDictionary, files: DeviceFiles) -> None:
         self.master = master
-        self.dictionary = dictionary
+        self._dictionary = dictionary
+        self._files = files
 
     def node(self, node_id: int) -> Node:
         """A node of the only bus."""
-        return self.master.node(node_id)
+        return self.master.node(node_id, self.dictionary_of(node_id))
+
+    def dictionary_of(self, node_id: int) -> ObjectDictionary:
+        """What a node is: by its own file where -e names one."""
+        description = self.description_of(node_id)
+        return self._dictionary if description is None else description.dictionary
+
+    def description_of(self, node_id: int) -> DeviceDescription | None:
+        """A node's own file, or None."""
+        return description_of(self._files, node_id)
 
     @property
     def network(self) -> Network:
@@ -69,13 +81,14 @@ async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Sess
     """A master on the bus of the options, while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
     bus = settings.required_bus()
     dictionary = read_dictionary(screen)
+    files = read_device_files(settings.eds, dictionary, screen)
     timeout = SDO_TIMEOUT if settings.timeout is None else settings.timeout / SECOND
     async with AsyncExitStack() as stack:
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
         master = await stack.enter_async_context(open_master(bus, sdo_timeout=timeout, dictionary=dictionary))
-        session = Session(master, dictionary)
+        session = Session(master, dictionary, files)
         try:
             yield session
         except Exception as error:

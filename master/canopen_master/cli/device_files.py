@@ -1,0 +1,81 @@
+"""-e: the devices' own files (EDS, DCF, XDD, XDC), by which their objects are named and typed instead of by the data files.
+
+`-e FILE` is for all nodes, `-e 5=FILE` for node 5 only. Several files without a node-ID are told apart by the node-ID in them, as
+a DCF and an XDC have it. The names of the data files are laid over each, so that `statusword` works with every drive.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from rich.markup import escape
+
+from canopen_master.cli.options import node_id_of
+from canopen_master.cli.problem import ExitCode, Problem, usage
+from canopen_master.cli.screen import Screen
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.description import DeviceDescription
+from canopen_proto.dictionary.findings import Severity
+
+_OF_NODE: Final = re.compile(r"(0[xX][0-9A-Fa-f]+|[0-9]+)=(.+)")
+
+DeviceFiles = Mapping[int | None, DeviceDescription]
+"""Descriptions by node-ID; None: of all other nodes."""
+
+
+def description_of(files: DeviceFiles, node_id: int) -> DeviceDescription | None:
+    """The file of a node, or None."""
+    return files.get(node_id, files.get(None))
+
+
+def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Screen) -> DeviceFiles:
+    """What the options -e say. names: of the data files.
+
+    Tells how many errors are in a file. Raises DataError where one cannot be read, a Problem where it describes nothing, or where
+    it is not clear of which node it is.
+    """
+    files: dict[int | None, DeviceDescription] = {}
+    if not texts:
+        return files
+    from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
+
+    named = [_split(text) for text in texts]
+    without = sum(1 for node_id, _ in named if node_id is None)
+    for node_id, path in named:
+        description = with_names(_read(path, screen), names)
+        if node_id is None and without > 1:
+            node_id = description.commissioning.node_id if description.commissioning is not None else None
+            if node_id is None:
+                tries = (f"-e 5={path}    (it is the file of node 5)",)
+                raise usage("CO126", f"there are several files, and {path} does not say of which node it is", tries=tries)
+        if node_id in files:
+            whose = "all nodes" if node_id is None else f"node {node_id}"
+            raise usage("CO126", f"there are two files of {whose}: {files[node_id].source} and {path}")
+        files[node_id] = description
+    return files
+
+
+def _split(text: str) -> tuple[int | None, str]:
+    match = _OF_NODE.fullmatch(text)
+    return (None, text) if match is None else (node_id_of(match[1]), match[2])
+
+
+def _read(path: str, screen: Screen) -> DeviceDescription:
+    from canopen_data.descriptions import load_description
+
+    description = load_description(path)
+    errors = [each for each in description.findings if each.severity is Severity.ERROR]
+    if not description.dictionary.objects:
+        raise Problem(
+            ExitCode.BAD_FILE,
+            "CO301",
+            f"{path} describes no object",
+            seen=str(errors[0]) if errors else "",
+            cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
+        )
+    if errors:
+        count = "1 error" if len(errors) == 1 else f"{len(errors)} errors"
+        screen.say(f"[dim]{escape(path)}: {count} in it, the first: {escape(str(errors[0]))}[/]")
+    return description
