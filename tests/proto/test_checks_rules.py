@@ -58,8 +58,9 @@ CASES: list[tuple[str, str, str, Change]] = [
     ("name-empty", "[2003sub1]", "the sub-object has no name", field(0x2003, 1, name="Table:")),
     ("name-long", "[2001]", "its name has 242 characters; 241 is the most",
      with_variable(replace(OFFSET, name=242 * "x"))),
-    ("name-twice", "[2001]", "0x2000 has this name too", with_variable(replace(OFFSET, name="GAIN"))),
-    ("name-twice", "[2003sub2]", "sub 1 has this name too", field(0x2003, 2, name="Table:First")),
+    ("name-twice", "[2000]", "this is the name of 0x2001 too", with_variable(replace(OFFSET, name="GAIN"))),
+    ("name-twice", "[2003sub1]", "this is the name of sub 2 too",
+     several(whole(0x2003, object_type=ObjectType.RECORD), field(0x2003, 2, name="Table:First"))),
     # values
     ("default-type", "[2001]", "DefaultValue='x': INTEGER32 takes an integer, not 'x'", field(0x2001, 0, default="x")),
     ("default-type", "[2000]", "DefaultValue=65535: 65536 is outside 0..65535 (UNSIGNED16)",
@@ -83,7 +84,9 @@ CASES: list[tuple[str, str, str, Change]] = [
     ("mappable-type", "[2004]", "PDOMapping=1, but no PDO can carry a DOMAIN",
      with_object(Object.of("Data", [Variable(0x2004, 0, "Data", DataType.DOMAIN, pdo_mappable=True)], ObjectType.DOMAIN))),
     # standard objects
-    ("standard-type", "[6041]", "it is of type UNSIGNED32; statusword is UNSIGNED16 to the standard",
+    ("standard-type", "[1017]", "it is of type UNSIGNED32; producer_heartbeat_time is UNSIGNED16 to the standard",
+     field(0x1017, 0, data_type=DataType.UNSIGNED32)),
+    ("profile-type", "[6041]", "it is of type UNSIGNED32; statusword is UNSIGNED16 to the standard",
      several(field(0x6041, 0, data_type=DataType.UNSIGNED32), field(0x1A00, 1, default=0x60410020))),
     ("standard-sign", "[6040]", "it is of type INTEGER16; controlword is UNSIGNED16 to the standard",
      field(0x6040, 0, data_type=DataType.INTEGER16)),
@@ -217,6 +220,7 @@ def test_a_finding_says_where_it_is() -> None:
 @pytest.mark.parametrize(
     "change",
     [
+        field(0x2003, 2, name="Table:First"),  # entries of an ARRAY are told apart by their number
         field(0x1800, 1, default=0x8000_0180),  # a PDO that does not exist yet
         several(field(0x1800, 1, default=0x8000_0000, adds_node_id=False), field(0x1800, 2, default=0)),
         several(without(0x1005), field(0x1800, 1, default=0x8000_0180), field(0x1800, 2, default=1)),
@@ -247,6 +251,12 @@ def test_a_finding_says_where_it_is() -> None:
 )  # fmt: skip
 def test_what_devices_do_for_good_reason_is_not_reported(change: Change) -> None:
     assert check(change(clean())) == []
+
+
+def test_many_objects_of_one_name_are_one_finding() -> None:
+    twins = several(*(with_variable(replace(OFFSET, index=index)) for index in range(0x2010, 0x2016)))
+    (finding,) = check(twins(clean()))
+    assert finding.message.endswith("this is the name of 0x2010, 0x2011, 0x2012, 0x2013 and 2 more too")
 
 
 def test_a_commissioned_node_id_is_added() -> None:

@@ -34,7 +34,7 @@ RULES: Final = (
 )
 
 _DATE: Final = re.compile(r"(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])-[0-9]{4}", re.ASCII)
-_TIME: Final = re.compile(r"(0[0-9]|1[0-2]):[0-5][0-9](AM|PM)", re.ASCII)
+_TIME: Final = re.compile(r"(0?[0-9]|1[0-2]):[0-5][0-9] ?(AM|PM)", re.ASCII)
 _VERSION: Final = re.compile(r"[0-9]\.[0-9]", re.ASCII)
 
 

@@ -8,19 +8,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Final
 
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary.checks.structure import COMMUNICATION_AREA
 from canopen_proto.dictionary.checks.subject import ERROR, NOTICE, PROFILE_AREA, WARNING, Rule, Subject
 from canopen_proto.dictionary.findings import Finding
 from canopen_proto.dictionary.model import Access, ObjectType, Variable
 from canopen_proto.dictionary.standard import find_standard
 
-COMMUNICATION_AREA: Final = range(0x1000, 0x2000)
 DRIVE_PROFILE: Final = 402
 CONTROLWORD: Final = 0x6040
 STATUSWORD: Final = 0x6041
 ERROR_CONTROL: Final = (0x1017, 0x100C)
 
+_BYTES: Final = {DataType.DOMAIN, DataType.OCTET_STRING}
+"""By SDO the same: CiA 301 lets a device choose in most places."""
+
 RULES: Final = (
-    Rule("standard-type", ERROR, "a standard object of another length than the standard's: masters read and write it wrongly"),
+    Rule("standard-type", ERROR, "a communication object of another length than the standard's: masters use it wrongly"),
+    Rule("profile-type", WARNING, "an object of the device profile is of another length than the profile's"),
     Rule("standard-sign", WARNING, "a standard object of the right length, but of another type"),
     Rule("standard-access", WARNING, "a standard object that can be written here and only read there, or the other way"),
     Rule("standard-object", WARNING, "a VAR where the standard has an ARRAY or RECORD, or the other way"),
@@ -54,8 +59,10 @@ def check_standard_objects(subject: Subject) -> Iterator[Finding]:
 
 
 def _check_against(subject: Subject, variable: Variable, standard: Variable) -> Iterator[Finding]:
-    if variable.data_type is not standard.data_type:
-        code = "standard-sign" if variable.size == standard.size else "standard-type"
+    if variable.data_type is not standard.data_type and {variable.data_type, standard.data_type} != _BYTES:
+        code = "standard-type" if variable.index in COMMUNICATION_AREA else "profile-type"
+        if variable.size == standard.size:
+            code = "standard-sign"
         text = f"it is of type {variable.data_type.name}; {standard.name} is {standard.data_type.name} to the standard"
         yield subject.of_variable(code, variable, text, "DataType")
     if variable.access.writable and not standard.access.writable:

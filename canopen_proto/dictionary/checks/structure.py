@@ -11,7 +11,7 @@ from typing import Final
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
 from canopen_proto.dictionary.findings import Finding
-from canopen_proto.dictionary.model import Object, ObjectType
+from canopen_proto.dictionary.model import Object, ObjectType, Variable
 
 MANDATORY: Final = {0x1000: "device type", 0x1001: "error register", 0x1018: "identity object"}
 """What every CANopen device has (CiA 301 v4.2.0, 7.5.2)."""
@@ -19,6 +19,10 @@ MANDATORY: Final = {0x1000: "device type", 0x1001: "error register", 0x1018: "id
 MAX_NAME: Final = 241
 """Characters of a ParameterName (CiA 306-1)."""
 
+MAX_TOLD: Final = 4
+"""Places that one finding lists."""
+
+COMMUNICATION_AREA: Final = range(0x1000, 0x2000)
 OBJECT_AREA: Final = range(0x1000, 0xC000)
 TYPE_AREA: Final = range(0x0001, 0x1000)
 MANUFACTURER_AREA: Final = range(0x2000, 0x6000)
@@ -40,7 +44,7 @@ RULES: Final = (
     Rule("array-mixed", WARNING, "an ARRAY whose entries are of different types"),
     Rule("name-empty", WARNING, "an object without a name"),
     Rule("name-long", NOTICE, f"a name of more than {MAX_NAME} characters"),
-    Rule("name-twice", NOTICE, "two entries of an object, or two objects, have one name: only the later can be reached by it"),
+    Rule("name-twice", NOTICE, "two sub-objects of a RECORD, or two objects, have one name, which then names neither"),
 )
 
 
@@ -132,30 +136,43 @@ def _counts_used(index: int) -> bool:
 
 
 def check_names(subject: Subject) -> Iterator[Finding]:
-    """Names: there, not too long, and each one once."""
-    by_name: dict[str, int] = {}
+    """Names: there, not too long, and each one once. The standard itself gives the records of all PDOs one name,
+    and the entries of an ARRAY are told apart by their number."""
+    by_name: dict[str, list[int]] = {}
     for each in subject.dictionary.objects.values():
         if not each.name.strip():
             yield subject.of_object("name-empty", each.index, "the object has no name", "ParameterName")
-        elif by_name.setdefault(each.name.casefold(), each.index) != each.index:
-            twin = by_name[each.name.casefold()]
-            yield subject.of_object("name-twice", each.index, f"0x{twin:04X} has this name too", "ParameterName")
+        elif each.index not in COMMUNICATION_AREA:
+            by_name.setdefault(each.name.casefold(), []).append(each.index)
         if len(each.name) > MAX_NAME:
             text = f"its name has {len(each.name)} characters; {MAX_NAME} is the most"
             yield subject.of_object("name-long", each.index, text, "ParameterName")
         if each.object_type in (ObjectType.ARRAY, ObjectType.RECORD):
             yield from _check_field_names(subject, each)
+    for first, *others in by_name.values():
+        if others:
+            text = f"{_enumerated([f'0x{index:04X}' for index in others])} too"
+            yield subject.of_object("name-twice", first, f"this is the name of {text}", "ParameterName")
 
 
 def _check_field_names(subject: Subject, each: Object) -> Iterator[Finding]:
-    by_name: dict[str, int] = {}
-    for subindex, variable in sorted(each.variables.items()):
+    by_name: dict[str, list[Variable]] = {}
+    for _, variable in sorted(each.variables.items()):
         name = field_name(each, variable.name)
-        if not name.strip():
+        if name.strip() and each.object_type is ObjectType.RECORD and each.index not in COMMUNICATION_AREA:
+            by_name.setdefault(name.casefold(), []).append(variable)
+        elif not name.strip():
             yield subject.of_variable("name-empty", variable, "the sub-object has no name", "ParameterName")
-        elif by_name.setdefault(name.casefold(), subindex) != subindex:
-            text = f"sub {by_name[name.casefold()]} has this name too"
-            yield subject.of_variable("name-twice", variable, text, "ParameterName")
+    for first, *others in by_name.values():
+        if others:
+            text = f"{_enumerated([f'sub {variable.subindex}' for variable in others])} too"
+            yield subject.of_variable("name-twice", first, f"this is the name of {text}", "ParameterName")
+
+
+def _enumerated(places: Sequence[str]) -> str:
+    """The first ones, and how many more there are."""
+    hidden = len(places) - MAX_TOLD
+    return ", ".join(places) if hidden <= 0 else f"{', '.join(places[:MAX_TOLD])} and {hidden} more"
 
 
 def field_name(each: Object, name: str) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
 from canopen_proto.dictionary.description import DeviceDescription, FileKind
+from canopen_proto.dictionary.eds.ini import EdsDocument
 from canopen_proto.dictionary.findings import Finding, Severity
 from canopen_proto.dictionary.model import Variable
 from canopen_proto.frame import MAX_NODE_ID
@@ -99,7 +100,9 @@ class Subject:
     def of_entry(self, code: str, section: str, entry: str, text: str) -> Finding:
         """A finding about an entry of a section that is no object: [DeviceInfo] and the like."""
         where = f"in [{section}]: " if self.has_lists else ""
-        return self._at(code, f"{where}{text}", 0, 0)
+        document = self.description.document
+        found = document.section(section) if isinstance(document, EdsDocument) else None
+        return self._at(code, f"{where}{text}", *((0, 0) if found is None else found.place_of(entry)))
 
     def _finding(self, code: str, message: str, index: int, subindex: int | None, field: str) -> Finding:
         return self._at(code, message, *self.description.place_of(index, subindex, field))

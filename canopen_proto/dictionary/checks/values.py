@@ -20,7 +20,7 @@ RULES: Final = (
     Rule("default-limits", WARNING, "a default outside the object's own limits"),
     Rule("configured-type", ERROR, "a configured value that the object's type cannot hold"),
     Rule("configured-limits", ERROR, "a configured value outside the object's limits: the device will refuse it"),
-    Rule("configured-read-only", WARNING, "a configured value for an object that cannot be written"),
+    Rule("configured-read-only", NOTICE, "a configured value for an object that cannot be written"),
     Rule("limits-crossed", ERROR, "the low limit is above the high limit: nothing can be written"),
     Rule("limit-type", WARNING, "a limit that the object's type cannot hold"),
     Rule("limit-useless", NOTICE, "limits of an object that holds no number"),
