@@ -6,7 +6,7 @@ Any dictionary makes a device that boots and answers. What is wrong in it costs 
 silence on the bus: a peer can do nothing for it. `notices_of` is where it is told. It looks at the description and at the values
 as they are now (before `boot`: as at power-on), and names
 
-    values        a default that its type cannot hold: zero stands there
+    values        a default that its type cannot hold, and what stands there instead
     types         a communication object that the standard describes as another type: it may have no room for what is written to
                   it (a COB-ID of 16 bits), or be nothing that a service can use (text)
     COB-IDs       a CAN-ID that its service may not have; two services of the device on one CAN-ID
@@ -29,6 +29,7 @@ from typing import Final
 from canopen_proto.datatypes import DataType, Value, is_integer, is_signed, size_of
 from canopen_proto.dictionary import Direction, Values, Variable
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.dictionary.values import nearest
 from canopen_proto.frame import COB_ID_INVALID, EMCY, KEY_EXTENDED, SYNC, key_of_cob_id
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import number_at
@@ -82,8 +83,10 @@ def notices_of(node_id: int, values: Values, pdos: DevicePdos) -> tuple[Notice, 
 
 def _values(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
     for variable in values.unfit:
-        value = _show(variable.initial_of(node_id))
-        yield _about(variable, f"{variable.data_type.name} cannot hold {value}, its value at power-on: it is zero instead")
+        value = variable.initial_of(node_id)
+        is_text = isinstance(nearest(variable, value), str) and isinstance(value, str)
+        instead = "its UTF-8 bytes stand there" if is_text else "it is zero instead"
+        yield _about(variable, f"{variable.data_type.name} cannot hold {_show(value)}, its value at power-on: {instead}")
 
 
 def _show(value: Value) -> str:

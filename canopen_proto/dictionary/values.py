@@ -13,12 +13,12 @@ Everything that comes from outside goes through `write` (our own caller) or thro
 change; effects of objects are the business of the node that owns it.
 
 A description may give an object a value that its type cannot hold: an EDS is wrong, or the node-ID carries it over the edge. The
-object then begins with its type's zero, so that it can be read at all; `unfit` says so.
+object then begins with what `nearest` makes of it, so that it can be read at all; `unfit` says so.
 """
 
 from __future__ import annotations
 
-from canopen_proto.datatypes import Value, ValueRangeError, zero_of
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, zero_of
 from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFound, Variable
 
 
@@ -36,7 +36,7 @@ class Values:
         self.node_id = node_id
         self.store: dict[int, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
         self.unfit = tuple(variable for variable in dictionary if not _takes(variable, self.store[variable.mux]))
-        self._clear_unfit()
+        self._mend()
 
     def __getitem__(self, mux: int) -> Value:
         """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
@@ -77,23 +77,33 @@ class Values:
         for variable in self.dictionary:
             if first_index <= variable.index <= last_index:
                 self.store[variable.mux] = variable.initial_of(self.node_id)
-        self._clear_unfit(first_index, last_index)
+        self._mend(first_index, last_index)
 
     def put_default(self, variable: Variable) -> None:
         """Give an object its default, whatever a DCF has configured for it."""
         value = variable.default_of(self.node_id)
-        self.store[variable.mux] = value if _takes(variable, value) else zero_of(variable.data_type)
+        self.store[variable.mux] = value if _takes(variable, value) else nearest(variable, value)
 
-    def _clear_unfit(self, first_index: int = 0, last_index: int = 0xFFFF) -> None:
+    def _mend(self, first_index: int = 0, last_index: int = 0xFFFF) -> None:
         for variable in self.unfit:
             if first_index <= variable.index <= last_index:
-                self.store[variable.mux] = zero_of(variable.data_type)
+                self.store[variable.mux] = nearest(variable, variable.initial_of(self.node_id))
 
     def _held(self, key: Key) -> Variable:
         variable = self.dictionary.variable(key)
         if variable.mux not in self.store:
             raise ObjectNotFound(f"{variable.label} is no object of this device")
         return variable
+
+
+def nearest(variable: Variable, value: Value) -> Value:
+    """What stands for a value that the object's type cannot hold: a text's bytes in UTF-8, else the type's zero.
+
+    A VISIBLE_STRING has no character beyond Latin-1, but devices whose EDS is in UTF-8 send just these bytes.
+    """
+    if isinstance(value, str) and variable.data_type == DataType.VISIBLE_STRING:
+        return value.encode("utf-8", "surrogatepass").decode("latin-1")
+    return zero_of(variable.data_type)
 
 
 def _takes(variable: Variable, value: Value) -> bool:

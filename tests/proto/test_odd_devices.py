@@ -209,6 +209,11 @@ def test_a_default_beyond_its_type_is_told_shortly() -> None:
         f"0x2002:00: o2002: VISIBLE_STRING cannot hold b'{'x' * 38}, its value at power-on: it is zero instead",
     ]
     assert bench.read(0x2000) == b"\x00"
+    bench = bench_of(var(0x2000, TEXT, "€"))
+    assert told(var(0x2000, TEXT, "€")) == [
+        "0x2000:00: o2000: VISIBLE_STRING cannot hold '€', its value at power-on: its UTF-8 bytes stand there"
+    ]
+    assert bench.read(0x2000) == "€".encode()
 
 
 def test_notices_are_bounded() -> None:
