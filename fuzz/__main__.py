@@ -3,8 +3,10 @@
     pip install atheris
     python -m fuzz sdo_server [-max_total_time=3600 and whatever else libFuzzer takes]
     python -m fuzz show crash-...
+    python -m fuzz keep sdo_server
 
-New inputs go to fuzz/found/TARGET (not kept in the repository); what is worth keeping goes to fuzz/corpus/TARGET.
+A run begins with fuzz/corpus/TARGET, written by people, and fuzz/kept/TARGET.zip. What is new goes to fuzz/found/TARGET, which is
+not in the repository; `keep` makes it the archive.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
+from fuzz.kept import HERE, keep, kept, unpack
 
 
 def main(arguments: list[str]) -> int:
@@ -23,8 +25,12 @@ def main(arguments: list[str]) -> int:
         print(text_of(decode(Path(arguments[1]).read_bytes())))
         return 0
     names = sorted(path.name for path in (HERE / "corpus").iterdir())
+    if len(arguments) == 2 and arguments[0] == "keep" and arguments[1] in names:
+        found = HERE / "found" / arguments[1]
+        keep(arguments[1], [path.read_bytes() for path in found.iterdir()] if found.exists() else kept(arguments[1]))
+        return 0
     if not arguments or arguments[0] not in names:
-        print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]\n       python -m fuzz show FILE")
+        print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]\n       python -m fuzz show FILE | keep TARGET")
         return 2
     try:
         import atheris
@@ -37,6 +43,7 @@ def main(arguments: list[str]) -> int:
     name, *options = arguments
     found = HERE / "found" / name
     found.mkdir(parents=True, exist_ok=True)
+    unpack(name, found)
     atheris.Setup([sys.argv[0], *options, str(found), str(HERE / "corpus" / name)], TARGETS[name])
     atheris.Fuzz()
     return 0

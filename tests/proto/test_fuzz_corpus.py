@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 from fuzz.__main__ import HERE, main
+from fuzz.kept import keep, kept, unpack
 from fuzz.steps import OWN_CAN_IDS, decode, encode, text_of
 from fuzz.targets import TARGETS
 
 CORPUS = {path.name: sorted(path.iterdir()) for path in sorted((HERE / "corpus").iterdir())}
 SAVED = [(target, path) for target, paths in CORPUS.items() for path in paths]
-RANDOM_INPUTS = 200
+RANDOM_INPUTS = 60
 
 
 def test_each_target_has_a_corpus() -> None:
@@ -25,6 +26,12 @@ def test_each_target_has_a_corpus() -> None:
 @pytest.mark.parametrize(("target", "path"), SAVED, ids=[f"{target}-{path.name}" for target, path in SAVED])
 def test_saved_inputs(target: str, path: Path) -> None:
     TARGETS[target](path.read_bytes())
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_inputs_kept_from_long_runs(target: str) -> None:
+    for data in kept(target):
+        TARGETS[target](data)
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -75,6 +82,25 @@ def test_steps_as_text_and_back() -> None:
 def test_bytes_that_end_in_the_middle_of_a_step() -> None:
     assert text_of(decode(b"\x02")) == "605#0000000000000000"
     assert text_of(decode(b"\x00\x04\x02\x07")) == "205#0700"
+
+
+def test_what_was_found_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("fuzz.kept.HERE", tmp_path)
+    monkeypatch.setattr("fuzz.__main__.HERE", tmp_path)
+    (tmp_path / "corpus" / "sdo_client").mkdir(parents=True)
+    found = tmp_path / "found" / "sdo_client"
+    found.mkdir(parents=True)
+    for number in range(3):
+        (found / str(number)).write_bytes(bytes([number // 2]))
+    assert main(["keep", "sdo_client"]) == 0
+    archive = (tmp_path / "kept" / "sdo_client.zip").read_bytes()
+    again = tmp_path / "again"
+    again.mkdir()
+    unpack("sdo_client", again)
+    assert sorted(path.read_bytes() for path in again.iterdir()) == [b"\x00", b"\x01"]
+    keep("sdo_client", kept("sdo_client"))
+    assert (tmp_path / "kept" / "sdo_client.zip").read_bytes() == archive
+    assert main(["keep", "nothing"]) == 2
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
