@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from canopen_data import DataError, content_of, expanded, load_dictionary
+from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.reading import read_description
@@ -69,9 +70,7 @@ def with_names(description: DeviceDescription, names: ObjectDictionary) -> Devic
     as the objects of the data files are.
     """
     whole = description.dictionary
-    device_type = whole.get(0x1000)
-    profile = device_type.default if device_type is not None else None
-    if isinstance(profile, int) and profile & 0xFFFF == DRIVE_PROFILE:
+    if _is_drive(whole):
         return replace(description, dictionary=whole.with_names_of(names))
     common = ObjectDictionary(
         [each for each in whole.objects.values() if each.index < PROFILE_AREA],
@@ -82,3 +81,13 @@ def with_names(description: DeviceDescription, names: ObjectDictionary) -> Devic
     )
     rest = [each for each in whole.objects.values() if each.index >= PROFILE_AREA]
     return replace(description, dictionary=common.with_names_of(names).with_objects(rest))
+
+
+def _is_drive(dictionary: ObjectDictionary) -> bool:
+    """Whether it is that of a drive: by its device type, and where the file does not say it, by controlword and statusword."""
+    device_type = dictionary.get(0x1000)
+    value = None if device_type is None else device_type.default if device_type.configured is None else device_type.configured
+    if isinstance(value, int):
+        return value & 0xFFFF == DRIVE_PROFILE
+    words = (dictionary.get(0x6040), dictionary.get(0x6041))
+    return all(word is not None and word.data_type is DataType.UNSIGNED16 for word in words)

@@ -149,6 +149,14 @@ def test_info_says_which_fields_do_not_fit(run: Run, tmp_path: Path) -> None:
     assert "ANOTHER DEVICE by device type 0x00020192 (file: 0x00010192), vendor-ID 0x00000000 (file: 0x00000055)" in text
 
 
+def test_info_compares_the_serial_number_with_a_file_of_one_device(run: Run, tmp_path: Path) -> None:
+    serial = '<CANopenSubObject subIndex="04" name="Number" objectType="7" dataType="0007" accessType="ro" defaultValue="7"/>'
+    for node_id, different in ((None, []), (3, [{"field": "serial number", "node": 1, "file": 7}])):
+        path = Path(file(tmp_path, node_id=node_id))
+        path.write_bytes(path.read_bytes().replace(b"</CANopenObject>\n</", serial.encode() + b"</CANopenObject>\n</"))
+        assert run("info", "3", "-e", str(path), "--json", *DEMO).json["file"]["different"] == different
+
+
 def test_info_with_a_file_that_says_nothing_of_identity(run: Run, tmp_path: Path) -> None:
     outcome = run("info", "3", "-e", file(tmp_path, ""), "--json", *DEMO)
     assert outcome.json["file"]["matches"] is None

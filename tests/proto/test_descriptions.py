@@ -118,6 +118,14 @@ def test_another_device_gets_those_of_communication_objects(tmp_path: Path) -> N
     assert [each.index for each in dictionary] == [0x1000, 0x1017, 0x2000, 0x6041]
 
 
+@pytest.mark.parametrize(("code", "is_drive"), [("0006", True), ("0005", False)])
+def test_a_file_that_does_not_say_its_profile(tmp_path: Path, code: str, is_drive: bool) -> None:
+    path = tmp_path / "device.xdd"
+    words = "".join(VAR.format(index, f"word {index}", f'dataType="{code}" accessType="rw"') for index in ("6040", "6041"))
+    path.write_bytes(xdd(words))
+    assert ("statusword" in load_description_with_names(path).dictionary) is is_drive
+
+
 def test_the_files_own_names_only(tmp_path: Path) -> None:
     described(tmp_path, "0x20192")
     dictionary = load_description_with_names(tmp_path / "device.xdd", overlay=False).dictionary

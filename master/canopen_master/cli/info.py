@@ -16,7 +16,7 @@ from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
-from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
 from canopen_proto.dictionary.description import DeviceDescription, FileKind
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.error_codes import error_text, register_names
@@ -82,15 +82,10 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
 
 def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:
     """Whether the node is of the type that its file describes. What the file does not say, or says as 0, fits everything."""
-    different = []
-    compared = 0
-    for name, wanted in _identity_of(description, node_id).items():
-        if name not in facts:
-            continue
-        compared += 1
-        number = facts[name][0]
-        if number != wanted:
-            different.append({"field": name, "node": number, "file": wanted})
+    compared = {name: number for name, number in _identity_of(description, node_id).items() if name in facts}
+    different = [
+        {"field": name, "node": facts[name][0], "file": number} for name, number in compared.items() if facts[name][0] != number
+    ]
     raw = {"name": description.source, "matches": not different if compared else None, "different": different}
     if not compared:
         return raw, f"{description.source}: it says nothing of the device's identity"
@@ -106,17 +101,20 @@ def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]
     said = {"vendor-ID": device.vendor_number, "product code": device.product_number, "revision": device.revision_number}
     for subindex, name in IDENTITY:
         variable = description.dictionary.get(0x1018, subindex)
-        if variable is not None and (variable.default is not None or variable.configured is not None):
-            value = variable.initial_of(node_id)
-            if isinstance(value, int) and value:
-                said[name] = value
+        if variable is not None and isinstance(value := _said(variable, node_id), int) and value:
+            said[name] = value
     if description.kind not in (FileKind.DCF, FileKind.XDC):
         said.pop("serial number", None)
     wanted = {name: number for name, number in said.items() if number}
     device_type = description.dictionary.get(0x1000)
-    if device_type is not None and isinstance(device_type.default, int):
-        wanted = {"device type": device_type.default} | wanted
+    if device_type is not None and isinstance(value := _said(device_type, node_id), int):
+        wanted = {"device type": value} | wanted
     return wanted
+
+
+def _said(variable: Variable, node_id: int) -> Value | None:
+    """What an object holds at first, where the file says it."""
+    return None if variable.default is None and variable.configured is None else variable.initial_of(node_id)
 
 
 async def _add_health(node: Node, facts: Facts) -> None:
@@ -171,7 +169,8 @@ def _pdo(settings: PdoSettings, description: DeviceDescription | None) -> tuple[
 
 def _object_name(dictionary: ObjectDictionary | None, index: int, subindex: int) -> str:
     """What an object is called by the device's own file, else by the standard."""
-    variable = find_standard(index, subindex) if dictionary is None else dictionary.get(index, subindex)
+    own = None if dictionary is None else dictionary.get(index, subindex)
+    variable = own or find_standard(index, subindex)
     return f"{index:04X}:{subindex:02X}" if variable is None else variable.name
 
 
