@@ -216,6 +216,7 @@ def test_places() -> None:
     assert description.place_of(0x2000, 0, "ParameterName") == (5, 35)
     assert description.place_of(0x2000, None, "DefaultValue") == (6, 19)
     assert description.place_of(0x2000, 0, "ParameterValue") == (3, 67)
+    assert description.place_of(0x2000, 0, "AccessType") == (6, 50)
     assert description.place_of(0x2000, 0, "LowLimit") == (5, 1)
     assert description.place_of(0x2000, 0, "nonsense") == (5, 1)
     assert description.place_of(0x1018, 1, "dataType") == (9, 74)

@@ -76,6 +76,7 @@ def test_values_limits_texts_and_units() -> None:
     assert (thing.description, thing.denotation, thing.unit, thing.factor) == ("what it is", "left", "mm", 0.05)
     assert description.kind is FileKind.XDC
     assert description.place_of(0x2000, 0, "HighLimit")[0] == 4
+    assert description.place_of(0x2000, 0, "AccessType") == (2, 129), "the parameter says none: where it begins"
 
 
 def test_an_object_goes_before_its_parameter() -> None:

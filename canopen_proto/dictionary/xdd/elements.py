@@ -43,6 +43,7 @@ _ENCODINGS: Final = {
     "us-ascii": "utf-8",
     "ascii": "utf-8",
     "iso-8859-1": "latin-1",
+    "latin-1": "latin-1",
     "latin1": "latin-1",
     "iso-8859-15": "iso-8859-15",
     "windows-1252": "cp1252",
