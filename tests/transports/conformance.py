@@ -62,7 +62,7 @@ class TransportConformance:
     """The kit. `join` opens one more member of one and the same bus, which is fresh for each test (see pytest's setup_method)."""
 
     real_time = True
-    burst = 3000
+    burst = 10_000
     unopenable: tuple[str, ...] = ()
 
     _stack: AsyncExitStack
@@ -227,6 +227,39 @@ class TransportConformance:
             nursery.start_soon(receive)
             await trio.testing.wait_all_tasks_blocked()
             await one.aclose()
+
+    @scenario
+    async def test_closing_amid_traffic_wakes_reader_and_sender(self) -> None:
+        one, other, third = await self.members(3)
+        count = 0
+
+        async def read(member: Transport) -> None:
+            nonlocal count
+            with pytest.raises(trio.ClosedResourceError):
+                while True:
+                    try:
+                        await member.receive()
+                    except ReceiveOverrun:
+                        continue
+                    count += 1
+
+        async def send(member: Transport) -> None:
+            with pytest.raises(trio.ClosedResourceError):
+                for number in range(1_000_000):
+                    await member.send(numbered(number))
+
+        async with trio.open_nursery() as nursery:
+            for member in (one, other):
+                nursery.start_soon(read, member)
+                nursery.start_soon(send, member)
+            while count < 50:
+                await trio.lowlevel.checkpoint()
+            await one.aclose()
+            before = count
+            while count < before + 50:  # the others go on: `other` hears only `third`, which hears them, now
+                await third.send(numbered(0))
+            await other.aclose()
+        await third.aclose()
 
     @scenario
     async def test_what_is_closed_stays_closed(self) -> None:

@@ -43,7 +43,7 @@ def test_parts(text: str, interface: str, channel: str, bitrate: int | None, opt
     locator = parse_locator(text)
     assert (locator.interface, locator.channel, locator.bitrate, locator.options) == (interface, channel, bitrate, options)
     assert locator.text == text
-    assert locator.own == text.strip().startswith("virtual")
+    assert locator.own == (interface in ("virtual", "socketcan") and not text.startswith("pythoncan:"))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from typing import Final
 
 import can
 
-from canopen_transports.errors import BUS_LOST, CANNOT_OPEN, NO_PERMISSION, NOT_ACKNOWLEDGED, TransportError
+from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, NO_PERMISSION, NOT_ACKNOWLEDGED, TransportError
 from canopen_transports.locator import Locator, bitrate_text, nearest
 
 OPENING_ERRORS: Final = (
@@ -190,6 +190,17 @@ def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
         f"cannot open {locator.text}",
         seen=f"{locator.interface} has no bit rate {locator.bitrate}",
         tries=(f"one of {', '.join(bitrate_text(rate) for rate in known)}",),
+    )
+
+
+def unknown_option(locator: Locator, option: str, known: list[str]) -> TransportError:
+    """An option that our own transport of this interface does not have."""
+    return TransportError(
+        BAD_LOCATOR,
+        locator.text,
+        f"the bus {locator.text!r} makes no sense",
+        seen=f"{locator.interface} has no option {option!r}; it has {', '.join(known)}",
+        tries=(f"{locator.interface}:{locator.channel}", f"pythoncan:{locator.text}   (python-can's own, with its options)"),
     )
 
 

@@ -2,13 +2,15 @@
 
     virtual:demo                        a bus inside this process (the name may be left out)
     socketcan:can0                      Linux; the bit rate is set with `ip link`, not by us; also just `can0`, `vcan0`
+    socketcan:can0?filter=ids           the kernel lets through only what the master's machines want
+    socketcan:can0?sync=bcm             the kernel's broadcast manager sends the cyclic SYNC
     pcan:PCAN_USBBUS1@500k              PEAK adapters by PCAN-Basic; 500k where none is given
     /dev/pcan32  /dev/pcanusb32         the same by PEAK's Linux device file, as the manual's chain files have it
     slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
     udp_multicast                       two terminals of one computer
     udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
     kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it
-    pythoncan:virtual:demo              the same where we have another meaning for the name: python-can's own `virtual`
+    pythoncan:virtual:demo              the same where we have another meaning for the name, as for `virtual` and `socketcan`
 
 Bit rates: `500k`, `1M`, `83.333k`, `125000`. Channels and options are read as python-can reads them in its configuration files:
 `0` is a number, `true` is true.
@@ -76,11 +78,13 @@ def parse_locator(text: str) -> Locator:
     if interface.startswith("/dev/pcan") and not colon:
         return Locator(text, False, "pcan", _peak_channel(text, interface), bitrate or MANUAL_BITRATE, options)
     if _NET_DEVICE.fullmatch(interface) and not colon:
-        return Locator(text, False, "socketcan", interface, bitrate, options)
+        return Locator(text, True, "socketcan", interface, bitrate, options)
     if interface == "virtual":
         if bitrate is not None or options:
             raise _bad(text, "a virtual bus has neither bit rate nor options", tries=(f"virtual:{channel}",))
         return Locator(text, True, interface, channel or DEFAULT_BUS_NAME, None, {})
+    if interface == "socketcan":
+        return Locator(text, True, interface, channel, bitrate, options)
     if interface == "pythoncan":
         interface, _, channel = channel.partition(":")
     if interface not in VALID_INTERFACES:

@@ -7,7 +7,7 @@ import ipaddress
 import logging
 import os
 import socket
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import can
 import trio
@@ -18,7 +18,10 @@ from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
 from canopen_transports.virtual import VirtualTransport
 
-OpenTransport: TypeAlias = VirtualTransport | PythonCanTransport
+if TYPE_CHECKING:
+    from canopen_transports.socketcan import SocketCanTransport
+
+OpenTransport: TypeAlias = "VirtualTransport | SocketCanTransport | PythonCanTransport"
 
 MULTICAST_GROUP: Final = "239.74.163.2"
 """python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
@@ -40,12 +43,22 @@ async def open_transport(locator: str) -> OpenTransport:
     parsed = parse_locator(locator)
     if parsed.own:
         await trio.lowlevel.checkpoint()
-        return VirtualTransport(parsed.channel)
+        return VirtualTransport(parsed.channel) if parsed.interface == "virtual" else _open_socketcan(parsed)
     await trio.lowlevel.checkpoint_if_cancelled()
     # In a thread, for drivers take their time (python-can's slcan sleeps 2 s). It is not abandoned when we are cancelled, so that
     # no adapter stays open behind our back; the cancel comes at the caller's next checkpoint, inside his `async with`.
     bus = await trio.to_thread.run_sync(_open_bus, parsed)
     return PythonCanTransport(bus, locator=parsed)
+
+
+def _open_socketcan(locator: Locator) -> SocketCanTransport:
+    try:
+        _check_net_device(locator)
+    except diagnosis.OPENING_ERRORS as error:  # no SocketCAN here
+        raise diagnosis.cannot_open(locator, error) from error
+    from canopen_transports.socketcan import open_socketcan  # only now, as it is Linux's alone
+
+    return open_socketcan(locator)
 
 
 def _open_bus(locator: Locator) -> can.BusABC:

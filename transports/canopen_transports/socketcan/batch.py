@@ -1,0 +1,87 @@
+"""Many frames by one system call: `recvmmsg`, which Python's `socket` does not have.
+
+For each frame the kernel hands out its time stamp (CLOCK_REALTIME, taken when the frame reached the kernel) and, where it had to
+drop frames for want of room before this one, how many it has dropped so far. These come as control messages, always in that
+order. The buffers are made once; a call costs one system call and some 2 us, a frame in it less than 2 us.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import socket
+import struct
+from collections.abc import Iterator
+from typing import Final
+
+from canopen_transports.socketcan.kernel import CAN_FRAME, SO_RXQ_OVFL, SO_TIMESTAMPNS
+
+BATCH: Final = 64
+"""Frames by one call: 5 ms of a fully loaded 1 Mbit/s bus. Who has that many waiting should let others run in between."""
+
+# Two control messages, each led by its own length, the level and the type. (Linux: cmsghdr, timespec.)
+_CONTROL: Final = struct.Struct("@Nii2lNiiI4x0N")
+_SECOND: Final = 1_000_000_000
+
+
+class _Iovec(ctypes.Structure):
+    _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
+
+
+class _Message(ctypes.Structure):
+    _fields_ = [
+        ("name", ctypes.c_void_p),
+        ("name_length", ctypes.c_uint32),
+        ("parts", ctypes.POINTER(_Iovec)),
+        ("part_count", ctypes.c_size_t),
+        ("control", ctypes.c_void_p),
+        ("control_length", ctypes.c_size_t),
+        ("flags", ctypes.c_int),
+    ]
+
+
+class _Slot(ctypes.Structure):
+    _fields_ = [("message", _Message), ("received", ctypes.c_uint)]
+
+
+class Batch:
+    """Room for up to BATCH received frames, used again and again. libc: the C library."""
+
+    def __init__(self, libc: ctypes.CDLL) -> None:
+        self._receive = libc.recvmmsg
+        self._frames = ctypes.create_string_buffer(BATCH * CAN_FRAME.size)
+        self._control = ctypes.create_string_buffer(BATCH * _CONTROL.size)
+        self._parts = (_Iovec * BATCH)()
+        self._slots = (_Slot * BATCH)()
+        frames, control = ctypes.addressof(self._frames), ctypes.addressof(self._control)
+        for number in range(BATCH):
+            self._parts[number] = _Iovec(frames + number * CAN_FRAME.size, CAN_FRAME.size)
+            message = self._slots[number].message
+            message.parts = ctypes.pointer(self._parts[number])
+            message.part_count = 1
+            message.control = control + number * _CONTROL.size
+            message.control_length = _CONTROL.size
+        self._fresh = bytes(self._slots)  # the kernel writes over lengths and flags
+        self._frame_view = memoryview(self._frames).cast("B")
+        self._control_view = memoryview(self._control).cast("B")
+
+    def receive(self, fd: int) -> int:
+        """Take what is there, up to BATCH frames, without waiting; how many. 0: none. Raises OSError as the socket has it."""
+        ctypes.memmove(self._slots, self._fresh, len(self._fresh))
+        ctypes.memset(self._control, 0, len(self._control))
+        count: int = self._receive(fd, self._slots, BATCH, socket.MSG_DONTWAIT, None)
+        if count >= 0:
+            return count
+        number = ctypes.get_errno()
+        if number in (errno.EAGAIN, errno.EINTR):
+            return 0
+        raise OSError(number, os.strerror(number))
+
+    def frames(self, count: int) -> Iterator[tuple[int, int, bytes, int | None, int]]:
+        """The frames of the last call: CAN-ID with its flags, length, eight data bytes, time stamp in ns, dropped so far."""
+        frames = CAN_FRAME.iter_unpack(self._frame_view[: count * CAN_FRAME.size])
+        controls = _CONTROL.iter_unpack(self._control_view[: count * _CONTROL.size])
+        for (can_id, length, data), (_, _, kind, seconds, rest, _, _, second_kind, dropped) in zip(frames, controls, strict=True):
+            stamp = seconds * _SECOND + rest if kind == SO_TIMESTAMPNS else None
+            yield can_id, length, data, stamp, dropped if second_kind == SO_RXQ_OVFL else 0

@@ -1,0 +1,60 @@
+"""The kernel's constants and structures (linux/can.h, can/raw.h, can/bcm.h, if.h) that Python's `socket` does not have.
+
+Their values are those of all architectures that Linux runs CAN on today, but for the socket options of PA-RISC and SPARC.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import socket
+import struct
+from typing import Final
+
+from canopen_proto.frame import KEY_EXTENDED, Frame
+
+SO_SNDBUFFORCE: Final = 32
+SO_RCVBUFFORCE: Final = 33
+SO_TIMESTAMPNS: Final = 35
+SO_RXQ_OVFL: Final = 40
+SO_MEMINFO: Final = 55
+MEMINFO: Final = struct.Struct("9I")
+"""What SO_MEMINFO gives; the last one counts what the socket dropped."""
+
+CAN_RAW_ERR_FILTER: Final = 2  # not in every Python
+MAX_FILTERS: Final = 512
+"""CAN_RAW_FILTER_MAX."""
+MAX_CYCLIC_FRAMES: Final = 256
+"""MAX_NFRAMES of the broadcast manager."""
+
+ERROR_FRAME: Final = socket.CAN_ERR_FLAG
+SPECIAL: Final = socket.CAN_EFF_FLAG | socket.CAN_RTR_FLAG | socket.CAN_ERR_FLAG
+ALL_ERRORS: Final = socket.CAN_ERR_MASK
+
+CAN_FRAME: Final = struct.Struct("=IB3x8s")
+"""struct can_frame: CAN-ID with its flags, length, padding, data."""
+CAN_FILTER: Final = struct.Struct("=II")
+
+_SIOCGIFFLAGS: Final = 0x8913
+_IFF_UP: Final = 1
+_IFREQ: Final = struct.Struct("16sH22x")
+
+
+def pack(frame: Frame) -> bytes:
+    """A frame as the kernel takes it. REMOTE and EXTENDED stand in the same order there, as bits 30 and 31."""
+    return CAN_FRAME.pack(frame.can_id | frame.flags << 30, frame.dlc, frame.data)
+
+
+def filter_for(key: int) -> bytes:
+    """The filter that lets through the frames of one routing key: this CAN-ID, of this length, data or remote."""
+    number = socket.CAN_EFF_MASK if key & KEY_EXTENDED else socket.CAN_SFF_MASK
+    flags = (key & ~socket.CAN_EFF_MASK) << 1
+    return CAN_FILTER.pack(key & number | flags, number | socket.CAN_EFF_FLAG | socket.CAN_RTR_FLAG)
+
+
+def is_up(sock: socket.socket, interface: str) -> bool:
+    """Whether a network interface is there and up."""
+    try:
+        answer = fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, _IFREQ.pack(interface.encode(), 0))
+    except OSError:
+        return False
+    return bool(_IFREQ.unpack(answer)[1] & _IFF_UP)

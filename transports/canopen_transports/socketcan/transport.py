@@ -1,0 +1,397 @@
+"""A raw CAN socket on trio: no thread, nothing between the kernel and the frame.
+
+**Receiving.** One system call takes all frames that are there, up to a batch (batch.py), each with the kernel's time stamp. They
+are kept and handed out one by one, so that a cancelled `receive` has taken none; between two batches other tasks run. Frames that
+the kernel had to drop are told at their place by its own counter; those dropped last, behind which nothing came, by a look at the
+same counter when a burst is over.
+
+**Sending.** A full queue shows in two ways. The socket's own limit: the kernel says EAGAIN, and tells by poll when there is room
+again. The interface's queue (`txqueuelen`, as a rule 10 frames): ENOBUFS, and nobody tells when it has room. So the socket's
+limit is set so low (SEND_BUFFER) that it is reached first: we then never have more frames under way than that queue holds, and no
+SYNC stands behind a long row of SDO frames. Where other programs fill the queue, ENOBUFS remains, and is tried again each
+ROOM_POLL.
+
+**What is no frame.** Error frames become `BusStateChanged` where they tell something new. At an interface that goes down we look
+each UP_POLL until it is up again, be it the same or, after an adapter was plugged in again, a new one of that name; the two
+reports stand around what may be missing. What was received before it went down is handed out first. While the bus is away,
+sending raises `FrameNotSent`. So it does at bus-off: the kernel takes frames then, drops them and says nothing.
+
+**Filters.** `?filter=ids`: the kernel only lets through what the caller asks for by `set_filters` (a master's pump does: the
+CAN-IDs that its machines want). That spares the wakes for foreign frames, but hides from error messages what other nodes say.
+
+Left out: CAN FD (the kernel gives such frames only to those who ask for them), and time stamps of the adapters' own hardware
+clocks, each of which begins somewhere else.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import socket
+from collections import deque
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_transports import diagnosis
+from canopen_transports.errors import (
+    BUS_LOST,
+    NOT_ACKNOWLEDGED,
+    BusState,
+    BusStateChanged,
+    FrameNotSent,
+    ReceiveOverrun,
+    TransportError,
+)
+from canopen_transports.locator import Locator, Option
+from canopen_transports.socketcan import kernel
+from canopen_transports.socketcan.batch import BATCH, Batch
+from canopen_transports.socketcan.broadcast import Broadcast
+from canopen_transports.socketcan.error_frames import ErrorReport
+from canopen_transports.transport import MAX_LENGTH, Received, check_frame
+
+ROOM_TIME: Final = 1.0
+"""Seconds that a sender waits for room. Ten frames, a network queue's usual length, take 0.13 s even at 10 kbit/s."""
+ROOM_POLL: Final = 0.001
+"""Seconds between two tries after ENOBUFS: four frames at 500k."""
+UP_POLL: Final = 0.05
+"""Seconds between two looks at an interface that is down."""
+SEND_BUFFER: Final = 1
+"""Bytes for frames under way: the least that the kernel allows, 4608, where it counts 384 to 770 for a frame: 6 to 12 frames."""
+RECEIVE_BUFFER: Final = 4 << 20
+"""Bytes for received frames; doubled and counted likewise: 10 000 frames. Without root's rights the kernel gives what
+rmem_max allows."""
+CROWD: Final = 16
+"""So many frames at once make it worth a look at whether more were dropped: fewer fill no receive buffer."""
+QUIET_TIME: Final = 1.0
+"""Seconds before the same kind of fault is reported again: some come with each frame."""
+MAX_BACKLOG: Final = 256
+"""Batches that are taken in at most when the interface goes down: more than the receive buffer holds."""
+
+_GONE: Final = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)
+_DOWN_OR_OFF: Final = (BusState.DOWN, BusState.BUS_OFF)
+
+
+class SocketCanTransport(trio.abc.AsyncResource):
+    """A raw CAN socket; made by `open_socketcan`.
+
+    filtered: whether the kernel shall only let through what `set_filters` says; a Network that is driven with such a transport
+    hears not all (`hears_all`). sends_sync: whether the bus's SYNC shall be sent by `start_cyclic`. state: the controller's, or
+    DOWN. errors, last_error: how many error frames came, and what the last one said. received: how many frames.
+    """
+
+    def __init__(self, locator: Locator, *, filtered: bool = False, sends_sync: bool = False) -> None:
+        """Raises OSError."""
+        self.locator = locator.text
+        self.filtered = filtered
+        self.sends_sync = sends_sync
+        self.state = BusState.ACTIVE
+        self.errors = 0
+        self.last_error = ""
+        self.received = 0
+        self._locator = locator
+        self._quiet_until = {BusState.FAULT: 0.0, BusState.NO_ACKNOWLEDGE: 0.0}
+        self._closed = False
+        self._filters: bytes | None = None
+        self._items: deque[Received | TransportError] = deque()
+        self._batch = Batch(ctypes.CDLL(None, use_errno=True))
+        self._is_burst = False
+        self._send_lock = trio.Lock()
+        self._broadcast: Broadcast | None = None
+        self._open()
+
+    def _open(self) -> None:
+        """A new socket, bound to the interface of our name."""
+        sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        try:
+            sock.setblocking(False)
+            for option, size in ((kernel.SO_RCVBUFFORCE, RECEIVE_BUFFER), (socket.SO_RCVBUF, RECEIVE_BUFFER)):
+                with suppress(PermissionError):
+                    sock.setsockopt(socket.SOL_SOCKET, option, size)
+                    break
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            sock.setsockopt(socket.SOL_SOCKET, kernel.SO_TIMESTAMPNS, 1)
+            sock.setsockopt(socket.SOL_SOCKET, kernel.SO_RXQ_OVFL, 1)
+            sock.setsockopt(socket.SOL_CAN_RAW, kernel.CAN_RAW_ERR_FILTER, kernel.ALL_ERRORS)
+            if self._filters is not None:
+                sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, self._filters)
+            self._index = socket.if_nametoindex(self._locator.channel)
+            sock.bind((self._locator.channel,))
+        except BaseException:
+            sock.close()
+            raise
+        self._socket = sock
+        self._dropped = 0
+
+    def pending_error(self) -> int:
+        """The socket's pending error, which is cleared. The kernel binds to an interface that is DOWN, and leaves word of it."""
+        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+
+    # ---- sending ----
+
+    async def send(self, frame: Frame) -> None:
+        """Hand the frame to the kernel, waiting up to ROOM_TIME for room; then TransportError (CO110) with the likely causes.
+
+        FrameNotSent while the interface is down or the controller bus-off.
+        """
+        check_frame(frame)
+        await trio.lowlevel.checkpoint_if_cancelled()
+        data = kernel.pack(frame)
+        if self._send_lock.locked() or self._try_to_send(frame, data):
+            async with self._send_lock:
+                await self._wait_and_send(frame, data)
+        await trio.lowlevel.cancel_shielded_checkpoint()
+
+    def _try_to_send(self, frame: Frame, data: bytes) -> int:
+        """Send, or EAGAIN or ENOBUFS for want of room; else 0."""
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+        if self.state in _DOWN_OR_OFF and not self._is_back():
+            raise self._not_sent(frame)
+        try:
+            self._socket.send(data)
+        except OSError as error:
+            if error.errno in (errno.EAGAIN, errno.ENOBUFS):
+                return error.errno
+            if error.errno in _GONE:
+                self._go_down()
+                raise self._not_sent(frame) from error
+            raise diagnosis.bus_lost(self._locator, f"send {frame}", error) from error
+        return 0
+
+    async def _wait_and_send(self, frame: Frame, data: bytes) -> None:
+        give_up = trio.current_time() + ROOM_TIME
+        while number := self._try_to_send(frame, data):
+            if trio.current_time() >= give_up:
+                raise self._no_room(frame)
+            if number == errno.ENOBUFS:
+                await trio.sleep(ROOM_POLL)
+            else:
+                with (
+                    suppress(trio.ClosedResourceError),
+                    trio.move_on_at(give_up),
+                ):  # closed, or the bus is away: the next try tells
+                    await trio.lowlevel.wait_writable(self._socket)
+
+    def _not_sent(self, frame: Frame) -> FrameNotSent:
+        if self.state is BusState.BUS_OFF:
+            reason = diagnosis.not_acknowledged(self._locator, f"send {frame}", self.last_error, self.received)
+            return FrameNotSent(
+                NOT_ACKNOWLEDGED, self.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries
+            )
+        seen = f"{self._locator.channel} is DOWN"
+        cause = "somebody set it down, or the adapter was unplugged"
+        tries = (diagnosis.bring_up(self._locator),)
+        return FrameNotSent(BUS_LOST, self.locator, f"cannot send {frame} on {self.locator}", seen=seen, cause=cause, tries=tries)
+
+    def _no_room(self, frame: Frame) -> TransportError:
+        heard = f"{self.received} frames received so far" if self.received else "no frame ever received"
+        seen = f"no room in the transmit queue for {ROOM_TIME:g} s; {heard}" + (f"; {self.last_error}" if self.last_error else "")
+        return diagnosis.not_acknowledged(self._locator, f"send {frame}", seen, self.received)
+
+    # ---- receiving ----
+
+    async def receive(self) -> Received:
+        """The next frame, with the kernel's time stamp (CLOCK_REALTIME). One task at a time."""
+        await trio.lowlevel.checkpoint_if_cancelled()
+        while not self._items:
+            await self._wait()
+        item = self._items.popleft()
+        if isinstance(item, TransportError):
+            raise item
+        return item
+
+    async def _wait(self) -> None:
+        """Wait for something, and take it in."""
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+        if self.state is BusState.DOWN:
+            if not self._is_back():
+                await trio.sleep(UP_POLL)
+            return
+        if self._is_burst:
+            await trio.lowlevel.checkpoint()  # there is probably more; but others shall run, too
+            if self._closed:
+                return
+        else:
+            with suppress(trio.ClosedResourceError):  # closed, or the bus is away: the next turn tells
+                await trio.lowlevel.wait_readable(self._socket)
+                self._read()
+            return
+        self._read()
+
+    def _read(self) -> None:
+        """Take in a batch."""
+        try:
+            count = self._take()
+        except OSError as error:
+            if error.errno not in _GONE:
+                raise diagnosis.bus_lost(self._locator, "receive", error) from error
+            self._go_down()
+            return
+        if count < BATCH and (self._is_burst or count >= CROWD):
+            self._note_dropped(self._drop_counter())
+        self._is_burst = count == BATCH
+
+    def _take(self) -> int:
+        count = self._batch.receive(self._socket.fileno())
+        items = self._items
+        received = 0
+        for can_id, length, data, stamp, dropped in self._batch.frames(count):
+            if dropped:
+                self._note_dropped(dropped)
+            if not can_id & kernel.SPECIAL:
+                items.append((Frame(can_id, data[:length]), stamp))
+            elif can_id & kernel.ERROR_FRAME:
+                self._on_error_frame(can_id, data[:length])
+                continue
+            else:
+                flags = can_id >> 30
+                can_id &= socket.CAN_EFF_MASK
+                length = min(length, MAX_LENGTH)
+                if flags & REMOTE:
+                    items.append((Frame(can_id, b"", flags & (EXTENDED | REMOTE), length), stamp))
+                else:
+                    items.append((Frame(can_id, data[:length], EXTENDED), stamp))
+            received += 1
+        self.received += received
+        return count
+
+    def _note_dropped(self, dropped: int) -> None:
+        """The kernel has dropped so many frames so far; what is new of it is reported here."""
+        lost = (dropped - self._dropped) & 0xFFFFFFFF
+        self._dropped = dropped
+        if lost:
+            self._items.append(ReceiveOverrun(self.locator, lost, "the kernel's receive buffer for this socket was full"))
+
+    def _drop_counter(self) -> int:
+        counters: tuple[int, ...] = kernel.MEMINFO.unpack(
+            self._socket.getsockopt(socket.SOL_SOCKET, kernel.SO_MEMINFO, kernel.MEMINFO.size)
+        )
+        return counters[-1]
+
+    # ---- what is no frame ----
+
+    def _on_error_frame(self, can_id: int, data: bytes) -> None:
+        report = ErrorReport(can_id, data)
+        self.errors += 1
+        self.last_error = report.text
+        if report.overrun:
+            self._items.append(ReceiveOverrun(self.locator, 1, report.text))
+        state = report.state
+        if state in (BusState.FAULT, BusState.NO_ACKNOWLEDGE):  # no state of the controller, and it may come with each frame
+            now = trio.current_time()
+            if now >= self._quiet_until[state]:
+                self._quiet_until[state] = now + QUIET_TIME
+                self._report(state, report.text)
+        elif state is not None and state is not self.state:
+            self._change(state, report.text)
+
+    def _change(self, state: BusState, seen: str) -> None:
+        self.state = state
+        self._report(state, seen)
+        if state in _DOWN_OR_OFF:
+            trio.lowlevel.notify_closing(self._socket)  # who waits has something to tell
+
+    def _report(self, state: BusState, seen: str) -> None:
+        cause: str = ""
+        tries: tuple[str, ...] = ()
+        if state is BusState.DOWN:
+            cause, tries = "somebody set it down, or the adapter was unplugged", (diagnosis.bring_up(self._locator),)
+        elif state in (BusState.BUS_OFF, BusState.NO_ACKNOWLEDGE):
+            likely = diagnosis.not_acknowledged(self._locator, "go on", seen, self.received)
+            cause, tries = likely.cause, likely.tries
+        self._items.append(BusStateChanged(self.locator, state, seen, cause=cause, tries=tries))
+
+    def _go_down(self) -> None:
+        """The interface went down, or away. What came before stands before the report."""
+        with suppress(OSError):
+            for _ in range(MAX_BACKLOG):
+                if not self._take():
+                    break
+        self._is_burst = False
+        self._change(BusState.DOWN, f"{self._locator.channel} is DOWN")
+
+    def _is_back(self) -> bool:
+        """Whether the bus that is away has come back; then it is reported. (From bus-off it comes back by an error frame.)"""
+        name = self._locator.channel
+        if self.state is BusState.BUS_OFF or not kernel.is_up(self._socket, name):
+            return False
+        with suppress(OSError):  # it went down again under our hands
+            if socket.if_nametoindex(name) == self._index:
+                seen = f"{name} is UP again"
+            else:
+                old = self._socket
+                self._open()
+                trio.lowlevel.notify_closing(old)
+                old.close()
+                seen = f"there is a new {name}, and it is UP"
+            self.state = BusState.ACTIVE
+            self._report(BusState.UP, seen)
+            return True
+        return False
+
+    # ---- filters, cyclic frames ----
+
+    def set_filters(self, keys: Iterable[int] | None) -> bool:
+        """Receive only frames of these routing keys (`Network.can_ids()`) from now on; None: all. No frame is lost in between.
+
+        Whether the kernel filters now: more than 512 keys are more than it can, so all frames come again.
+        """
+        wanted = None if keys is None else [kernel.filter_for(key) for key in dict.fromkeys(keys)]
+        everything = wanted is None or len(wanted) > kernel.MAX_FILTERS
+        self._filters = bytes(kernel.CAN_FILTER.size) if wanted is None or everything else b"".join(wanted)
+        if not self._closed:
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, self._filters)
+        return not everything
+
+    def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
+        """Let the kernel send these frames in turn, one each `period` ns (see `Broadcast`). We receive them like foreign ones.
+
+        What runs begins anew. ValueError for frames or a period that are impossible, TransportError where the kernel refuses.
+        """
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+        try:
+            if self._broadcast is None:
+                self._broadcast = Broadcast(self._locator.channel)
+            self._broadcast.start(frames, period)
+        except OSError as error:
+            raise diagnosis.bus_lost(self._locator, f"send {frames[0]} cyclically", error) from error
+
+    def stop_cyclic(self) -> None:
+        """Let the kernel send no more."""
+        if self._broadcast is not None:
+            self._broadcast.close()
+            self._broadcast = None
+
+    async def aclose(self) -> None:
+        """Leave the bus; who waits wakes with ClosedResourceError."""
+        if not self._closed:
+            self._closed = True
+            self._items.clear()
+            self.stop_cyclic()
+            trio.lowlevel.notify_closing(self._socket)
+            self._socket.close()
+        await trio.lowlevel.checkpoint()
+
+
+_OPTIONS: Final[dict[str, tuple[Option, ...]]] = {"filter": ("ids",), "sync": ("bcm",)}
+
+
+def open_socketcan(locator: Locator) -> SocketCanTransport:
+    """The transport for a locator that was parsed and whose interface is there. Raises TransportError."""
+    for name, value in locator.options.items():
+        if value not in _OPTIONS.get(name, ()):
+            raise diagnosis.unknown_option(locator, f"{name}={value}", [f"{key}={each[0]}" for key, each in _OPTIONS.items()])
+    try:
+        transport = SocketCanTransport(locator, filtered="filter" in locator.options, sends_sync="sync" in locator.options)
+    except OSError as error:
+        raise diagnosis.cannot_open(locator, error) from error
+    if transport.pending_error() == errno.ENETDOWN:
+        transport._socket.close()
+        raise diagnosis.interface_down(locator)
+    return transport
