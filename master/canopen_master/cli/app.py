@@ -14,6 +14,7 @@ import trio
 
 from canopen_master.cli.data import data
 from canopen_master.cli.demo import demo
+from canopen_master.cli.eds import eds
 from canopen_master.cli.home import home
 from canopen_master.cli.info import info
 from canopen_master.cli.nmt import nmt
@@ -40,12 +41,12 @@ class InOrder(click.Group):
 def cli() -> None:
     """CANopen from the command line. Without hardware, begin with `canopen demo`; every command takes `-b demo`.
 
-    Exit status: 0 ok, 2 usage, 3 cannot open the bus, 4 bus fault, 5 no answer, 6 bad input file, 9 permission, 10 internal,
-    11 SDO abort, 12 drive fault or refused, 13 verify mismatch, 130 interrupted.
+    Exit status: 0 ok, 1 findings or differences, 2 usage, 3 cannot open the bus, 4 bus fault, 5 no answer, 6 bad input file,
+    9 permission, 10 internal, 11 SDO abort, 12 drive fault or refused, 13 verify mismatch, 130 interrupted.
     """
 
 
-for _command in (demo, scan, info, read, write, nmt, home, sim, data):
+for _command in (demo, scan, info, read, write, nmt, home, sim, eds, data):
     cli.add_command(_command)
 
 
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
-        if isinstance(error, click.UsageError) and "--json" in (sys.argv if arguments is None else arguments):
+        if isinstance(error, click.UsageError | Problem) and "--json" in (sys.argv if arguments is None else arguments):
             settings.json = True  # click did not come to that
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             _put_to_rest(sys.stdout)

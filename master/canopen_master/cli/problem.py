@@ -34,6 +34,8 @@ class ExitCode(IntEnum):
     """Exit statuses of the command line."""
 
     OK = 0
+    DIFFERENT = 1
+    """Finished, with findings or differences."""
     USAGE = 2
     CANNOT_OPEN = 3
     BUS_FAULT = 4
