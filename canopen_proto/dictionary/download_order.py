@@ -160,7 +160,7 @@ class _Order:
     def result(self) -> DownloadOrder:
         self._leave_out_unused_entries()
         for key in list(self.values):
-            for needed in _switches_of(key):
+            for needed in switches_of(key):
                 self._add_implied(needed)
         off: list[tuple[int, int, int, Write]] = []
         middle: list[tuple[tuple[int, ...], Write]] = []
@@ -276,7 +276,7 @@ def _switch_at(key: int) -> tuple[int, Switch | None]:
     return len(SWITCHES), None
 
 
-def _switches_of(key: int) -> tuple[int, ...]:
+def switches_of(key: int) -> tuple[int, ...]:
     """The switches that must be off when this object is written."""
     index, subindex = key >> 8, key & 0xFF
     if index in _PDO_RECORDS:

@@ -7,6 +7,8 @@
     drive.py           the manual's sequences for a CiA 402 drive: homing, interpolation, halt ...
     configure_pdo.py   `define_pdo` and what it is made of
     scan.py            who is on the bus
+    backup.py          read all that a node holds; walk.py: of one of which nobody knows what it has
+    restore.py         set a node to given values, in the order that CiA 302 asks for
 
 Import from these modules.
 """

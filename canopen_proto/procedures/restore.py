@@ -1,0 +1,388 @@
+"""Setting a node to given values: the restore of a backup, the download of a DCF.
+
+Theory of operation
+-------------------
+Two procedures. `plan_restore` only reads: it compares what the node has with what it is to have, and gives the writes that lead
+from the one to the other, in the order of download_order.py (services off, PDOs first; communication; application; services on
+again). `restore` carries a plan out:
+
+    1. find out in which NMT state the node is, by its heartbeat
+    2. to Pre-operational: no PDO lives while the settings change
+    3. the writes, one after the other, each read back if asked for
+    4. store (0x1010:01 = "save"), if asked for
+    5. back to the NMT state of 1., if all went well
+
+**When something fails**, or the procedure is cancelled, it stops there. Nothing half-done comes alive: the node stays
+Pre-operational (it is told so once more: the first command may have been lost, or somebody else may have started it meanwhile),
+and the PDOs that were to be changed are still destroyed, since they are created last. `Restoration` tells what was written, what
+not, and which write is in doubt. A write that got no answer may have been executed; it is not sent again, whoever restores may
+look and begin anew: what is right already is not written then.
+
+Nobody confirms an NMT command but the node's heartbeat. Where the node has one, it is waited for, and a command that it does not
+follow is repeated. Where it has none, the state before is not known, and the node stays Pre-operational.
+
+Only what differs is written, unless asked otherwise: fewer writes, fewer refusals, and an object that a device does not take back
+although it reads as it was does no harm. Of a PDO's mapping all is written, or nothing.
+
+Source: CiA 302-3 (configuration of a device); CiA 301 v4.2.0, 7.5.2.13, 7.5.2.36, 7.3.2.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary.download_order import download_order, switches_of
+from canopen_proto.dictionary.model import ObjectDictionary, Variable
+from canopen_proto.dictionary.roles import Role, roles_in
+from canopen_proto.heartbeat import HeartbeatReceived
+from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time, event
+from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
+from canopen_proto.parameter_storage import ON_COMMAND, SIGNATURES, STORE
+from canopen_proto.procedures.backup import Backup, ReadResult, back_up, same_value
+from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.steps import (
+    Cancelled,
+    Procedure,
+    ProcedureError,
+    SdoFailed,
+    StepTimeout,
+    act,
+    download,
+    sleep,
+    upload,
+    wait_for_event,
+)
+from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
+from canopen_proto.sdo.abort import AbortOrigin
+
+STORE_TIMEOUT: Final = 10 * SECOND
+"""For the answer to "save": devices write flash memory before they give it, some for seconds."""
+NMT_TRIES: Final = 3
+"""How often an NMT command is sent that the heartbeat does not show."""
+HEARTBEAT_MARGIN: Final = 100 * MILLISECOND
+"""Beyond one and a half heartbeat times, until a heartbeat counts as missing."""
+MAX_HEARTBEAT_WAIT: Final = 10 * SECOND
+"""For one heartbeat; 0x1017 allows 65 s, which nobody uses."""
+
+_Match: TypeAlias = Callable[[HeartbeatReceived], bool]
+_HEARTBEAT: Final = 0x1017
+_MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_COMMAND_TO: Final = {
+    NmtState.OPERATIONAL: NmtCommand.START,
+    NmtState.STOPPED: NmtCommand.STOP,
+    NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
+}
+_FAILURES: Final = (ProcedureError, LocalProtocolError)
+"""How a step can fail: the transfer, or before that the client whose queue is full."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedWrite:
+    """One write. data: its bytes; before: what the object holds then, as far as that is known. The same object may be written
+    twice: a COB-ID first invalid, later valid."""
+
+    variable: Variable
+    data: bytes
+    before: bytes | None
+
+    @property
+    def value(self) -> Value:
+        return self.variable.decode(self.data)
+
+    @property
+    def value_before(self) -> Value | None:
+        """None: not known."""
+        return None if self.before is None else self.variable.decode(self.before)
+
+
+@dataclass(frozen=True, slots=True)
+class RestorePlan:
+    """What is to be written to a node, in this order. left_out: why a value is not written, by mux. equal: how many objects have
+    their value already. standing: what the node had, by mux."""
+
+    node_id: int
+    writes: tuple[PlannedWrite, ...]
+    left_out: Mapping[int, str] = field(default_factory=dict)
+    equal: int = 0
+    standing: Mapping[int, Value] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Restoration:
+    """How far a restore has come. It may be looked at meanwhile, and after a failure or a cancel.
+
+    written: how many writes of the plan were confirmed. in_doubt: the one that was under way and got no answer, or None: it may
+    have been executed. state_before: the node's NMT state at the start, None where it was not known. state: the one that it was
+    put into last (None: none yet). stored: whether "save" was confirmed. is_done: all went well.
+    """
+
+    plan: RestorePlan
+    written: int = 0
+    in_doubt: PlannedWrite | None = None
+    state_before: NmtState | None = None
+    state: NmtState | None = None
+    stored: bool = False
+    is_done: bool = False
+
+    @property
+    def done(self) -> tuple[PlannedWrite, ...]:
+        """The writes that were confirmed."""
+        return self.plan.writes[: self.written]
+
+    @property
+    def open(self) -> tuple[PlannedWrite, ...]:
+        """The writes that were not confirmed: refused, in doubt, or not sent."""
+        return self.plan.writes[self.written :]
+
+
+class RestoreFailed(ProcedureError):
+    """A restore ended before its end. restoration: how far it came; the reason is its __cause__, where a step failed."""
+
+    def __init__(self, message: str, restoration: Restoration) -> None:
+        super().__init__(message)
+        self.restoration = restoration
+
+
+class VerifyMismatch(ProcedureError):
+    """What was written reads back as something else."""
+
+    def __init__(self, node_id: int, write: PlannedWrite, shown: bytes) -> None:
+        super().__init__(f"node {node_id} took {write.data.hex()} for {write.variable.label}, but shows {shown.hex()}")
+        self.write = write
+        self.shown = shown
+
+
+@event
+class ObjectRestored(Event):
+    """One write of a restore was confirmed (and read back, where that was asked for). done, total: writes of the plan."""
+
+    index: int
+    subindex: int
+    data: bytes
+    done: int
+    total: int
+
+
+# ---- the plan ----
+
+
+def plan_restore(
+    node: RemoteNode,
+    dictionary: ObjectDictionary,
+    values: Mapping[int, Value],
+    *,
+    everything: bool = False,
+    process_data: bool = False,
+    skip: Collection[int] = (),
+) -> Procedure[RestorePlan]:
+    """What has to be written to the node so that it has these values, by mux of the dictionary. Nothing is written.
+
+    everything: also what it has already. process_data: also set-points and outputs (see dictionary/roles.py). skip: muxes that
+    are left out. Sends reads only; an ObjectRead event follows for each. Raises SdoFailed where the device is gone, and before
+    anything is sent ObjectNotFound and ValueRangeError where a value is none of the dictionary.
+    """
+    roles = roles_in(dictionary, values)
+    left_out = dict(download_order(dictionary, values, node.node_id).left_out)
+    left_out.update({key: "skipped" for key in skip if key in values})
+    for key in values:
+        if roles[key] is Role.PROCESS and not process_data:
+            left_out.setdefault(key, "process data")
+    wanted = {key: value for key, value in values.items() if key not in left_out}
+    backup = yield from back_up(node, dictionary, only=_concerned(dictionary, wanted), domains=True)
+    standing = backup.values
+    for key in _absent(backup, wanted):
+        del wanted[key]
+        left_out[key] = "the device does not have it"
+    different = {key for key, value in wanted.items() if everything or not same_value(standing.get(key), value)}
+    mappings = {key >> 8 for key in different if any(key >> 8 in each for each in _MAPPINGS)}
+    different |= {key for key in wanted if key >> 8 in mappings}
+    order = download_order(
+        dictionary, {key: value for key, value in wanted.items() if key in different}, node.node_id, standing=standing
+    )
+    left_out.update(order.left_out)
+    held = {each.variable.mux: each.data for each in backup.readings if each.result is ReadResult.READ}
+    writes: list[PlannedWrite] = []
+    for index, subindex, data in order.writes:
+        variable = dictionary.variable((index, subindex))
+        writes.append(PlannedWrite(variable, data, held.get(variable.mux)))
+        held[variable.mux] = data
+    return RestorePlan(node.node_id, tuple(writes), left_out, len(wanted) - len(different), standing)
+
+
+def _concerned(dictionary: ObjectDictionary, wanted: Mapping[int, Value]) -> list[Variable]:
+    """What has to be known: the objects themselves, and what must be off when they are written."""
+    muxes = set(wanted)
+    for key in wanted:
+        muxes.update(switches_of(key))
+        if any(key >> 8 in each for each in _MAPPINGS):
+            muxes.add(key & ~0xFF)
+    found = (dictionary.get(key >> 8, key & 0xFF) for key in sorted(muxes))
+    return [each for each in found if each is not None]
+
+
+def _absent(backup: Backup, wanted: Mapping[int, Value]) -> list[int]:
+    absent = (each.variable.mux for each in backup.readings if each.result is ReadResult.ABSENT)
+    return [key for key in absent if key in wanted]
+
+
+# ---- carrying it out ----
+
+
+def restore(
+    node: RemoteNode,
+    nmt: NmtMaster,
+    plan: RestorePlan,
+    restoration: Restoration | None = None,
+    *,
+    verify: bool = False,
+    store: bool = False,
+) -> Procedure[Restoration]:
+    """Carry a plan out. A plan without writes is nothing to do, unless to store.
+
+    nmt: the NMT master of the node's network. restoration: where to note how far it has come; a caller that may cancel keeps it.
+    verify: read each object back (write-only ones cannot be). store: have the device keep its parameters, at the end.
+
+    An ObjectRestored event follows for each write. Raises RestoreFailed; see this module's text for what then stands.
+    """
+    so_far = Restoration(plan) if restoration is None else restoration
+    if not plan.writes and not store:
+        so_far.is_done = True
+        return so_far
+    try:
+        if store:
+            yield from _check_store(node)
+        so_far.state_before, limit = yield from _find_state(node)
+        yield from _to_state(node, nmt, NmtState.PRE_OPERATIONAL, limit, so_far)
+        for write in plan.writes:
+            yield from _write(node, write, verify, so_far)
+        if store:
+            yield from _store(node, so_far)
+        if so_far.state_before not in (None, NmtState.PRE_OPERATIONAL):
+            limit = yield from _heartbeat_limit(node)  # the restore may have changed it
+            yield from _to_state(node, nmt, so_far.state_before, limit, so_far)
+    except Cancelled:
+        yield from _stay(node, nmt, so_far)
+        raise
+    except _FAILURES as failed:
+        yield from _stay(node, nmt, so_far)
+        raise RestoreFailed(_told(node, so_far, str(failed)), so_far) from failed
+    so_far.is_done = True
+    return so_far
+
+
+def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restoration) -> Procedure[None]:
+    variable = write.variable
+    try:
+        yield from download(node.sdo, variable.index, variable.subindex, write.data, block="auto")
+    except Cancelled:
+        so_far.in_doubt = write
+        raise
+    except SdoFailed as failed:
+        if failed.not_confirmed:
+            so_far.in_doubt = write
+        raise
+    so_far.written += 1
+    if verify and variable.access.readable:
+        shown = yield from upload(node.sdo, variable.index, variable.subindex, block="auto" if variable.size is None else False)
+        if not _shows(variable, shown, write.value):
+            raise VerifyMismatch(node.node_id, write, shown)
+    news = ObjectRestored(node.node_id, variable.index, variable.subindex, write.data, so_far.written, len(so_far.plan.writes))
+    yield from act(lambda now: node.out.events.append(news))
+
+
+def _shows(variable: Variable, data: bytes, value: Value) -> bool:
+    try:
+        return same_value(variable.decode(data), value)
+    except ValueRangeError:
+        return False
+
+
+def _check_store(node: RemoteNode) -> Procedure[None]:
+    """Before anything is written: whether it could be stored."""
+    try:
+        capability = int.from_bytes((yield from upload(node.sdo, STORE, 1)), "little")
+    except SdoFailed as failed:
+        if failed.abort_code in ABSENT:
+            raise ProcedureError("the device cannot store its parameters: it has no 0x1010:01") from failed
+        raise
+    if not capability & ON_COMMAND:
+        raise ProcedureError(f"the device does not store its parameters on command: 0x1010:01 is 0x{capability:08X}")
+
+
+def _store(node: RemoteNode, so_far: Restoration) -> Procedure[None]:
+    standing, node.sdo.timeout = node.sdo.timeout, max(node.sdo.timeout, STORE_TIMEOUT)
+    try:
+        yield from download(node.sdo, STORE, 1, SIGNATURES[STORE].to_bytes(4, "little"))
+    finally:
+        node.sdo.timeout = standing
+    so_far.stored = True
+
+
+# ---- NMT ----
+
+
+def _find_state(node: RemoteNode) -> Procedure[tuple[NmtState | None, Time]]:
+    """The node's NMT state by its heartbeat, and after how many ns that is missing; None and 0 where the node sends none.
+
+    What we only commanded does not count: nobody has confirmed it."""
+    if node.nmt_state is NmtState.STOPPED:
+        return NmtState.STOPPED, 0  # it has no SDO to be asked by
+    limit = yield from _heartbeat_limit(node)
+    if not limit:
+        return None, 0
+    try:
+        heard = yield from wait_for_event(node, HeartbeatReceived, limit, "a heartbeat", _is_of(node))
+    except StepTimeout:
+        return None, 0  # 0x1017 promises what the device does not do
+    return heard.state, limit
+
+
+def _is_of(node: RemoteNode, state: NmtState | None = None) -> _Match:
+    return lambda heard: heard.node_id == node.node_id and state in (None, heard.state)
+
+
+def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
+    """After how many ns a heartbeat is missing; 0 where the node sends none."""
+    try:
+        period = int.from_bytes((yield from upload(node.sdo, _HEARTBEAT)), "little") * MILLISECOND
+    except SdoFailed as failed:
+        if failed.origin is not AbortOrigin.PEER:
+            raise
+        return 0
+    return min(period + period // 2 + HEARTBEAT_MARGIN, MAX_HEARTBEAT_WAIT) if period else 0
+
+
+def _to_state(node: RemoteNode, nmt: NmtMaster, state: NmtState, limit: Time, so_far: Restoration) -> Procedure[None]:
+    """Command a state, and see by the heartbeat that it is there. limit: after how many ns one is missing, 0: there is none."""
+    so_far.state = state
+    for _ in range(NMT_TRIES):
+        yield from act(lambda now: nmt.send(_COMMAND_TO[state], node.node_id, now))
+        if not limit:
+            yield from sleep(NMT_REACTION_TIME)
+            return
+        try:
+            yield from wait_for_event(node, HeartbeatReceived, limit, "the heartbeat", _is_of(node, state))
+            return
+        except StepTimeout:
+            continue
+    shown = "sends none" if node.nmt_state is None else f"shows {node.nmt_state.name}"
+    raise ProcedureError(f"node {node.node_id} was sent {NMT_TRIES} times to {state.name}, but its heartbeat {shown}")
+
+
+def _stay(node: RemoteNode, nmt: NmtMaster, so_far: Restoration) -> Procedure[None]:
+    """What is half done does not come alive."""
+    if so_far.state is not None:
+        so_far.state = NmtState.PRE_OPERATIONAL
+        yield from act(lambda now: nmt.enter_pre_operational(node.node_id, now))
+
+
+def _told(node: RemoteNode, so_far: Restoration, reason: str) -> str:
+    if so_far.state is None:
+        return f"nothing was written to node {node.node_id}: {reason}"
+    return (
+        f"the restore of node {node.node_id} ended after {so_far.written} of {len(so_far.plan.writes)} writes: {reason}; "
+        "the node stays Pre-operational"
+    )
