@@ -214,14 +214,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
             return
         if self._is_burst:
             await trio.lowlevel.checkpoint()  # there is probably more; but others shall run, too
-            if self._closed:
-                return
         else:
             with suppress(trio.ClosedResourceError):  # closed, or the bus is away: the next turn tells
                 await trio.lowlevel.wait_readable(self._socket)
-                self._read()
-            return
-        self._read()
+        if not self._closed:
+            self._read()
 
     def _read(self) -> None:
         """Take in a batch."""
