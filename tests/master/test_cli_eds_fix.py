@@ -36,6 +36,12 @@ def test_a_dry_run_shows_a_diff_and_writes_nothing(run: Run) -> None:
     assert Path("drive.eds").read_text() == FAULTY
 
 
+def test_the_linter_says_that_there_are_repairs(run: Run) -> None:
+    assert "1 repair without guessing: canopen eds fix drive.eds --dry-run" in run("eds", "lint", "drive.eds").err
+    run("eds", "fix", "drive.eds", "--in-place")
+    assert "canopen eds fix" not in run("eds", "lint", "drive.eds").err
+
+
 def test_the_repaired_file_is_written_elsewhere(run: Run) -> None:
     outcome = run("eds", "fix", "drive.eds", "-o", "fixed.eds")
     assert (outcome.status, outcome.out) == (0, "")

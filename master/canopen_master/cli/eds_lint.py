@@ -21,7 +21,9 @@ from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
 from canopen_master.cli.screen import Screen
 from canopen_proto.dictionary.checks import RULES, check
+from canopen_proto.dictionary.description import FileKind
 from canopen_proto.dictionary.findings import Finding, Severity
+from canopen_proto.dictionary.repair import repair
 
 
 @dataclass(frozen=True)
@@ -119,3 +121,7 @@ def _show(screen: Screen, report: _Report, most: int) -> None:
     description = report.file.description
     kind = f"{description.kind}, {description.encoding}, {counted(len(description.dictionary.objects), 'object')}"
     screen.say(f"[bold]{escape(report.path)}[/] ({kind}): {counts_text(counts_of(report.findings))}")
+    if report.findings and description.kind in (FileKind.EDS, FileKind.DCF):
+        repairs = len(repair(description).repairs)
+        if repairs:
+            screen.say(f"  {counted(repairs, 'repair')} without guessing: canopen eds fix {escape(report.path)} --dry-run")
