@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -10,14 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.configured import with_configured
 from canopen_proto.dictionary.description import Commissioning, DeviceDescription, FileKind
 from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.eds.writer import encode_eds, text_of, write_eds
 from canopen_proto.dictionary.eds.writer_sections import sections_of
+from canopen_proto.dictionary.xdd.reader import read_xdd
 from tests.proto.generated_dictionaries import descriptions, values_of
-from tests.vendor_files import INI_NAMES, load
+from tests.proto.test_eds_writer import SAMPLE
+from tests.vendor_files import INI_NAMES, XDD_NAMES, load
 
 
 def facts(description: DeviceDescription) -> dict[str, Any]:
@@ -62,6 +64,34 @@ def test_a_dcf_of_a_generated_eds(data: st.DataObject) -> None:
     assert facts(read_eds(write_eds(again, FileKind.EDS))) == facts(eds)
 
 
+@st.composite
+def _damaged(draw: st.DrawFn) -> str:
+    """A file in which lines are lost, doubled, cut off, swapped, or have other characters."""
+    lines = SAMPLE.split("\n")
+    place = st.integers(0, len(lines) - 1)
+    for at, other, what in draw(st.lists(st.tuples(place, place, st.integers(0, 5)), min_size=1, max_size=8)):
+        line = lines[at]
+        lines[at] = (
+            "",
+            f"{line}\n{lines[other]}",
+            line.upper(),
+            line[: len(line) // 2],
+            line.replace("=", "= $", 1),
+            line.replace("0", "x", 1),
+        )[what]
+    return "\n".join(lines)
+
+
+@given(_damaged(), st.data())
+@settings(max_examples=40)
+def test_a_damaged_file(text: str, data: st.DataObject) -> None:
+    """Faults that nobody touched stay; what is set besides is read again."""
+    read = read_eds(text)
+    assert write_eds(read) == text
+    dcf = with_configured(read, data.draw(_settings_of(read.dictionary)), Commissioning(node_id=7))
+    assert sections_of(read_eds(write_eds(dcf))) == sections_of(dcf)
+
+
 @pytest.mark.parametrize("name", INI_NAMES)
 def test_a_makers_file(name: str) -> None:
     data = load(name)
@@ -74,3 +104,17 @@ def test_a_makers_file(name: str) -> None:
         assert all(index in read.dictionary.objects for index in added)
         expected.pop(key)
     assert again == expected
+
+
+@pytest.mark.parametrize("name", XDD_NAMES)
+def test_a_makers_xdd_as_eds(name: str) -> None:
+    read = read_xdd(load(name), name)
+    again = read_eds(write_eds(read))
+    assert again.kind is FileKind.EDS
+    assert not again.findings
+
+    def on_one_line(each: Variable) -> Variable:
+        return replace(each, description=" ".join(each.description.split("\n")))
+
+    assert list(again.dictionary) == [on_one_line(each) for each in read.dictionary]
+    assert (again.device_info, again.dummies) == (read.device_info, read.dummies)

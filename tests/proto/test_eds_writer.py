@@ -179,6 +179,16 @@ def test_a_name_is_replaced_in_its_line() -> None:
     assert "FileName = mine.eds\nFileVersion=0x01\nFileRevision=001\nEDSVersion=4.0\nModifiedBy=me\n" in written
 
 
+def test_aliases_do_not_take_the_places_of_the_file_s_names() -> None:
+    names = {(0x1017, 0): "heartbeat_time", (0x1800, 1): "tpdo1:cob_id"}
+    aliases = [Object.of(name, [Variable(*place, name, DataType.UNSIGNED32)]) for place, name in names.items()]
+    named = replace(sample(), dictionary=sample().dictionary.with_names_of(ObjectDictionary(aliases)))
+    assert named.dictionary.variable("tpdo1:cob_id").names == ("tpdo1:cob_id", "COB-ID")
+    assert write_eds(named) == SAMPLE
+    renamed = with_variable(named, 0x1800, 1, aliases=())
+    assert "ParameterName=tpdo1:cob_id\n" in write_eds(renamed)
+
+
 def test_a_new_object_is_listed_and_stands_behind_the_one_before() -> None:
     new = Object.of("Name", [Variable(0x2000, 0, "Name", DataType.VISIBLE_STRING, default="x y")])
     written = write_eds(with_object(sample(), new))
@@ -272,6 +282,20 @@ def test_types_of_objects_that_are_none() -> None:
     names = sections_of(describe(ObjectDictionary(objects)))
     assert names["0040"] == {"ParameterName": "ours", "ObjectType": "0x6", "SubNumber": "0"}
     assert names["3000"] == {"ParameterName": "nothing", "ObjectType": "0x0"}
+
+
+def test_a_var_with_sub_objects_is_written_as_a_record() -> None:
+    """An EDS that has CompactSubObj in a VAR. Subindex 255 tells the structure, which any object may."""
+    subs = {subindex: Variable(0x2000, subindex, "x", DataType.UNSIGNED8) for subindex in (0, 1, 0xFF)}
+
+    def written_type(object_type: ObjectType, *subindices: int) -> str:
+        each = Object(0x2000, "x", object_type, MappingProxyType({subindex: subs[subindex] for subindex in subindices}))
+        return sections_of(describe(ObjectDictionary([each])))["2000"]["ObjectType"]
+
+    assert written_type(ObjectType.VAR, 0, 1) == "0x9"
+    assert written_type(ObjectType.VAR, 0, 0xFF) == "0x7"
+    assert written_type(ObjectType.DOMAIN, 0, 0xFF) == "0x9"
+    assert written_type(ObjectType.ARRAY, 0, 1) == "0x8"
 
 
 def test_what_a_line_cannot_hold() -> None:

@@ -23,7 +23,8 @@ from canopen_proto.dictionary.description import Commissioning, DeviceDescriptio
 from canopen_proto.dictionary.eds.ini import EdsDocument
 from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.eds.writer_document import changed_text, foreign_text
-from canopen_proto.dictionary.eds.writer_sections import Sections, sections_of
+from canopen_proto.dictionary.eds.writer_sections import Sections, sections_of, sub_name
+from canopen_proto.dictionary.eds.writer_values import one_line
 from canopen_proto.machine import LocalProtocolError, check_node_id
 
 _OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
@@ -42,8 +43,10 @@ def write_eds(
     (`without_configured`); for a DCF of an EDS see `with_configured`, too. node_id: of the DCF; None: that of its commissioning.
     file_info: of the new file (its name, who changed it, when: the core has no clock); None: that of the description.
 
-    Line breaks and blanks at the ends of names and texts have no place in these files; breaks become blanks. Raises
-    LocalProtocolError for another kind, a node-ID that is none, and a DCF of something else whose node-ID nobody says.
+    A variable that has the old file's name for it among its aliases keeps that name in the file. Line breaks, and blanks at the
+    ends of names and texts, have no place in these files; breaks become blanks.
+
+    Raises LocalProtocolError for another kind, a node-ID that is none, and a DCF of something else whose node-ID nobody says.
     """
     wanted = _of_kind(description, kind, node_id)
     if file_info is not None:
@@ -53,12 +56,24 @@ def write_eds(
     if not isinstance(document, EdsDocument):
         return text_of(after)
     before = sections_of(read_eds(document.text))
+    _keep_names(after, before, wanted)
     if after == before:
         return document.text
     text = changed_text(document, before, after)
     if sections_of(read_eds(text)) == after:
         return text
     return (text_of(after) + foreign_text(document, {**before, **after})).replace("\n", document.newline)
+
+
+def _keep_names(after: Sections, before: Sections, description: DeviceDescription) -> None:
+    """A variable that goes by another name now (`with_names_of`), but has the file's name too, is called so in the file."""
+    for variable in description.dictionary:
+        if variable.aliases:
+            own, whole = sub_name(variable.index, variable.subindex), f"{variable.index:04X}"
+            section = own if own in after else whole
+            name = before.get(section, {}).get("ParameterName", "")
+            if name in map(one_line, variable.aliases):
+                after[section]["ParameterName"] = name
 
 
 def text_of(sections: Sections) -> str:

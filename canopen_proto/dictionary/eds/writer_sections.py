@@ -73,7 +73,7 @@ def object_sections(each: Object) -> Sections:
         return {name: _variable(single, called, each.object_type, each)}
     whole = {"ParameterName": one_line(each.name)}
     _add(whole, "Denotation", one_line(each.denotation))
-    whole["ObjectType"] = f"0x{each.object_type:X}"
+    whole["ObjectType"] = f"0x{_object_type(each):X}"
     if each.data_type is not None:
         whole["DataType"] = f"0x{each.data_type:04X}"
     if each.variables or each.object_type in _HAS_SUB_OBJECTS:
@@ -84,6 +84,15 @@ def object_sections(each: Object) -> Sections:
         for subindex, variable in sorted(each.variables.items())
     }
     return {name: whole, **subs}
+
+
+def _object_type(each: Object) -> ObjectType:
+    """RECORD where a type that has no sub-objects has some: only a faulty compact form can say that."""
+    if each.object_type in _HAS_SUB_OBJECTS or not each.variables:
+        return each.object_type
+    if each.object_type is ObjectType.VAR and each.variables.keys() <= {0, 0xFF}:
+        return ObjectType.VAR
+    return ObjectType.RECORD
 
 
 def sub_name(index: int, subindex: int) -> str:
