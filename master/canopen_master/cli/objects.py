@@ -14,7 +14,17 @@ from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
-from canopen_master.cli.values import BYTES, TYPES, as_json, hex_text, parse_value, place_text, value_text
+from canopen_master.cli.values import (
+    BYTES,
+    TYPES,
+    as_json,
+    hex_text,
+    parse_value,
+    physical,
+    physical_text,
+    place_text,
+    value_text,
+)
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
@@ -42,7 +52,9 @@ class Reading:
         """For a table."""
         place, name = place_text(self.variable), escape(self.variable.name)
         words = escape(", ".join(self.constants))
-        return place, name, escape(value_text(self.value)), hex_text(self.variable, self.value), words
+        meaning = physical_text(self.variable, self.value)
+        value = value_text(self.value) + (f" = {meaning}" if meaning else "")
+        return place, name, escape(value), hex_text(self.variable, self.value), words
 
     def as_json(self) -> dict[str, Any]:
         """For --json."""
@@ -55,6 +67,8 @@ class Reading:
             "value": as_json(self.value),
             "hex": hex_text(self.variable, self.value) or None,
             "constants": list(self.constants),
+            "physical": physical(self.variable, self.value),
+            "unit": self.variable.unit,
         }
 
 
@@ -215,7 +229,8 @@ def write(
 
 
 def _shown(reading: Reading) -> str:
-    number = hex_text(reading.variable, reading.value)
+    numbers = (hex_text(reading.variable, reading.value), physical_text(reading.variable, reading.value))
+    number = ", ".join(text for text in numbers if text)
     words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
     return f"{value_text(reading.value)}{f' ({number})' if number else ''}{words}"
 

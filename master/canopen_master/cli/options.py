@@ -1,7 +1,7 @@
 """The options and the kinds of argument that all commands share.
 
-`common` adds -b, -e, --timeout, --json, -q, -v and --no-color to a command. They may also stand before the command's name
-(`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
+`common` adds -b, -e, --overlay, --timeout, --json, -q, -v and --no-color to a command. They may also stand before the command's
+name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ DEMO: Final = "demo"
 
 @dataclass
 class Settings:
-    """What the common options say. eds: files of devices as they were typed, see device_files.py. clock: a test's virtual one."""
+    """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
+    overlays.py. clock: a test's virtual one."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
+    overlays: tuple[str, ...] = ()
     timeout: Time | None = None
     json: bool = False
     verbosity: int = 0
@@ -161,6 +163,8 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
             settings.bus = value
         case "eds":
             settings.eds += value
+        case "overlays":
+            settings.overlays += value
         case "timeout" if value is not None:
             settings.timeout = value
         case "json_output" if value:
@@ -192,6 +196,13 @@ def common(command: F) -> F:
             multiple=True,
             metavar="[NODE=]FILE",
             help="The device's own file (EDS, DCF, XDD, XDC), which names its objects; once for each device.",
+        ),
+        _option(
+            "--overlay",
+            "overlays",
+            multiple=True,
+            metavar="FILE.toml",
+            help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
         ),
         _option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
         _option("--json", "json_output", is_flag=True, help="Results and errors as JSON."),

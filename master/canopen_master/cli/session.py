@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
 from typing import Final
 
 import trio
@@ -16,6 +17,7 @@ from canopen_data import load_dictionary
 from canopen_master.cli.device_files import DeviceFiles, description_of, read_device_files
 from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_master.cli.options import DEMO, Settings
+from canopen_master.cli.overlays import overlaid
 from canopen_master.cli.problem import Problem, advice, problem_of
 from canopen_master.cli.screen import Screen
 from canopen_master.errors import NO_ANSWER, SdoTimeout
@@ -80,8 +82,12 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
 async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Session]:
     """A master on the bus of the options, while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
     bus = settings.required_bus()
-    dictionary = read_dictionary(screen)
-    files = read_device_files(settings.eds, dictionary, screen)
+    names = read_dictionary(screen)
+    files = {
+        node_id: replace(each, dictionary=overlaid(each.dictionary, settings.overlays, screen))
+        for node_id, each in read_device_files(settings.eds, names, screen).items()
+    }
+    dictionary = overlaid(names, settings.overlays, screen)
     timeout = SDO_TIMEOUT if settings.timeout is None else settings.timeout / SECOND
     async with AsyncExitStack() as stack:
         if bus == DEMO:

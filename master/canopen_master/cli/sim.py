@@ -47,7 +47,6 @@ DEFAULT_IDS: Final = DEMO_NODES
 )
 @click.option("--shape", type=click.Choice(list(SHAPES)), help="Of drives: Powerball joints (without a file), or CiA 402.")
 @click.option("--script", metavar="FILE.py", default="", help="A Python file that animates the devices.")
-@click.option("--overlay", "overlays", metavar="FILE.toml", multiple=True, help="Units, names of values and bits, aliases.")
 @click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
 @click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
 @click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
@@ -60,7 +59,6 @@ def sim(
     profile: str,
     shape: str | None,
     script: str,
-    overlays: tuple[str, ...],
     state: str | None,
     defaults: bool,
     seconds: float | None,
@@ -79,7 +77,9 @@ def sim(
     canopen sim plant.toml
     """
     screen = settings.screen()
-    plant = wanted(files, node_ids, DeviceEntry("", (), profile, shape or "", script, overlays, defaults)) if files else None
+    plant = (
+        wanted(files, node_ids, DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults)) if files else None
+    )
     if plant is not None and plant.bus and settings.named_bus() is None:
         settings.bus = plant.bus
     bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")

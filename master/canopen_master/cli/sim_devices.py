@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from canopen_data import load_dictionary
 from canopen_master.cli.options import NodeIds
+from canopen_master.cli.overlays import overlaid, read_text
 from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.hooks import Script, ScriptError
@@ -25,29 +26,14 @@ from canopen_proto.dictionary import NotInDictionary, ObjectDictionary
 from canopen_proto.dictionary.configured import configure, without_configured_values
 from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.dictionary.findings import Severity
-from canopen_proto.dictionary.overlay import lay_over
 from canopen_proto.frame import MAX_NODE_ID
 
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
 PLANT_SUFFIX: Final = ".toml"
-MAX_FILE_SIZE: Final = 16 * 1024 * 1024
-"""Bytes of a script, side file or plant file: as of all data files."""
 MAX_NOTICES: Final = 5
 """What does not work in a device, line by line; the rest is counted, and told with -v."""
 
-_WITH_IDS: Final = re.compile(r"([0-9xXA-Fa-f,-]*[0-9])=(.+)")
-
-
-def read_text(path: Path) -> str:
-    """A text file. Raises Problem."""
-    try:
-        if path.stat().st_size > MAX_FILE_SIZE:
-            raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} has more than {MAX_FILE_SIZE} bytes")
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} is no text in UTF-8", seen=str(error)) from None
-    except OSError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO330", f"cannot read {path}: {error.strerror}", tries=("check the path",)) from None
+_WITH_IDS: Final = re.compile(r"([0-9][0-9A-Fa-fxX,-]*)=(.+)")
 
 
 def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> Plant:
@@ -129,11 +115,7 @@ def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> Device
     dictionary = with_drive_names(description.dictionary)
     if entry.defaults:
         dictionary = without_configured_values(dictionary)
-    for path in entry.overlays:
-        dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)
-        for finding in findings:
-            screen.detail(str(finding))
-    return replace(description, dictionary=dictionary)
+    return replace(description, dictionary=overlaid(dictionary, entry.overlays, screen))
 
 
 def _script(path: str) -> Script | None:
@@ -156,7 +138,7 @@ def _node_ids(entry: DeviceEntry, description: DeviceDescription) -> tuple[int, 
     commissioning = description.commissioning
     node_id = None if commissioning is None else commissioning.node_id
     if node_id is None or not 1 <= node_id <= MAX_NODE_ID:
-        seen = "the file names none" if node_id is None else f"the file names {node_id}"
+        seen = "the file names none" if node_id is None else f"the file names {node_id}, which is none"
         tries = (f"canopen sim {entry.file} --id 5", f"canopen sim 5={entry.file}")
         raise usage("CO127", f"which node-ID is {entry.file} to have?", seen=seen, tries=tries)
     return (node_id,)
@@ -208,9 +190,9 @@ def _tell(screen: Screen, model: DeviceModel, entry: DeviceEntry, reason: str) -
     from canopen_proto.machine import Outbox
 
     node = model(Outbox())
-    pdos = f"{len(node.pdos.producers)} TPDOs, {len(node.pdos.consumers)} RPDOs"
+    counts = f"objects: {len(model.dictionary)}, TPDOs: {len(node.pdos.producers)}, RPDOs: {len(node.pdos.consumers)}"
     kind = "a simulated drive" if model.drive is not None else "plain memory"
-    what = f"{len(model.dictionary)} objects, {pdos}, {kind}{' with a script' if model.script is not None else ''}"
+    what = f"{kind}{' with a script' if model.script is not None else ''}; {counts}"
     screen.say(f"{node_text(model.node_id)}  {escape(entry.file)}: {what}")
     notices = [*([reason] if reason else []), *map(str, node.notices)]
     for notice in notices[:MAX_NOTICES]:

@@ -46,6 +46,19 @@ def hex_text(variable: Variable, value: Value) -> str:
     return f"0x{value & (1 << bits) - 1:0{bits // 4}X}"
 
 
+def physical(variable: Variable, value: Value) -> float | None:
+    """The physical value in the object's unit; None where nobody has said what that is."""
+    if not variable.unit and variable.factor == 1.0:
+        return None
+    return value * variable.factor if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def physical_text(variable: Variable, value: Value) -> str:
+    """The same for people: "12.5 deg"; "" where there is none."""
+    number = physical(variable, value)
+    return "" if number is None else f"{number:.10g} {variable.unit}".rstrip()
+
+
 def as_json(value: Value) -> Any:
     """A value in a JSON document: bytes as hexadecimal text, times as text."""
     if isinstance(value, bytes):
