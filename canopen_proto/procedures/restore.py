@@ -69,6 +69,7 @@ MAX_HEARTBEAT_WAIT: Final = 10 * SECOND
 
 _Match: TypeAlias = Callable[[HeartbeatReceived], bool]
 _HEARTBEAT: Final = 0x1017
+_PDO_COB_IDS: Final = frozenset(index << 8 | 1 for index in (*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
 _MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _COMMAND_TO: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
@@ -136,6 +137,12 @@ class Restoration:
     def open(self) -> tuple[PlannedWrite, ...]:
         """The writes that were not confirmed: refused, in doubt, or not sent."""
         return self.plan.writes[self.written :]
+
+    @property
+    def pdos_off(self) -> tuple[Variable, ...]:
+        """The COB-IDs of the PDOs that were to live again, and do not."""
+        off = {each.variable.mux for each in self.done if each.variable.mux in _PDO_COB_IDS}
+        return tuple(each.variable for each in self.open if each.variable.mux in off)
 
 
 class RestoreFailed(ProcedureError):

@@ -171,7 +171,7 @@ def test_a_changed_device_is_as_it_was(verify: bool) -> None:
     assert [(each.done, each.total) for each in bench.bus.take_events(ObjectRestored)] == [
         (each, WRITES) for each in range(1, WRITES + 1)
     ]
-    assert done.open == ()
+    assert (done.open, done.pdos_off) == ((), ())
     assert bench.plan(values).writes == ()
 
 
@@ -324,6 +324,8 @@ def assert_nothing_half_done(bench: Bench, so_far: Restoration) -> None:
             value = bench.device.values.store[cob_id]
             assert isinstance(value, int)
             assert value & COB_ID_INVALID, f"{cob_id:06X}"
+            is_to_live = any(each.variable.mux == cob_id for each in so_far.open)
+            assert (cob_id in {each.mux for each in so_far.pdos_off}) == is_to_live
 
 
 def count_writes() -> int:
