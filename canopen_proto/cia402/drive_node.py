@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from canopen_proto.cia402.drive import Drive, DriveFault, DriveFaultCleared, StatuswordChanged
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.objects import STATUSWORD
+from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
@@ -26,6 +26,7 @@ class DriveNode(LocalNode):
         super().__init__(out, node_id, drive_dictionary(settings.shape) if dictionary is None else dictionary)
         self.drive = Drive(self.inner, node_id, self.values, settings)
         self.application = self.drive
+        self.storage.excluded.add(CONTROLWORD >> 8)  # a command, no parameter
         self._members.attach(self.drive)
         self._reactions.update(
             {

@@ -98,3 +98,16 @@ def test_the_drive_runs_behind_it() -> None:
 def test_the_shape_decides_what_is_filled_in() -> None:
     bare = ObjectDictionary([*BASE[:-1], replace(standard_object(0x6502), name="modes")])
     assert drive_dictionary_of(bare, Shape.SCHUNK_POWERBALL)[0].variable(0x6502).default == 0x43
+
+
+def test_a_control_word_is_not_stored() -> None:
+    stored = [*BASE, standard_object(0x1010, highest=1)]
+    bench = DeviceBench(
+        ObjectDictionary(stored), make=lambda out, node_id, described: DriveNode(out, node_id, DriveSettings(), described)
+    )
+    bench.write(0x6040, 0, 6, 2)
+    bench.write(0x6081, 0, 5, 4)
+    bench.tell("605#2310100173617665")
+    kept = bench.node.storage.to_keep(0x1010, 1)
+    assert objects.CONTROLWORD not in kept
+    assert kept[objects.PROFILE_VELOCITY] == b"\x05\x00\x00\x00"

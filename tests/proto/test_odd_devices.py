@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from canopen_proto.datatypes import DataType, Value, encode, is_integer, range_of
 from canopen_proto.device_notices import MAX_NOTICES
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
+from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.local_node import LocalNode
@@ -298,7 +299,7 @@ STIMULI = [
 ]  # fmt: skip
 
 
-@settings(max_examples=100)
+@settings(max_examples=80)
 @given(dictionaries(), st.integers(1, 127))
 def test_any_description_makes_a_device_that_boots_and_answers(dictionary: ObjectDictionary, node_id: int) -> None:
     bench = DeviceBench(dictionary, make=lambda out, _, described: LocalNode(out, 5, described))
@@ -313,6 +314,54 @@ def test_any_description_makes_a_device_that_boots_and_answers(dictionary: Objec
             bench.now = min(max(bench.now, bench.network.next_deadline()), bench.now + 20 * MILLISECOND)
             bench.network.handle_timeout(bench.now)
             legal(bench)
+    readable(bench)
+    assert all(str(notice) for notice in bench.node.notices)
+
+
+FIELDS = {
+    "ObjectType": ("0x7", "0x8", "0x9", "2", "99", ""),
+    "DataType": ("0x0007", "5", "6", "4", "0x9", "0xF", "0x8", "0xC", "1", "0x21", "zz", ""),
+    "AccessType": ("rw", "ro", "wo", "const", "rwr", "x", ""),
+    "PDOMapping": ("0", "1", "x"),
+    "SubNumber": ("0", "2", "7", "0xFF", "4294967295", "-1"),
+    "CompactSubObj": ("0", "3", "254"),
+    "DefaultValue": (
+        "", "0", "1", "255", "0x80", "$NODEID+0x180", "0x40000180+$NODEID", "0x80000200+$NODEID", "0x605", "-1", "0x60000008",
+        "0x60410010", "text", "1e9", "99999999999999999999", "65536", "0x0005000A",
+    ),
+    "ParameterValue": ("0", "$NODEID+0x80", "0x185", "7", "x"),
+    "LowLimit": ("0", "-5", "0xFFFFFFFF"),
+    "HighLimit": ("1", "0", "x"),
+}  # fmt: skip
+
+
+@st.composite
+def eds_texts(draw: st.DrawFn) -> str:
+    """Files that describe communication objects in some odd way."""
+    indices = draw(st.lists(st.sampled_from(INDICES), unique=True, min_size=1, max_size=9))
+    lines = ["[OptionalObjects]", f"SupportedObjects={len(indices)}"]
+    lines += [f"{number}=0x{index:04X}" for number, index in enumerate(indices, start=1)]
+    for index in indices:
+        places = [f"{index:04X}"] + [
+            f"{index:04X}sub{subindex:X}" for subindex in draw(st.sampled_from([(), (0, 1), (0, 1, 2, 5)]))
+        ]
+        for place in places:
+            lines += [f"[{place}]", "ParameterName=o"]
+            for key in draw(st.lists(st.sampled_from(sorted(FIELDS)), unique=True, max_size=6)):
+                lines.append(f"{key}={draw(st.sampled_from(FIELDS[key]))}")
+            lines.append(f"DataType={draw(st.sampled_from(FIELDS['DataType'][:4]))}")
+    return "\n".join(lines)
+
+
+@settings(max_examples=40)
+@given(eds_texts(), st.integers(1, 127))
+def test_whatever_a_reader_makes_of_a_file_is_a_device(text: str, node_id: int) -> None:
+    dictionary = read_eds(text).dictionary
+    LocalNode(Outbox(), node_id, dictionary)
+    bench = DeviceBench(dictionary)
+    for frame in STIMULI:
+        bench.network.receive(Frame.parse(frame), bench.now)
+        legal(bench)
     readable(bench)
     assert all(str(notice) for notice in bench.node.notices)
 
