@@ -147,6 +147,7 @@ def test_several_files_and_the_node_id_of_a_dcf(run: Run) -> None:
 
 def test_one_file_for_several_nodes(run: Run) -> None:
     assert "3 simulated devices" in run("sim", "io.eds", "--ids", "3-5", *SHORT).err
+    assert "node 4 (0x04)  io.eds" in run("sim", "-e", "4=io.eds", *SHORT).err
 
 
 def test_profiles(run: Run) -> None:

@@ -47,6 +47,7 @@ def test_all_that_it_shows_is_of_the_standard() -> None:
 def test_what_the_file_does_not_say_is_filled_in() -> None:
     dictionary, filled = drive_dictionary_of(ObjectDictionary(BASE), Shape.STANDARD)
     assert {variable.mux: variable.default for variable in filled} == {
+        0x1000_00: 0x0002_0192,
         objects.SUPPORTED_DRIVE_MODES: 0xE5,
         objects.PROFILE_VELOCITY: 20_000,
         objects.FOLLOWING_ERROR_WINDOW: 10_000,
