@@ -17,11 +17,18 @@ would put nothing on the wire, and drives would run on. All of it is protected f
 
 **Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in: a process
 that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
-trio's own waits are up to 1 ms late (epoll counts in ms); SYNC keeps its phase all the same.
+The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
+
+**SYNC by the transport.** Where a transport wants to send the cyclic SYNC itself (`sends_sync`: socketcan's `?sync=bcm`, by which
+the kernel does), our SYNC producer rests, and each SYNC that comes is reported as `SyncSent`: what follows SYNC follows it still.
+Buses then keep the period, but not one phase.
 
 **What goes first.** Frames leave in the order in which the core made them, but for SDO: its frames wait until nothing else is to
 be sent, and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs behind it, then SDO in what
 is left.
+
+**Filters.** Where a transport filters (`filtered`), it is told the CAN-IDs that our machines want, anew whenever they change; and
+the Network that it no longer hears all.
 
 **When a bus is away** for a while and its transport says that it may come back (BusStateChanged: interface down, bus-off), frames
 that cannot be sent are dropped and counted in `FramesNotSent`. They are not kept: a set-point of some seconds ago, sent when the
@@ -35,16 +42,27 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import Final, Protocol
 
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_proto.frame import EXTENDED, Frame
+from canopen_master.alarm import Alarm, best_alarm
+from canopen_proto.frame import EXTENDED, Frame, frame_for_key
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time, event
 from canopen_proto.network import Network
-from canopen_proto.sync import SyncProducer
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, Transport, TransportError
+from canopen_proto.sync import SyncProducer, SyncReceived, SyncSent
+from canopen_transports import (
+    BusState,
+    BusStateChanged,
+    CyclicTransport,
+    FilteringTransport,
+    FrameNotSent,
+    ReceiveOverrun,
+    Transport,
+    TransportError,
+)
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
 MAX_SEND_QUEUE: Final = 4096
@@ -114,6 +132,11 @@ class Bus:
         self._first: deque[Frame] = deque()
         self._sdo: deque[Frame] = deque()
         self._is_sending = False
+        self._filter = transport if isinstance(transport, FilteringTransport) and transport.filtered else None
+        self._wanted: tuple[int, ...] | None = None
+        self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
+        self._period: Time = 0  # of the transport's SYNC
+        self._last_sync: Time | None = None
         self._work = trio.lowlevel.ParkingLot()  # the sender waits for frames
         self._sent = trio.lowlevel.ParkingLot()  # others wait for the sender
 
@@ -136,6 +159,8 @@ class Bus:
         """The transport reports a change. Events: FramesNotSent, BusChanged."""
         self.state = state
         self.settle_not_sent()
+        if state is BusState.UP and self._period:
+            self.start_sync(self._period, 0)  # an adapter that was plugged in again has forgotten it
         self.network.out.events.append(BusChanged(0, state, reason))
 
     def drop(self, reason: str) -> None:
@@ -151,6 +176,56 @@ class Bus:
         if self._not_sent:
             self.network.out.events.append(FramesNotSent(0, self._not_sent, self._reason))
         self._not_sent, self._reason = 0, ""
+
+    def renew_filters(self) -> None:
+        """Tell a transport that filters what our machines want."""
+        if self._filter is not None:
+            wanted = self.network.can_ids()
+            if wanted != self._wanted:
+                self._wanted = wanted
+                self.network.hears_all = not self._filter.set_filters(wanted)
+
+    # ---- SYNC ----
+
+    @property
+    def sync_period(self) -> Time:
+        """ns between two SYNCs that we send, or our transport; 0 for none."""
+        return self._period or (self.sync.period if self.sync is not None else 0)
+
+    def start_sync(self, period: Time, now: Time) -> None:
+        """Send SYNC now and then once per period (ns), by our producer or by the transport. Raises TransportError."""
+        assert self.sync is not None
+        if self._cyclic is None:
+            self.sync.start(period, now)
+            return
+        key, overflow = self.sync.key, self.sync.counter_overflow
+        counters = [bytes((count,)) for count in range(1, overflow + 1)] or [b""]
+        self._cyclic.start_cyclic([frame_for_key(key, counter) for counter in counters], period)
+        self._period, self._last_sync = period, None
+
+    def stop_sync(self) -> None:
+        """Send no more SYNC by itself."""
+        if self.sync is not None:
+            self.sync.stop()
+        if self._cyclic is not None:
+            self._cyclic.stop_cyclic()
+            self._period = 0
+
+    def sync_came(self, sync: SyncReceived, now: Time) -> Event:
+        """What a received SYNC is here: ours, where the transport sends them."""
+        if not self._period:
+            return sync
+        skipped = 0
+        if self._last_sync is not None:
+            skipped = max(0, round((now - self._last_sync) / self._period) - 1)
+        self._last_sync = now
+        return SyncSent(0, sync.counter, skipped)
+
+    def _until_sync(self, now: Time) -> Time:
+        """ns until the next SYNC is due."""
+        if self._period and self._last_sync is not None:
+            return (self._last_sync + self._period - now) % self._period
+        return self.sync.deadline - now if self.sync is not None else NEVER
 
     @property
     def is_dropping(self) -> bool:
@@ -179,7 +254,7 @@ class Bus:
                 frame = self._first.popleft()
                 break
             if self._sdo:
-                until_sync = self.sync.deadline - now() if self.sync is not None else NEVER
+                until_sync = self._until_sync(now())
                 if until_sync > SDO_GUARD:
                     frame = self._sdo.popleft()
                     break
@@ -208,7 +283,7 @@ class Pump:
         self.buses = tuple(buses)
         self._listener = listener
         self._scope = trio.CancelScope(shield=True)
-        self._alarm: trio.CancelScope | None = None
+        self._alarm: Alarm | None = None
         self._is_pumping = False
         self._received = 0
 
@@ -234,6 +309,8 @@ class Pump:
                         self._take(bus, now)
         finally:
             self._is_pumping = False
+        for bus in self.buses:
+            bus.renew_filters()
         self._set_alarm()
 
     def _take(self, bus: Bus, now: Time) -> None:
@@ -242,7 +319,7 @@ class Pump:
             name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
             self._fail(bus, TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen), "send")
         for each in events:
-            self._listener.on_event(bus, each)
+            self._listener.on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
 
     def stop(self) -> None:
         """End the tasks. What is queued is not sent any more: `flush` first."""
@@ -256,6 +333,7 @@ class Pump:
     @enable_ki_protection
     async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
+        self.pump()
         with self._scope:
             async with trio.open_nursery() as nursery:
                 for bus in self.buses:
@@ -295,13 +373,12 @@ class Pump:
 
     @enable_ki_protection
     async def _keep_time(self) -> None:
-        while True:
-            with trio.CancelScope() as self._alarm:
+        with closing(best_alarm()) as self._alarm:
+            while True:
                 self._set_alarm()
-                await trio.sleep_forever()
-            self._alarm = None
-            await self._catch_up()
-            self._turn(self._handle_timeouts)
+                await self._alarm.wait()
+                await self._catch_up()
+                self._turn(self._handle_timeouts)
 
     async def _catch_up(self) -> None:
         """Let the receivers handle what is already there."""
@@ -323,8 +400,8 @@ class Pump:
         if self._alarm is None:
             return
         deadline = min(bus.network.next_deadline() for bus in self.buses)
-        if deadline < NEVER and deadline / SECOND < self._alarm.deadline:
-            self._alarm.deadline = deadline / SECOND
+        if deadline < NEVER:
+            self._alarm.set(deadline / SECOND)
 
     def _turn(self, mutate: Callable[..., object], *args: object) -> None:
         try:

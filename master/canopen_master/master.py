@@ -167,6 +167,7 @@ class Master:
         )
         where.network.attach(remote)
         node = self._nodes[where, node_id] = Node(self, where, remote)
+        where.renew_filters()
         return node
 
     @enable_ki_protection
@@ -283,7 +284,7 @@ class Master:
     @property
     def sync_period(self) -> Time:
         """ns between two SYNCs, 0 while none are sent."""
-        return self._sync[self._own_buses[0]].period
+        return self._own_buses[0].sync_period
 
     @enable_ki_protection
     def sync_start(self, period: float) -> None:
@@ -293,15 +294,15 @@ class Master:
 
     def _start_sync(self, period: Time) -> None:
         now = self.now()
-        for sync in self._sync.values():
-            sync.start(period, now)
+        for bus in self._own_buses:
+            bus.start_sync(period, now)
         self._pump.pump()
 
     @enable_ki_protection
     def sync_stop(self) -> None:
         """Send no more SYNC by itself."""
-        for sync in self._sync.values():
-            sync.stop()
+        for bus in self._own_buses:
+            bus.stop_sync()
         self._pump.pump()
 
     @enable_ki_protection

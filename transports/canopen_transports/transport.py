@@ -14,7 +14,8 @@ A transport knows no CANopen. It carries `Frame`s between one participant and on
 
 from __future__ import annotations
 
-from typing import Protocol, TypeAlias
+from collections.abc import Iterable, Sequence
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 
@@ -45,6 +46,29 @@ class Transport(Protocol):
 
     async def aclose(self) -> None:
         """Leave the bus. May be called twice. Even if cancelled, the transport is closed afterwards."""
+
+
+@runtime_checkable
+class FilteringTransport(Protocol):
+    """What a transport has besides that can leave out frames that nobody wants. filtered: whether it shall."""
+
+    filtered: bool
+
+    def set_filters(self, keys: Iterable[int] | None) -> bool:
+        """Receive only frames of these routing keys (`Frame.key`) from now on, None: all. Whether it now leaves out others."""
+
+
+@runtime_checkable
+class CyclicTransport(Protocol):
+    """What a transport has besides that can send cyclic frames without us. sends_sync: whether it shall send the SYNC."""
+
+    sends_sync: bool
+
+    def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
+        """Send the first frame now, one more each `period` ns, in turn; each comes back by `receive`. What runs begins anew."""
+
+    def stop_cyclic(self) -> None:
+        """Send no more."""
 
 
 def check_frame(frame: Frame) -> None:

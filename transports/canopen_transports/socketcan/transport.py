@@ -353,8 +353,8 @@ class SocketCanTransport(trio.abc.AsyncResource):
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         try:
-            if self._broadcast is None:
-                self._broadcast = Broadcast(self._locator.channel)
+            self.stop_cyclic()  # a new socket: the interface may be a new one
+            self._broadcast = Broadcast(self._locator.channel)
             self._broadcast.start(frames, period)
         except OSError as error:
             raise diagnosis.bus_lost(self._locator, f"send {frames[0]} cyclically", error) from error

@@ -1,0 +1,101 @@
+"""How the timekeeper sleeps until a deadline.
+
+trio hands its deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median. That is much
+for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd): they tell to the microsecond, and trio can wait for one as for
+any other file. So `FineAlarm` is what a real clock on Linux gets, and `CoarseAlarm` everything else: other systems, and tests in
+virtual time, whose clock no file knows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import sys
+from contextlib import suppress
+from typing import Final, TypeAlias
+
+import trio
+
+_CLOCK_MONOTONIC: Final = 1
+_NANOSECONDS: Final = 1_000_000_000
+
+
+class CoarseAlarm:
+    """Wakes by trio's own deadlines."""
+
+    def __init__(self) -> None:
+        self._deadline = math.inf
+        self._scope: trio.CancelScope | None = None
+
+    def set(self, deadline: float) -> None:
+        """Wake at this time (seconds of trio's clock), if it is earlier than what is set: an early wake does no harm."""
+        if deadline < self._deadline:
+            self._deadline = deadline
+            if self._scope is not None:
+                self._scope.deadline = deadline
+
+    async def wait(self) -> None:
+        """Sleep until the time that is set, before or meanwhile; then none is set."""
+        with trio.CancelScope(deadline=self._deadline) as self._scope:
+            await trio.sleep_forever()
+        self._scope = None
+        self._deadline = math.inf
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _Interval(ctypes.Structure):
+    _fields_ = [("every", ctypes.c_long * 2), ("first", ctypes.c_long * 2)]  # each in seconds and nanoseconds
+
+
+class FineAlarm:
+    """Wakes by a timerfd. The same use as `CoarseAlarm`. Raises OSError, AttributeError where the system has none."""
+
+    def __init__(self) -> None:
+        self._deadline = math.inf
+        libc = ctypes.CDLL(None, use_errno=True)
+        self._set_time = libc.timerfd_settime
+        self._fd: int = libc.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
+        if self._fd < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create failed")
+        self._interval = _Interval()
+        self._reference = ctypes.byref(self._interval)
+
+    def set(self, deadline: float) -> None:
+        """As in `CoarseAlarm`."""
+        if deadline >= self._deadline:
+            return
+        self._deadline = deadline
+        left = max(1, round((deadline - trio.current_time()) * _NANOSECONDS))  # 0 would mean never
+        self._interval.first[:] = divmod(left, _NANOSECONDS)
+        self._set_time(self._fd, 0, self._reference, None)
+
+    async def wait(self) -> None:
+        """As in `CoarseAlarm`."""
+        await trio.lowlevel.wait_readable(self._fd)
+        with suppress(BlockingIOError):  # set anew just now
+            os.read(self._fd, 8)
+        self._deadline = math.inf
+
+    def close(self) -> None:
+        """Give the file back."""
+        os.close(self._fd)
+
+
+Alarm: TypeAlias = CoarseAlarm | FineAlarm
+
+
+def best_alarm() -> Alarm:
+    """The best that this platform has for the clock of the present trio run."""
+    if sys.platform == "linux" and _is_real_time():
+        with suppress(OSError, AttributeError):
+            return FineAlarm()
+    return CoarseAlarm()
+
+
+def _is_real_time() -> bool:
+    """Whether a second of trio's clock is a second."""
+    clock = trio.lowlevel.current_clock()
+    return abs(clock.deadline_to_sleep_time(clock.current_time() + 1.0) - 1.0) < 0.1

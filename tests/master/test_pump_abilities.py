@@ -1,0 +1,139 @@
+"""What the pump makes of transports that can more than carry frames: filters, and SYNC that they send themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import trio
+
+from canopen_master import open_master
+from canopen_proto.frame import Frame
+from canopen_proto.sync import SyncSent
+from canopen_transports import BusState, BusStateChanged, Received
+from tests.master.world import virtual_time
+
+
+class Able:
+    """A transport that filters and sends SYNC, and tells what it was asked for."""
+
+    locator = "able"
+
+    def __init__(self, filtered: bool = True, sends_sync: bool = True) -> None:
+        self.filtered = filtered
+        self.sends_sync = sends_sync
+        self.keys: list[set[int]] = []
+        self.cyclic: list[tuple[list[str], int]] = []
+        self.sent: list[str] = []
+        self.room = 512
+        self._feed, self._fed = trio.open_memory_channel[Frame | Exception](100)
+
+    def feed(self, item: Frame | Exception) -> None:
+        self._feed.send_nowait(item)
+
+    async def send(self, frame: Frame) -> None:
+        await trio.lowlevel.checkpoint()
+        self.sent.append(str(frame))
+
+    async def receive(self) -> Received:
+        item = await self._fed.receive()
+        if isinstance(item, Exception):
+            raise item
+        return item, None
+
+    async def aclose(self) -> None:
+        await trio.lowlevel.checkpoint()
+
+    def set_filters(self, keys: Iterable[int] | None) -> bool:
+        self.keys.append(set(keys or ()))
+        return len(self.keys[-1]) <= self.room
+
+    def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
+        self.cyclic.append(([str(frame) for frame in frames], period))
+
+    def stop_cyclic(self) -> None:
+        self.cyclic.append(([], 0))
+
+
+@virtual_time
+async def test_filters_follow_what_the_machines_want() -> None:
+    bus = Able()
+    async with open_master(bus) as master:
+        network = master.bus().network
+        assert not network.hears_all
+        count = len(bus.keys)
+        master.node(12)
+        assert {0x58C, 0x70C, 0x8C} <= bus.keys[-1]
+        master.node(13)
+        assert {0x58C, 0x58D} <= bus.keys[-1]
+        assert len(bus.keys) == count + 2
+        await master.nmt_start()
+        assert len(bus.keys) == count + 2  # nothing changed
+        bus.room = 3
+        master.node(14)
+        assert network.hears_all
+
+
+@virtual_time
+async def test_a_transport_that_need_not_filter_is_not_asked() -> None:
+    bus = Able(filtered=False, sends_sync=False)
+    async with open_master(bus) as master:
+        master.node(12)
+        master.sync_start(0.01)
+        assert master.bus().network.hears_all
+        await trio.sleep(0.001)
+        master.sync_stop()
+    assert bus.sent == ["080#"]
+    assert not bus.keys
+    assert not bus.cyclic
+
+
+@virtual_time
+async def test_sync_that_the_transport_sends_is_reported_as_ours() -> None:
+    bus = Able()
+    async with open_master(bus) as master:
+        with master.events(SyncSent) as events:
+            master.sync_start(0.01)
+            assert bus.cyclic == [(["080#"], 10_000_000)]
+            assert master.sync_period == 10_000_000
+            for pause in (0.01, 0.0104, 0.0301):
+                await trio.sleep(pause)
+                bus.feed(Frame(0x80))
+            assert [await events.receive() for _ in range(3)] == [SyncSent(0, None, skipped) for skipped in (0, 0, 2)]
+        bus.feed(BusStateChanged("able", BusState.UP, "a new one"))
+        await trio.sleep(0)
+        await trio.testing.wait_all_tasks_blocked()
+        assert bus.cyclic[1:] == [(["080#"], 10_000_000)]  # it may have forgotten
+        master.sync_stop()
+        assert bus.cyclic[2:] == [([], 0)]
+        assert master.sync_period == 0
+        bus.feed(Frame(0x80))  # somebody else's
+        await trio.testing.wait_all_tasks_blocked()
+        master.sync_start(0.02)
+        assert bus.sent == []
+
+
+@virtual_time
+async def test_sync_with_a_counter_is_a_row_of_frames() -> None:
+    bus = Able()
+    async with open_master(bus) as master:
+        master.bus().sync.configure(0x80, 3)  # type: ignore[union-attr]
+        master.sync_start(0.004)
+        assert bus.cyclic == [(["080#01", "080#02", "080#03"], 4_000_000)]
+
+
+@virtual_time
+async def test_sdo_is_held_back_before_a_sync_of_the_transport() -> None:
+    bus = Able()
+    async with open_master(bus) as master:
+        node = master.node(3)
+        master.sync_start(0.01)
+        bus.feed(Frame(0x80))
+        await trio.testing.wait_all_tasks_blocked()
+        await trio.sleep(0.0099)
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(node.read, 0x1000)
+            await trio.testing.wait_all_tasks_blocked()
+            assert bus.sent == []
+            await trio.sleep(0.0005)
+            assert bus.sent == ["603#4000100000000000"]
+            nursery.cancel_scope.cancel()
