@@ -45,13 +45,24 @@ from canopen_master.errors import (
     ChainFault,
     ChainHalted,
 )
-from canopen_master.joint_procedures import JointFailed, of_joint, power_down, prepare, quietly, stop
+from canopen_master.joint_procedures import (
+    JointFailed,
+    exchange_named,
+    exchange_own,
+    of_joint,
+    power_down,
+    prepare,
+    quietly,
+    stop,
+)
 from canopen_master.silence import sdo_silence
 from canopen_proto.cia402.axis import AxisStateChanged
+from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.cia402.states import State
 from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
 from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.described_pdos import described_pdos
 from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault, start_interpolation
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
 from canopen_proto.sdo.abort import AbortOrigin
@@ -87,14 +98,17 @@ class ChainState(enum.Enum):
 @dataclass(frozen=True, slots=True)
 class ChainSettings:
     """cycle_time: seconds between two SYNCs. rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have
-    them declared to the devices (`definePDO`), for devices that do not come with them. max_step: the largest step of a set-point
-    from one cycle to the next, in the user's unit; None for no limit. max_missed_cycles: in a row, until the chain is halted.
+    them declared to the devices (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the
+    joint's own dictionary describes (an EDS, a DCF), if it does, and set the device up like that where it is not. max_step: the
+    largest step of a set-point from one cycle to the next, in the user's unit; None for no limit. max_missed_cycles: in a row,
+    until the chain is halted.
     """
 
     cycle_time: float = 0.01
     rpdo: str = "schunk_default_rPDO"
     tpdo: str = "schunk_default_tPDO"
     define_pdos: bool = False
+    own_pdos: bool = False
     max_step: float | None = None
     max_missed_cycles: int = MAX_MISSED_CYCLES
 
@@ -279,8 +293,12 @@ class Chain:
 
     def _prepare(self, device: Device) -> Procedure[None]:
         dictionary, settings = device.node.dictionary, self.settings
-        pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
-        return prepare(device, pdos, settings.define_pdos, self._master.heartbeat_timeout)
+        if settings.own_pdos and described_pdos(dictionary, device.node.node_id):
+            exchange = exchange_own(device)
+        else:
+            pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
+            exchange = exchange_named(device, pdos, settings.define_pdos)
+        return prepare(device, exchange, self._master.heartbeat_timeout)
 
     async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
         """Run one procedure for each joint, side by side. A failure is told as this chain's."""
@@ -445,8 +463,16 @@ class Chain:
         for device in self.devices:
             silence = device.silence(now)
             if silence is not None and silence > limit:
-                self._joint_failed(device, f"is silent: no PDO with its statusword for {silence / SECOND:.3g} s")
+                self._joint_failed(device, f"is silent: no PDO with {_names(device)} for {silence / SECOND:.3g} s")
                 return
+
+
+def _names(device: Device) -> str:
+    """What a joint should send, for people."""
+    if STATUSWORD in device.cyclic:
+        return "its statusword"
+    variables = (device.node.dictionary.get(mux >> 8, mux & 0xFF) for mux in sorted(device.cyclic))
+    return " or ".join(each.name for each in variables if each is not None)
 
 
 def _reset_and_enable(device: Device) -> Procedure[None]:

@@ -31,7 +31,8 @@ FOLLOWING_LAG: Final = 2
 
 
 class Device:
-    """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive.
+    """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive. cyclic: the objects that
+    it sends at SYNCs, by which it is known to be there (as far as there are none, its heartbeat has to tell).
 
     Positions are in the user's unit (radians, unless its AxisSettings say otherwise).
     """
@@ -41,6 +42,7 @@ class Device:
         self.name = name
         self.node = node
         self.axis = axis
+        self.cyclic: frozenset[int] = frozenset((STATUSWORD,))
         self.sdo_round_trips = 0
         self.largest_following_error = 0.0
         self.emcy: EmcyReceived | None = None
@@ -137,8 +139,9 @@ class Device:
         return f"{self.name} (node {self.node.node_id} on {self.node.bus})"
 
     def silence(self, now: Time) -> Time | None:
-        """ns since its statusword was last heard, None if it never was."""
-        heard = self.node.remote.heard_at.get(STATUSWORD)
+        """ns since one of its `cyclic` objects was last heard, None if none ever was."""
+        heard_at = self.node.remote.heard_at
+        heard = max((heard_at[mux] for mux in self.cyclic if mux in heard_at), default=None)
         return None if heard is None else now - heard
 
     def describe(self) -> str:

@@ -6,10 +6,21 @@ from typing import Final, TypeVar
 
 from canopen_master.device import Device
 from canopen_master.node import Node
+from canopen_proto.cia402.objects import (
+    CONTROLWORD,
+    ERROR_CODE,
+    INTERPOLATION_SET_POINT,
+    MODES_OF_OPERATION_DISPLAY,
+    POSITION_ACTUAL_VALUE,
+    STATUSWORD,
+    TORQUE_ACTUAL_VALUE,
+    VELOCITY_ACTUAL_VALUE,
+)
 from canopen_proto.dictionary import Key, PdoDescription
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.configure_pdo import define_pdo
+from canopen_proto.procedures.described_pdos import exchange_described
 from canopen_proto.procedures.drive import engage_brake, halt, shut_down
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
@@ -23,6 +34,12 @@ HEARTBEAT: Final = "0x1017"
 HEARTBEATS_PER_TIMEOUT: Final = 3
 """One lost frame, or one late one, is no lost node."""
 MAX_HEARTBEAT_MS: Final = 0xFFFF
+DRIVE_COMMANDS: Final = (CONTROLWORD, INTERPOLATION_SET_POINT)
+"""What a chain says to its joints in each cycle."""
+DRIVE_FEEDBACK: Final = (
+    STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE, TORQUE_ACTUAL_VALUE, ERROR_CODE,
+)  # fmt: skip
+"""What it hears from them."""
 
 
 class JointFailed(ProcedureError):
@@ -71,15 +88,30 @@ def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
     yield from read(node.remote, key)
 
 
-def prepare(device: Device, pdos: tuple[PdoDescription, ...], define: bool, heartbeat_timeout: Time) -> Procedure[None]:
-    """See whether the joint answers, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
+def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: bool) -> Procedure[None]:
+    """Exchange these PDOs with the joint; define: and declare them to it before."""
     node = device.node.remote
-    yield from awake(device.node)
     for description in pdos:
         if define:
             yield from define_pdo(node, description)
         else:
             yield from act(lambda now, description=description: node.add_pdo(description, now))  # type: ignore[misc]
+
+
+def exchange_own(device: Device) -> Procedure[None]:
+    """Exchange the PDOs that the joint's own dictionary describes; at least one has to carry the set-points."""
+    exchanged = yield from exchange_described(device.node.remote, DRIVE_COMMANDS, DRIVE_FEEDBACK)
+    if INTERPOLATION_SET_POINT in exchanged.missing:
+        source = device.node.dictionary.source or "its dictionary"
+        raise ProcedureError(f"no RPDO that {source} describes for node {device.node.node_id} carries the set-points (0x60C1:01)")
+    device.cyclic = exchanged.cyclic
+
+
+def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
+    """See whether the joint answers, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
+    node = device.node.remote
+    yield from awake(device.node)
+    yield from exchange
     if heartbeat_timeout and HEARTBEAT in node.dictionary:
         period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))
         try:

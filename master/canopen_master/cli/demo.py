@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from canopen_master.cli.demonstration import Demonstration, Plan
+from canopen_master.cli.drive_files import drive_files
 from canopen_master.cli.options import Duration, Fault, Settings, common
 from canopen_master.cli.plot import check_plot, write_plot
 from canopen_master.cli.problem import usage
@@ -32,6 +33,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 )
 @click.option("--plot", type=PICTURE, help="Draw commanded and actual positions, as .png, .svg or .pdf (needs matplotlib).")
 @click.option("--fault", type=Fault(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
+@click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @common
 @click.pass_obj
 def demo(
@@ -43,16 +45,21 @@ def demo(
     swing: float,
     plot: Path | None,
     fault: tuple[int, float] | None,
+    defaults: bool,
 ) -> None:
     """A six-joint arm boots, homes itself and moves. Needs no hardware.
 
     Without --bus the drives of the chain file are simulated, in this process (CANOPEN_BUS does not count here). With it they are
     real, and THEY MOVE. Ctrl-C halts every drive.
 
+    With --eds the drives are what that file describes: its objects, and its PDOs, which real drives are set up with where they
+    differ.
+
     \b
     canopen demo
     canopen demo --plot arm.png
     canopen demo --fault 5@2.0                                what a drive's breakdown looks like
+    canopen demo --eds drive.dcf                              drives made of a file
     canopen demo --bus socketcan:can0 --chains my.csv         the same on hardware
     """
     # CANOPEN_BUS does not count here: a demonstration must not move an arm because a variable was set long ago.
@@ -67,8 +74,11 @@ def demo(
     check_cycle(cycle)
     if plot is not None:
         check_plot(plot)
+    if defaults and not settings.eds:
+        raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
-    demonstration = Demonstration(screen, Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout))
+    files = drive_files(settings.eds, defaults, screen)
+    demonstration = Demonstration(screen, Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files))
     run(settings, screen, demonstration.run, story=demonstration.story)
     demonstration.show_result()
     if plot is not None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
@@ -19,7 +20,8 @@ from rich.markup import escape
 from canopen_master.chain import Chain, ChainSettings
 from canopen_master.chain_file import ChainDescription, read_chains, same_nodes
 from canopen_master.cli.demo_view import DemoView, JointView
-from canopen_master.cli.fleet import Fleet, simulated_fleet
+from canopen_master.cli.drive_files import DriveFile
+from canopen_master.cli.fleet import Fleet, drive_maker, simulated_fleet
 from canopen_master.cli.path import Path
 from canopen_master.cli.problem import problem_of, usage
 from canopen_master.cli.recording import JointTrack, Recording
@@ -29,6 +31,7 @@ from canopen_master.device import Device
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.session import open_master
+from canopen_master.simulation import DeviceMaker
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
 
@@ -50,7 +53,10 @@ NEXT: Final = """Try next:
 
 @dataclass(frozen=True)
 class Plan:
-    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds."""
+    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds.
+
+    files: what the drives are, by node-ID (None: all others); without any they are Powerball joints with the PDOs of PDOs.csv.
+    """
 
     bus: str | None
     chains: str
@@ -60,6 +66,11 @@ class Plan:
     swing: float
     fault: tuple[int, float] | None
     timeout: Time | None
+    files: Mapping[int | None, DriveFile] = field(default_factory=dict)
+
+    def file_of(self, node_id: int) -> DriveFile | None:
+        """What the drive of that node-ID is, if a file says so."""
+        return self.files.get(node_id, self.files.get(None))
 
 
 @dataclass
@@ -154,7 +165,7 @@ class Demonstration:
             async with contextlib.AsyncExitStack() as stack:
                 if self.plan.bus is None:
                     joints = [(locators[joint.bus], joint.node_id) for joint in self.description.joints]
-                    self._fleet = await stack.enter_async_context(simulated_fleet(joints))
+                    self._fleet = await stack.enter_async_context(simulated_fleet(joints, make=self._maker))
                 master = await stack.enter_async_context(self._open_master(locators))
                 await self._demonstrate(self._chain(master, locators))
         except Exception as error:
@@ -165,6 +176,11 @@ class Demonstration:
             if problem.code == CHAIN_FAULT:
                 problem.tries = self._after_fault(problem.node)
             raise problem from error
+
+    def _maker(self, number: int, node_id: int) -> DeviceMaker:
+        """What makes a simulated drive."""
+        file = self.plan.file_of(node_id)
+        return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
 
     def _after_fault(self, node_id: int | None) -> tuple[str, ...]:
         if self.plan.bus is None:
@@ -182,7 +198,14 @@ class Demonstration:
         doubles = same_nodes([description])
         if doubles:
             raise ChainFileError(description.source, doubles)
-        chain = master.chain(description, ChainSettings(cycle_time=self.plan.cycle / SECOND))
+        axes = {}
+        for joint in joints:
+            file = self.plan.file_of(joint.node_id)
+            if file is not None:
+                axes[joint.name] = file.axis
+                master.node(joint.node_id, file.dictionary, bus=joint.bus)
+        settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
+        chain = master.chain(description, settings, axes=axes)
         self._devices = chain.devices
         self._latest = [(0.0, 0.0)] * len(chain.devices)
         for number, device in enumerate(chain.devices):
@@ -296,6 +319,8 @@ class Demonstration:
         drives = _count(count, "simulated drive") if self.plan.bus is None else f"{_count(count, 'drive')} on {self.plan.bus}"
         title = f"{self.description.name}: {_count(count, 'joint')} in interpolated position mode"
         source = f"{self.description.name} of {self.description.source}"
+        files = ", ".join(dict.fromkeys(file.source for file in self.plan.files.values()))
+        drives += f" made of {files}" if files and self.plan.bus is None else ""
         return title, f"{source}, {drives}, one SYNC each {_ms(self.plan.cycle)}"
 
     def story(self, confirmed: bool) -> list[str]:

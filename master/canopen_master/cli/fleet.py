@@ -17,9 +17,11 @@ import trio
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.simulation import DeviceMaker, Host
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_from_file import drive_dictionary_of
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.cia402.servo import DriveSettings, Shape, Track
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Event
 from canopen_transports import Transport, open_transport
@@ -38,9 +40,15 @@ _TRACK: Final = Track(home_switch=(0.0, math.inf))
 """The home switch is active from the middle to the positive end, as homing by method 19 takes it."""
 
 
-def drive_maker(number: int, node_id: int, shape: Shape = Shape.SCHUNK_POWERBALL) -> DeviceMaker:
-    """What makes a simulated drive. number: its place in the fleet, from 0."""
-    dictionary = drive_dictionary(shape).with_objects([standard_object(0x1017, HEARTBEAT_MS)])
+def drive_maker(
+    number: int, node_id: int, shape: Shape = Shape.SCHUNK_POWERBALL, dictionary: ObjectDictionary | None = None
+) -> DeviceMaker:
+    """What makes a simulated drive. number: its place in the fleet, from 0. dictionary: that of a device's own file, which the
+    drive must be able to stand behind (`drive_obstacle`); by default that of the shape."""
+    if dictionary is None:
+        dictionary = drive_dictionary(shape).with_objects([standard_object(0x1017, HEARTBEAT_MS)])
+    else:
+        dictionary, _ = drive_dictionary_of(dictionary, shape)
     settings = DriveSettings(shape=shape, position=_POSITIONS[number % len(_POSITIONS)], track=_TRACK)
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
 
@@ -82,11 +90,17 @@ async def simulated_fleet(
     drives: Iterable[tuple[str, int]],
     shape: Shape = Shape.SCHUNK_POWERBALL,
     on_event: Callable[[Event], object] | None = None,
+    *,
+    make: Callable[[int, int], DeviceMaker] | None = None,
 ) -> AsyncIterator[Fleet]:
-    """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError."""
+    """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError.
+
+    make: what makes the drive of a place and a node-ID; by default one of that shape.
+    """
+    make = partial(drive_maker, shape=shape) if make is None else make
     makers: dict[str, list[DeviceMaker]] = {}
     for number, (locator, node_id) in enumerate(drives):
-        makers.setdefault(locator, []).append(drive_maker(number, node_id, shape))
+        makers.setdefault(locator, []).append(make(number, node_id))
     async with simulated_devices(makers, on_event) as fleet:
         yield fleet
 

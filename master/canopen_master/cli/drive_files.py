@@ -1,0 +1,53 @@
+"""The drives of `canopen demo --eds`: what their files say, and whether a simulated drive can stand behind that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from canopen_data import load_dictionary
+from canopen_master.cli.device_files import read_device_files
+from canopen_master.cli.problem import ExitCode, Problem
+from canopen_master.cli.screen import Screen
+from canopen_master.cli.sim_devices import shape_of
+from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings
+from canopen_proto.cia402.drive_from_file import drive_obstacle
+from canopen_proto.cia402.servo import Shape
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.configured import without_configured_values
+
+
+@dataclass(frozen=True)
+class DriveFile:
+    """A drive that a file describes. shape: what such drives are like beyond their dictionary."""
+
+    source: str
+    dictionary: ObjectDictionary
+    shape: Shape
+
+    @property
+    def axis(self) -> AxisSettings:
+        """How the master has to treat it."""
+        return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
+
+
+def drive_files(texts: Sequence[str], defaults: bool, screen: Screen) -> dict[int | None, DriveFile]:
+    """The files that `-e` names, by node-ID (None: of all others). defaults: leave out what a DCF configures.
+
+    Raises DataError, and a Problem for a file that describes no drive.
+    """
+    if not texts:
+        return {}
+    made = {}
+    for node_id, description in read_device_files(texts, load_dictionary()[0], screen).items():
+        dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
+        obstacle = drive_obstacle(dictionary)
+        if obstacle:
+            raise Problem(
+                ExitCode.BAD_FILE,
+                "CO332",
+                f"{description.source} describes no drive that can be moved: {obstacle}",
+                tries=(f"canopen eds show {description.source}", "the file of a CiA 402 drive"),
+            )
+        made[node_id] = DriveFile(description.source, dictionary, shape_of(description))
+    return made
