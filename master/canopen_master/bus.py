@@ -286,6 +286,7 @@ class Pump:
         self._alarm: Alarm | None = None
         self._is_pumping = False
         self._received = 0
+        self._renew_filters()
 
     def now(self) -> Time:
         """trio's clock in ns: the one time of all machines."""
@@ -309,9 +310,12 @@ class Pump:
                         self._take(bus, now)
         finally:
             self._is_pumping = False
+        self._renew_filters()
+        self._set_alarm()
+
+    def _renew_filters(self) -> None:
         for bus in self.buses:
             bus.renew_filters()
-        self._set_alarm()
 
     def _take(self, bus: Bus, now: Time) -> None:
         frames, events = bus.network.drain(now)
@@ -333,7 +337,6 @@ class Pump:
     @enable_ki_protection
     async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
-        self.pump()
         with self._scope:
             async with trio.open_nursery() as nursery:
                 for bus in self.buses:
