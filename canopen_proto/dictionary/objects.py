@@ -16,14 +16,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import field
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, dataclass_transform
 
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length_of, decode, encode, size_of, zero_of
 
 _T = TypeVar("_T")
-
-_SIZES: Final = {data_type: size_of(data_type) for data_type in DataType}
-_BIT_LENGTHS: Final = {data_type: bit_length_of(data_type) for data_type in DataType}
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
@@ -111,17 +108,22 @@ class Variable:
     def __post_init__(self) -> None:
         made: Any = self  # immutable to the type checker
         made.mux = self.index << 8 | self.subindex
-        made.size = _SIZES[self.data_type]
-        made.bit_length = _BIT_LENGTHS[self.data_type]
 
     if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> str:
-            """The label, when it is asked for first: a slot that was never set brings us here."""
-            if name != "label":
-                raise AttributeError(f"a Variable has no {name!r}")
-            self.label = f"{self.name} (0x{self.index:04X}:{self.subindex:02X})"
-            return self.label
+        def __getattr__(self, name):
+            """What is made when it is asked for first: a slot that was never set brings us here."""
+            match name:
+                case "size":
+                    self.size = size_of(self.data_type)
+                    return self.size
+                case "bit_length":
+                    self.bit_length = bit_length_of(self.data_type)
+                    return self.bit_length
+                case "label":
+                    self.label = f"{self.name} (0x{self.index:04X}:{self.subindex:02X})"
+                    return self.label
+            raise AttributeError(f"a Variable has no {name!r}")
 
     @property
     def names(self) -> tuple[str, ...]:

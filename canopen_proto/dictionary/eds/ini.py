@@ -41,13 +41,16 @@ MAX_QUOTED: Final = 60
 _SECTION: Final = re.compile(r"\n[ \t]*\[")
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,8})|(name|value|denotation))?", re.ASCII)
 _NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
+_HASH_LINE: Final = re.compile(r"\n([ \t]*)#")
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
 """The standard prints the name with one m; half of the tools correct it."""
 
+_ODD: Final = "\n"
+"""The key of lines that make no sense; no line has a line feed in it."""
 _NOTHING: Final = ("", "")
-_HASH: Final = ("", "#")
-_JUNK: Final = ("", "junk")
+_JUNK: Final = (_ODD, "")
+_SUBINDICES: Final = {text: number for number in range(256) for text in (f"{number:x}", f"{number:02x}")}
 
 
 class Findings:
@@ -92,26 +95,26 @@ class Entry(NamedTuple):
 class Section:
     """One section. name: as it is spelt, without blanks around it. line: of the name, from 1.
 
-    values: by key in small letters, without blanks around; the first of two equal keys. lines: all behind the name, up to the
-    next section, without their ends.
+    values: by key in small letters, without blanks around; the first of two equal keys.
     """
 
-    __slots__ = ("line", "lines", "name", "values")
+    __slots__ = ("_body", "line", "name", "values")
 
-    def __init__(self, name: str, line: int, lines: list[str], values: dict[str, str]) -> None:
+    def __init__(self, name: str, line: int, body: str, values: dict[str, str]) -> None:
         self.name = name
         self.line = line
-        self.lines = lines
         self.values = values
+        self._body = body  # from the name to the line before the next section
 
     @property
     def entries(self) -> Iterator[Entry]:
         """All entries in the order of the file, those that do not count included."""
-        for number, line in enumerate(self.lines, start=self.line + 1):
-            if (pair := _taken_apart(line))[0]:
-                key, _, value = line.partition("=")
-                column = len(line) - len(value.lstrip()) + 1
-                yield Entry(key.strip(), pair[1], number, column)
+        known = _Lines()
+        for number, line in enumerate(self._body.split("\n")[1:], start=self.line + 1):
+            folded, value = known[line]
+            if folded not in ("", _ODD):
+                key, _, behind = line.partition("=")
+                yield Entry(key.strip(), value, number, len(line) - len(behind.lstrip()) + 1)
 
     def get(self, key: str) -> str | None:
         """A value by its key, in any case of letters. None: there is no such key."""
@@ -183,15 +186,13 @@ class EdsDocument:
         """Take the text apart. Lines before the first section belong to none."""
         known = _Lines()
         take_apart = known.__getitem__
-        head, *parts = _SECTION.split("\n" + text, MAX_SECTIONS + 1)
+        indices: dict[str, int] = {}
+        text = "\n" + text
+        head, *parts = _SECTION.split(text, MAX_SECTIONS + 1)
         line = head.count("\n")
         _report(head.split("\n")[1:], 1, known, findings, "")
-        for part in parts:
+        for part in parts[:MAX_SECTIONS]:
             line += 1
-            if len(self.sections) >= MAX_SECTIONS:
-                message = f"there are more than {MAX_SECTIONS} sections; the rest was not read"
-                findings.add(Severity.ERROR, "too-long", message, line, 1)
-                return
             lines = part.split("\n")
             header = lines.pop(0)
             name, bracket, rest = header.partition("]")
@@ -199,91 +200,99 @@ class EdsDocument:
                 name = _odd_header(name, bracket, rest, line, findings)
             name = name.strip()
             values = dict(map(take_apart, reversed(lines)))  # reversed: the first of two equal keys is to stay
-            if len(values) != len(lines) or known.odd:
-                _report(lines, line + 1, known, findings, name)
             values.pop("", None)
-            section = Section(name, line, lines, values)
+            if _ODD in values or (len(values) != len(lines) - lines.count("") and _repeats(lines, known)):
+                values.pop(_ODD, None)
+                _report(lines, line + 1, known, findings, name)
+            section = Section(name, line, part, values)
             self.sections.append(section)
-            first = self._place(section)
+            first = self._place(section, indices)
             if first is not section and not findings.full(Severity.ERROR):
                 message = f"[{quoted(name)}] is in line {first.line} already; this one was left out"
                 findings.add(Severity.ERROR, "section-twice", message, line, 1)
             line += len(lines)
+        if len(parts) > MAX_SECTIONS:
+            message = f"there are more than {MAX_SECTIONS} sections; the rest was not read"
+            findings.add(Severity.ERROR, "too-long", message, line + 1, 1)
+        if known.hash:
+            _report_hash(text, findings)
 
-    def _place(self, section: Section) -> Section:
-        """Note a section by what it is about. The section that counts: this one, or an earlier one."""
+    def _place(self, section: Section, indices: dict[str, int]) -> Section:
+        """Note a section by what it is about. The section that counts: this one, or an earlier one. indices: what was read."""
         name = section.name.lower()
-        found = _OBJECT.fullmatch(name)
-        if found is None:
-            return self.named.setdefault(_OTHER_SPELLING.get(name, name), section)
-        digits, sub, kind = found.groups()
-        index = int(digits, 16)
-        if sub is not None:
+        digits = name[:4]
+        index = indices.get(digits)
+        if index is not None and name[4:7] == "sub" and (subindex := _SUBINDICES.get(name[7:])) is not None:
             subs = self.subs.get(index)
             if subs is None:
                 subs = self.subs[index] = {}
-            return subs.setdefault(int(sub, 16), section)
-        if kind is not None:
-            return self.lists.setdefault((index, kind), section)
-        return self.objects.setdefault(index, section)
+            return subs.setdefault(subindex, section)
+        found = _OBJECT.fullmatch(name)
+        if found is None:
+            return self.named.setdefault(_OTHER_SPELLING.get(name, name), section)
+        index = indices[digits] = int(digits, 16)
+        if len(name) == 4:
+            return self.objects.setdefault(index, section)
+        if found[3] is not None:
+            return self.lists.setdefault((index, found[3]), section)
+        return self.subs.setdefault(index, {}).setdefault(int(found[2], 16), section)
 
 
 _LIST_OF: Final = {"parametername": "name", "defaultvalue": "value", "parametervalue": "value", "denotation": "denotation"}
 
 
 class _Lines(dict[str, tuple[str, str]]):
-    """Each distinct line, taken apart. odd: whether there was one that deserves a finding. hash: whether `#` was told of."""
+    """Each distinct line, taken apart. hash: whether one begins with `#`."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.odd = False
         self.hash = False
 
     def __missing__(self, line: str) -> tuple[str, str]:
-        pair = self[line] = _taken_apart(line)
-        if pair is _JUNK or pair is _HASH:
-            self.odd = True
+        key, equals, value = line.partition("=")
+        key = key.strip().lower()
+        if not key:
+            pair = _JUNK if equals else _NOTHING
+        elif key[0] in ";#":
+            pair = _NOTHING
+            self.hash |= key[0] == "#"
+        else:
+            pair = (key, value.strip()) if equals else _JUNK
+        self[line] = pair
         return pair
 
 
-def _taken_apart(line: str) -> tuple[str, str]:
-    """The key in small letters, and the value; or one of _NOTHING, _HASH, _JUNK, which have no key."""
-    key, equals, value = line.partition("=")
-    key = key.strip().lower()
-    first = key[:1]
-    if first == ";" or first == "#":
-        return _NOTHING if first == ";" else _HASH
-    if not equals:
-        return _JUNK if key else _NOTHING
-    return (key, value.strip()) if key else _JUNK
+def _repeats(lines: Iterable[str], known: _Lines) -> bool:
+    """Whether there is a key twice. Lines of blanks and comments may be there as often as they like."""
+    keys = [key for key, _ in map(known.__getitem__, lines) if key]
+    return len(keys) != len(set(keys))
 
 
 def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings, section: str) -> None:
-    """Find what is wrong with lines, which belong to a section. number: of the first."""
+    """Find what is wrong with lines, which belong to a section ("": none). number: of the first."""
     seen: dict[str, int] = {}
     for line_number, line in enumerate(lines, start=number):
-        pair = known[line]
-        key = pair[0]
-        if pair is _JUNK:
-            if not findings.full(Severity.WARNING):
-                message = f"{quoted(line)!r} is neither a section nor key=value nor a comment; left out"
-                findings.add(Severity.WARNING, "junk", message, line_number, _first_column(line))
-        elif pair is _HASH:
-            if not known.hash:
-                known.hash = True
-                message = "a comment begins with ';'; this line and all others that begin with '#' were taken for comments"
-                findings.add(Severity.NOTICE, "comment", message, line_number, _first_column(line))
-        elif not key:
+        key, _ = pair = known[line]
+        if not key:
             continue
-        elif not section:
+        if pair is _JUNK or not section:
             if not findings.full(Severity.WARNING):
-                message = f"{quoted(line)!r} stands before the first section; left out"
-                findings.add(Severity.WARNING, "junk", message, line_number, _first_column(line))
-        else:
-            first = seen.setdefault(key, line_number)
-            if first != line_number and not findings.full(Severity.ERROR):
-                message = f"{quoted(key)} of [{quoted(section)}] is in line {first} already; this one was left out"
-                findings.add(Severity.ERROR, "key-twice", message, line_number, _first_column(line))
+                fault = "is neither a section nor key=value nor a comment" if pair is _JUNK else "stands before the first section"
+                findings.add(Severity.WARNING, "junk", f"{quoted(line)!r} {fault}; left out", line_number, _first_column(line))
+            continue
+        first = seen.setdefault(key, line_number)
+        if first != line_number and not findings.full(Severity.ERROR):
+            message = f"{quoted(key)} of [{quoted(section)}] is in line {first} already; this one was left out"
+            findings.add(Severity.ERROR, "key-twice", message, line_number, _first_column(line))
+
+
+def _report_hash(text: str, findings: Findings) -> None:
+    """Tell of the first comment that begins with `#`."""
+    found = _HASH_LINE.search(text)
+    if found is not None:
+        line = text.count("\n", 0, found.end())
+        message = "a comment begins with ';'; this line and all others that begin with '#' were taken for comments"
+        findings.add(Severity.NOTICE, "comment", message, line, len(found[1]) + 1)
 
 
 def _first_column(line: str) -> int:

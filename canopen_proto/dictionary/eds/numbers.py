@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from typing import Final, NamedTuple
+from typing import Final, TypeAlias
 
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, range_of
 from canopen_proto.dictionary.eds.ini import quoted
@@ -42,16 +42,11 @@ _TIMES: Final = (DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)
 _WORDS: Final = {"true": 1, "false": 0}
 
 
-class Reading(NamedTuple):
-    """What a text was read as. value: None = nothing. remark: what is odd about it, or "". lost: that is why it is None."""
+Reading: TypeAlias = tuple[Value | None, bool, str, bool]
+"""What a text was read as: the value (None = nothing); whether the node-ID is added to it; a remark, what is odd about it, or "";
+whether something was lost, which is why there is no value."""
 
-    value: Value | None
-    adds_node_id: bool = False
-    remark: str = ""
-    lost: bool = False
-
-
-NOTHING: Final = Reading(None)
+NOTHING: Final[Reading] = (None, False, "", False)
 
 
 def read_number(text: str) -> tuple[int | None, str]:
@@ -87,18 +82,18 @@ def read_value(text: str, data_type: DataType) -> Reading:
     if not text:
         return NOTHING
     if data_type in _TEXTS:
-        return Reading(text)
+        return text, False, "", False
     limits = range_of(data_type)
     if limits is not None:
         return _integer(text, data_type, *limits)
     if data_type in _REALS:
         return _real(text, data_type)
     if data_type in _TIMES and (time := _time(text, data_type)) is not None:
-        return Reading(time)
+        return time, False, "", False
     octets = _OCTETS.fullmatch(text)
     if octets is not None:
         try:
-            return Reading(decode(bytes.fromhex(octets[1]), data_type))
+            return decode(bytes.fromhex(octets[1]), data_type), False, "", False
         except ValueRangeError:
             pass
     return _lost(text, f"is no {data_type.name}{'' if data_type in _TIMES else ' in pairs of hexadecimal digits'}")
@@ -123,8 +118,8 @@ def _integer(text: str, data_type: DataType, low: int, high: int) -> Reading:
         else:
             return _lost(text, f"is outside {low}..{high} ({data_type.name})")
     if data_type is DataType.BOOLEAN:
-        return _lost(text, "depends on the node-ID") if adds_node_id else Reading(bool(number), remark=_with(text, remark))
-    return Reading(number, adds_node_id, _with(text, remark))
+        return _lost(text, "depends on the node-ID") if adds_node_id else (bool(number), False, _with(text, remark), False)
+    return number, adds_node_id, remark and _with(text, remark), False
 
 
 def _with(text: str, remark: str) -> str:
@@ -169,7 +164,7 @@ def _real(text: str, data_type: DataType) -> Reading:
         encode(value, data_type)
     except ValueRangeError:
         return _lost(text, f"is too large for {data_type.name}")
-    return _lost(text, "is not a number (NaN)") if math.isnan(value) else Reading(value, remark=remark)
+    return _lost(text, "is not a number (NaN)") if math.isnan(value) else (value, False, remark, False)
 
 
 def _time(text: str, data_type: DataType) -> Value | None:
@@ -184,4 +179,4 @@ def _time(text: str, data_type: DataType) -> Value | None:
 
 
 def _lost(text: str, reason: str) -> Reading:
-    return Reading(None, False, f"{quoted(text)!r} {reason}; left out", True)
+    return None, False, f"{quoted(text)!r} {reason}; left out", True

@@ -164,7 +164,7 @@ class _Objects:
         code: int | None,
     ) -> Object:
         self._variables.foreign(section)
-        flags = self._variables.number(section, "ObjFlags", OBJECT_FLAGS)
+        flags = self._variables.number(section, "ObjFlags", OBJECT_FLAGS) if "objflags" in section.values else 0
         denotation = section.values.get("denotation", "")
         return Object(index, name, object_type, MappingProxyType(variables), code, flags, denotation)
 
@@ -214,7 +214,7 @@ class _Objects:
 
     def _type_code(self, section: Section) -> int | None:
         """DataType of a whole object, which may be the index of a DEFSTRUCT."""
-        return self._variables.number(section, "DataType", 0xFFFF) or None
+        return self._variables.number(section, "DataType", 0xFFFF) or None if "datatype" in section.values else None
 
     def _check_count(self, section: Section, object_type: ObjectType, found: dict[int, Variable]) -> None:
         """SubNumber: how many sub-objects there are, without 255, which tells the structure."""
@@ -223,8 +223,10 @@ class _Objects:
             if object_type in _WITH_SUBS:
                 self._variables.warn(section, "SubNumber", "sub-number", "SubNumber is missing")
             return
-        number, _ = read_number(text)
         count = len(found)
+        if text == str(count):
+            return
+        number, _ = read_number(text)
         if number is None:
             self._variables.warn(section, "SubNumber", "sub-number", f"SubNumber {quoted(text)!r} is no number")
         elif number != count and number != count - (0xFF in found):

@@ -20,10 +20,11 @@ nearly every section has are looked at one by one, the others only where there a
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Final
 
-from canopen_proto.datatypes import DataType, Value, is_number
+from canopen_proto.datatypes import DataType, Value, is_number, range_of
 from canopen_proto.dictionary.eds.ini import Findings, Section, quoted
 from canopen_proto.dictionary.eds.numbers import Reading, read_number, read_value
 from canopen_proto.dictionary.findings import Severity
@@ -52,10 +53,12 @@ _RARE: Final = frozenset(
         "uploadfile",
     )
 )
+_KNOWN: Final = _COMMON | _RARE
 _FOREIGN: Final = "_"
 """A key that begins so, or with a semicolon, is a maker's own by custom."""
 _ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
 _FLAGS: Final[dict[str | None, bool]] = {"0": False, "0x0": False, "": False, None: False, "1": True, "0x1": True}
+_DECIMAL: Final = re.compile(r"[1-9][0-9]{0,18}", re.ASCII)
 _TYPES: Final = {int(each): each for each in DataType}
 _TEXTS_OF_TYPES: Final[Mapping[str | None, DataType]] = {
     text: each for each in DataType for text in (f"0x{each:04X}", f"0x{each:X}", f"0x{each:04x}", str(int(each)))
@@ -63,14 +66,21 @@ _TEXTS_OF_TYPES: Final[Mapping[str | None, DataType]] = {
 
 
 class _Readings(dict[str, Reading]):
-    """What each text means for one data type."""
+    """What each text means for one data type. has_limits: it is a number."""
 
     def __init__(self, data_type: DataType) -> None:
         super().__init__()
-        self._data_type = data_type
+        self.data_type = data_type
+        self.has_limits = is_number(data_type)
+        limits = range_of(data_type)
+        self._highest = -1 if limits is None or data_type is DataType.BOOLEAN else limits[1]
 
     def __missing__(self, text: str) -> Reading:
-        reading = self[text] = read_value(text, self._data_type)
+        if _DECIMAL.fullmatch(text) and (number := int(text)) <= self._highest:  # the usual case, shortly
+            reading: Reading = number, False, "", False
+        else:
+            reading = read_value(text, self.data_type)
+        self[text] = reading
         return reading
 
 
@@ -81,6 +91,9 @@ class Variables:
         self.has_configured = False
         self._findings = findings
         self._readings = {data_type: _Readings(data_type) for data_type in DataType}
+        self._by_text: dict[str | None, _Readings] = {
+            text: self._readings[data_type] for text, data_type in _TEXTS_OF_TYPES.items()
+        }
 
     def read(
         self, section: Section, index: int, subindex: int, likely: DataType | None = None, *, in_array: bool = False
@@ -88,7 +101,9 @@ class Variables:
         """The variable of a section. likely: its type where the section has none. in_array: subindex 0 counts the others."""
         values = section.values
         get = values.get
-        data_type = _TEXTS_OF_TYPES.get(get("datatype")) or self._odd_type(section, index, subindex, likely, in_array)
+        readings = self._by_text.get(get("datatype"))
+        if readings is None:
+            readings = self._readings[self._odd_type(section, index, subindex, likely, in_array)]
         access = _ACCESSES.get(get("accesstype", "")) or self._odd_access(section, index, subindex)
         mappable = _FLAGS.get(get("pdomapping"))
         if mappable is None:
@@ -96,23 +111,27 @@ class Variables:
         default: Value | None = None
         adds_node_id = False
         if text := get("defaultvalue"):
-            default, adds_node_id, remark, lost = self._readings[data_type][text]
+            default, adds_node_id, remark, lost = readings[text]
             if remark:
                 self._remark(section, "DefaultValue", remark, lost)
-        low = self._limit(section, "LowLimit", text, data_type) if (text := get("lowlimit")) else None
-        high = self._limit(section, "HighLimit", text, data_type) if (text := get("highlimit")) else None
+        low = self._limit(section, "LowLimit", text, readings) if (text := get("lowlimit")) else None
+        high = self._limit(section, "HighLimit", text, readings) if (text := get("highlimit")) else None
         name = get("parametername", "")
-        if values.keys() <= _COMMON:
-            return Variable(index, subindex, name, data_type, access, default, low, high, mappable, (), adds_node_id)
-        configured, configured_adds = self.value(section, "ParameterValue", get("parametervalue", ""), data_type)
-        if configured is not None:
-            self.has_configured = True
+        keys = values.keys()
+        if keys <= _COMMON:
+            return Variable(index, subindex, name, readings.data_type, access, default, low, high, mappable, (), adds_node_id)
         self.foreign(section)
+        configured: Value | None = None
+        configured_adds = False
+        if text := get("parametervalue"):
+            configured, configured_adds = self.value(section, "ParameterValue", text, readings.data_type)
+            self.has_configured = True
+        flags = _FLAGS.get(get("objflags"))
         return Variable(
             index,
             subindex,
             name,
-            data_type,
+            readings.data_type,
             access,
             default,
             low,
@@ -122,7 +141,7 @@ class Variables:
             adds_node_id,
             configured,
             configured_adds,
-            self.number(section, "ObjFlags", OBJECT_FLAGS),
+            self.number(section, "ObjFlags", OBJECT_FLAGS) if flags is None else int(flags),
             get("unit", ""),
             self._factor(section) if get("factor") else 1.0,
             get("description", ""),
@@ -133,8 +152,6 @@ class Variables:
 
     def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
         """A value that stands somewhere in a section, and whether the node-ID is added to it."""
-        if not text:
-            return None, False
         value, adds_node_id, remark, lost = self._readings[data_type][text]
         if remark:
             self._remark(section, key, remark, lost)
@@ -154,7 +171,9 @@ class Variables:
 
     def foreign(self, section: Section) -> None:
         """A notice of keys that CiA 306 does not have: one of them may be a misspelt one."""
-        keys = [key for key in section.values if key not in _COMMON and key not in _RARE and not key.startswith(_FOREIGN)]
+        if section.values.keys() <= _KNOWN:
+            return
+        keys = [key for key in section.values if key not in _KNOWN and not key.startswith(_FOREIGN)]
         if keys and not self._findings.full(Severity.NOTICE):
             names = ", ".join(quoted(key) for key in keys[:5])
             message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
@@ -169,16 +188,16 @@ class Variables:
     def _remark(self, section: Section, key: str, remark: str, lost: bool) -> None:
         self.warn(section, key, "value", f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
 
-    def _limit(self, section: Section, key: str, text: str, data_type: DataType) -> int | float | None:
-        if not is_number(data_type):
+    def _limit(self, section: Section, key: str, text: str, readings: _Readings) -> int | float | None:
+        if not readings.has_limits:
             return self._idle_limit(section, key, text)
-        value, adds_node_id, remark, lost = self._readings[data_type][text]
+        value, adds_node_id, remark, lost = readings[text]
         if adds_node_id:
             self._remark(section, key, f"{quoted(text)!r} depends on the node-ID, which a limit cannot; left out", True)
             return None
         if remark:
             self._remark(section, key, remark, lost)
-        return value if isinstance(value, int | float) else None
+        return value  # type: ignore[return-value]  # a number, as it has limits
 
     def _idle_limit(self, section: Section, key: str, text: str) -> int | None:
         """A limit of what is no number: it has no effect, but the linter shall see it."""
