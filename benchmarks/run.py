@@ -14,13 +14,14 @@ import os
 import platform
 
 import block_transfers
+import eds_import
 import heartbeats
 import pdos
 import sdo_transfers
 from direct import VERSION
 from measure import measure, table
 
-MODULES = (sdo_transfers, block_transfers, pdos, heartbeats)
+MODULES = (sdo_transfers, block_transfers, pdos, heartbeats, eds_import)
 
 
 def main() -> None:
