@@ -167,7 +167,7 @@ class _Repairs:
         """A list whose numbers or count are not right is written anew, entry by entry."""
         numbered = {key: value for key, (value, _, _) in there.items() if key.isdecimal()}
         named = {key: text for key, text in wanted.items() if key.isdecimal()}
-        is_same = list(numbered) == list(named) and all(_same_number(numbered[key], named[key]) for key in named)
+        is_same = numbered.keys() == named.keys() and all(_same_number(numbered[key], named[key]) for key in named)
         if not is_same:
             had = [number for text in numbered.values() if (number := _number_of(text)) is not None]
             has = [int(text, 16) for text in named.values()]
