@@ -77,9 +77,9 @@ def sim(
     canopen sim plant.toml
     """
     screen = settings.screen()
-    plant = (
-        wanted(files, node_ids, DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults)) if files else None
-    )
+    files += settings.eds  # -e says the same: the file that a device is described by
+    common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults)
+    plant = wanted(files, node_ids, common_entry) if files else None
     if plant is not None and plant.bus and settings.named_bus() is None:
         settings.bus = plant.bus
     bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")
