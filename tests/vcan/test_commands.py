@@ -1,0 +1,77 @@
+"""The command line and the manual's demos on vcan0, each a process, against `canopen sim` in another."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from tests.master.test_direct_script import environment
+from tests.vcan.support import needs_vcan, raw_socket
+
+pytestmark = needs_vcan
+
+CANOPEN = [sys.executable, "-c", "from canopen_data.entry import main; main()"]
+LIMIT = 90.0
+
+
+@contextmanager
+def simulated(*node_ids: int) -> Iterator[None]:
+    """Drives in a process of their own."""
+    with raw_socket("vcan0") as listener:
+        listener.settimeout(LIMIT)
+        ids = ",".join(map(str, node_ids))
+        command = [*CANOPEN, "sim", "-b", "socketcan:vcan0", "--ids", ids]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment()) as process:
+            try:
+                missing = {0x700 + node_id for node_id in node_ids}
+                while missing:  # until all have booted
+                    missing.discard(int.from_bytes(listener.recv(16)[:4], "little"))
+                yield
+            finally:
+                process.terminate()
+                process.communicate(timeout=LIMIT)
+
+
+def run(*command: str) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=LIMIT, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def drives() -> Iterator[None]:
+    with simulated(3, 4, 5, 6, 7, 8, 12):
+        yield
+
+
+def test_scan_and_read(drives: None) -> None:
+    found = run(*CANOPEN, "scan", "-b", "socketcan:vcan0")
+    assert all(f"{node_id} " in found for node_id in (3, 8, 12))
+    assert run(*CANOPEN, "read", "12", "0x1000", "-b", "vcan0").strip()
+
+
+def test_the_demonstration(drives: None) -> None:
+    run(*CANOPEN, "demo", "--bus", "socketcan:vcan0", "--seconds", "1", "--cycle", "20ms")
+
+
+def test_the_demonstration_with_sync_by_the_kernel(drives: None) -> None:
+    run(*CANOPEN, "demo", "--bus", "socketcan:vcan0?sync=bcm&filter=ids", "--seconds", "1", "--cycle", "20ms")
+
+
+@pytest.mark.parametrize(
+    ("demo", "line"),
+    [
+        ("homing 12", "device 12 is referenced, at 0 mdeg"),
+        ("single_device 12 --cycles 1 --steps 10", "device 12 ends at 0 mdeg"),
+        ("multiple_devices 3 4 --cycles 1 --steps 10", "device 4 ends at 35 mdeg"),
+        ("canopenmaster_single_device --pause 0 --steps 10", "referenced, at [0] mdeg"),
+    ],
+)
+def test_the_manuals_demos(drives: None, demo: str, line: str) -> None:
+    name, *arguments = demo.split()
+    said = run(sys.executable, "-m", f"canopen_master.demos.{name}", *arguments, "--bus", "socketcan:vcan0")
+    assert line in said
