@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -29,10 +30,22 @@ CLOSED_PIPE = 128 + 13
 
 
 class InOrder(click.Group):
-    """Lists its commands in the order in which they were added: the first thing to try comes first."""
+    """Lists its commands in the order in which they were added: the first thing to try comes first. Those of LATE, which stand
+    before `sim`, are read in only when they are called."""
+
+    LATE = ("backup", "restore", "compare", "dump")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(self.commands)
+        names = list(self.commands)
+        place = names.index("sim")
+        return [*names[:place], *self.LATE, *names[place:]]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self.LATE:
+            return super().get_command(ctx, cmd_name)
+        command = getattr(importlib.import_module(f"canopen_master.cli.{cmd_name}"), cmd_name)
+        assert isinstance(command, click.Command)
+        return command
 
 
 @click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -42,7 +55,7 @@ def cli() -> None:
     """CANopen from the command line. Without hardware, begin with `canopen demo`; every command takes `-b demo`.
 
     Exit status: 0 ok, 1 findings or differences, 2 usage, 3 cannot open the bus, 4 bus fault, 5 no answer, 6 bad input file,
-    9 permission, 10 internal, 11 SDO abort, 12 drive fault or refused, 13 verify mismatch, 130 interrupted.
+    7 partial, 9 permission, 10 internal, 11 SDO abort, 12 drive fault or refused, 13 verify mismatch, 130 interrupted.
     """
 
 

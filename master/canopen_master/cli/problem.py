@@ -41,6 +41,8 @@ class ExitCode(IntEnum):
     BUS_FAULT = 4
     NO_ANSWER = 5
     BAD_FILE = 6
+    PARTIAL = 7
+    """Finished, but not all that should be there could be read."""
     PERMISSION = 9
     INTERNAL = 10
     SDO_ABORT = 11
@@ -58,6 +60,7 @@ KINDS = {
     ExitCode.BUS_FAULT: "bus_fault",
     ExitCode.NO_ANSWER: "no_answer",
     ExitCode.BAD_FILE: "bad_file",
+    ExitCode.PARTIAL: "partial",
     ExitCode.PERMISSION: "permission",
     ExitCode.INTERNAL: "internal",
     ExitCode.SDO_ABORT: "sdo_abort",
@@ -232,7 +235,7 @@ def _of_bus(code: str) -> ExitCode:
     return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
 
 
-_ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim)\b")
+_ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim|backup|restore|dump|compare [0-9])\b")
 _BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # a remark behind the command, or what must stand last
 
 

@@ -1,0 +1,168 @@
+"""`canopen restore`: the settings of a DCF, written to a node in the order in which a device takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from canopen_master.cli.backup_reading import shown
+from canopen_master.cli.nmt import confirm
+from canopen_master.cli.options import NodeId, Settings, common
+from canopen_master.cli.problem import ExitCode, Problem, usage
+from canopen_master.cli.restore_telling import show, story, told
+from canopen_master.cli.running import run
+from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.session import Session, open_session
+from canopen_master.errors import SdoRefused
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.procedures.backup import ObjectRead
+from canopen_proto.procedures.restore import ObjectRestored, Restoration, plan_restore
+from canopen_proto.procedures.restore import restore as carry_out
+
+if TYPE_CHECKING:
+    from canopen_proto.dictionary.description import DeviceDescription
+
+IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
+"""Subindices of 0x1018 by which a device shows that it is of the type that a file describes."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be restored. values: of `dictionary`, by mux; skip: muxes; options: of `plan_restore`."""
+
+    node_id: int
+    path: str
+    dictionary: ObjectDictionary
+    values: Mapping[int, Value]
+    options: Mapping[str, Any]
+    any_device: bool
+    verify: bool
+    store: bool
+    dry_run: bool
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("path", metavar="FILE")
+@click.option("--dry-run", is_flag=True, help="Only read, and show what would be written, in its order.")
+@click.option("--verify", is_flag=True, help="Read each object back; exit status 13 where it is not what was written.")
+@click.option("--store", is_flag=True, help="Have the device keep its parameters over power-off (1010:01), at the end.")
+@click.option("--all", "everything", is_flag=True, help="Write also what the device has already.")
+@click.option("--process-data", is_flag=True, help="Write set-points and outputs too: OUTPUTS SWITCH.")
+@click.option("--skip", metavar="OBJECT", multiple=True, help="Leave this object out; may be repeated.")
+@click.option("--force", is_flag=True, help="Though the file is of another node-ID, or of another type of device.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@common
+@click.pass_obj
+def restore(
+    settings: Settings,
+    node_id: int,
+    path: str,
+    dry_run: bool,
+    verify: bool,
+    store: bool,
+    everything: bool,
+    process_data: bool,
+    skip: tuple[str, ...],
+    force: bool,
+    yes: bool,
+) -> None:
+    """Write the settings of a DCF or XDC to a node: what differs from what it has.
+
+    The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
+    is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
+    Set-points, outputs, commands and what is read-only are not written.
+
+    \b
+    canopen restore 5 before.dcf --dry-run
+    canopen restore 5 before.dcf --verify --store --yes
+    """
+    screen = settings.screen()
+    description, values = settings_in(path, node_id, force)
+    dictionary = description.dictionary
+    options = {"everything": everything, "process_data": process_data, "skip": {dictionary.variable(key).mux for key in skip}}
+    wanted = Wanted(node_id, path, dictionary, values, options, force, verify, store, dry_run)
+    question = f"restore {node_text(node_id)} from {path}: it becomes Pre-operational (a drive stops, or coasts), and is written"
+    confirm(screen, question, yes, needed=not dry_run)
+    so_far: list[Restoration] = []
+    failure: Exception | None = None
+    try:
+        run(settings, screen, lambda: _restore(settings, screen, wanted, so_far), story=lambda confirmed: story(so_far))
+    except Exception as error:  # noqa: BLE001 - raised below, behind what was written until then
+        failure = error
+    if so_far:
+        show(screen, so_far[0], path, dry_run=dry_run)
+    if failure is not None:
+        raise told(failure, so_far, path) from failure
+
+
+def settings_in(path: str, node_id: int, any_node: bool) -> tuple[DeviceDescription, dict[int, Value]]:
+    """The file, and the settings in it, by mux. A Problem where it is of another node, or sets nothing."""
+    from canopen_master.cli.eds_files import open_description
+    from canopen_proto.dictionary.download_order import settings_of
+
+    description = open_description(path).description
+    named = None if description.commissioning is None else description.commissioning.node_id
+    if named is not None and named != node_id and not any_node:
+        raise usage(
+            "CO128",
+            f"{path} is of {node_text(named)}, not of {node_text(node_id)}",
+            cause="its COB-IDs are those of the other node, and no two nodes may have the same",
+            tries=(f"canopen restore {named} {path}", "--force, if that is what you want"),
+        )
+    values = settings_of(description.dictionary, node_id)
+    if not values:
+        raise usage(
+            "CO129",
+            f"{path} sets nothing",
+            seen=f"it is a file of kind {description.kind}, without any ParameterValue",
+            tries=(
+                f"canopen backup {node_id} -o before.dcf    (makes a file that does)",
+                f"canopen eds to-dcf {path} --id {node_id} --set OBJECT=VALUE -o new.dcf",
+            ),
+        )
+    return description, values
+
+
+async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: list[Restoration]) -> None:
+    async with open_session(settings, screen) as session:
+        if not wanted.any_device:
+            await _check_identity(session, wanted)
+        node = session.node(wanted.node_id).remote
+        planning = plan_restore(node, wanted.dictionary, wanted.values, **wanted.options)
+        plan = await shown(session, screen, f"reading {node_text(wanted.node_id)}", ObjectRead, planning)
+        so_far.append(Restoration(plan))
+        if wanted.dry_run:
+            return
+        nmt = session.master.nmt_master(session.master.bus())
+        writing = carry_out(node, nmt, plan, so_far[0], verify=wanted.verify, store=wanted.store)
+        await shown(session, screen, f"writing {node_text(wanted.node_id)}", ObjectRestored, writing)
+
+
+async def _check_identity(session: Session, wanted: Wanted) -> None:
+    """A Problem where the device is not of the type that the file describes. What either does not tell is no difference."""
+    node = session.node(wanted.node_id)
+    for subindex, name in IDENTITY:
+        variable = wanted.dictionary.get(0x1018, subindex)
+        expected = 0 if variable is None else variable.initial_of(wanted.node_id)
+        if not isinstance(expected, int) or not expected:
+            continue
+        try:
+            found = int.from_bytes(await node.read_bytes(0x1018, subindex), "little")
+        except SdoRefused:
+            continue
+        if found and found != expected:
+            raise Problem(
+                ExitCode.DIFFERENT,
+                "CO207",
+                f"{node_text(wanted.node_id)} is not the type of device that {wanted.path} is of; nothing was written",
+                seen=f"{name} 0x{found:08X}, in the file 0x{expected:08X}",
+                tries=(f"canopen info {wanted.node_id}", "--force, if that is what you want"),
+                node=wanted.node_id,
+                index=0x1018,
+                subindex=subindex,
+            )

@@ -1,0 +1,77 @@
+"""One device on the bus of `-b demo` that keeps its values from one command to the next, for the tests of backup and restore."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+import pytest
+import trio
+
+from canopen_master.cli import session
+from canopen_master.simulation import simulate
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.configured import configure
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import Outbox
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_transports import open_transport
+from tests.proto.restore_bench import Strict
+
+NODE = ("5", "-b", "demo")
+
+
+class Lasting:
+    """See this module's text.
+
+    prepare: what is done to the device before the next commands; task: what goes on beside one. values: what it held at the end
+    of the last one; state: its NMT state then.
+    """
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self.dictionary = dictionary
+        self.values: dict[int, Value] = {}
+        self.state: NmtState | None = None
+        self.writes: list[tuple[int, int]] = []
+        self.prepare: Callable[[Strict], object] = lambda node: None
+        self.is_there = True
+        self.starts = True
+
+    def make(self, out: Outbox) -> LocalNode:
+        held = {key: value for key, value in self.values.items() if self._is_kept(key)}
+        self.node = Strict(out, 5, configure(self.dictionary, held, 5))
+        return self.node
+
+    def _is_kept(self, key: int) -> bool:
+        return key >> 8 not in (0x1001, 0x1003, 0x1010, 0x1011)
+
+    @asynccontextmanager
+    async def fleet(self, *arguments: object) -> AsyncIterator[None]:
+        error: Exception | None = None
+        async with trio.open_nursery() as nursery:
+            if self.is_there:
+                await nursery.start(simulate, await open_transport("virtual:demo"), [self.make])
+                self.prepare(self.node)
+                if self.starts:
+                    self.node.execute(NmtCommand.START, 0)
+            await trio.sleep(0.05)
+            try:
+                yield
+            except Exception as raised:  # noqa: BLE001 - raised below: out of the nursery it would come in a group
+                error = raised
+            finally:
+                if self.is_there:
+                    self.values = dict(self.node.values.store)
+                    self.state = self.node.state
+                    self.writes = [(index, subindex) for index, subindex, _ in self.node.writes]
+                nursery.cancel_scope.cancel()
+        if error is not None:
+            raise error
+
+
+def lasting(monkeypatch: pytest.MonkeyPatch, dictionary: ObjectDictionary) -> Lasting:
+    """A device that the next commands find on `-b demo`, Operational."""
+    world = Lasting(dictionary)
+    monkeypatch.setattr(session, "simulated_fleet", world.fleet)
+    return world

@@ -1,0 +1,456 @@
+"""`canopen backup`, `restore`, `compare` and `dump` over a bus: what they print, what they write, and how they end."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+from pathlib import Path
+
+import pytest
+import trio
+
+from canopen_data.descriptions import load_description
+from canopen_master.cli.backup import bit_rate_of
+from canopen_master.cli.options import Settings
+from canopen_master.cli.problem import ExitCode
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, Variable
+from canopen_proto.dictionary.describing import describe
+from canopen_proto.dictionary.eds.writer import write_eds
+from canopen_proto.nmt import NmtState
+from canopen_proto.sdo.abort import AbortCode
+from tests.master.backup_world import NODE, Lasting, lasting
+from tests.master.cli_support import Run, runner
+from tests.proto.devices import LIMITED, TEXT
+from tests.proto.restore_bench import GAIN, Strict, device
+
+EDS = ("-e", "device.eds")
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return runner(capsys, monkeypatch, tmp_path)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
+    dictionary = device()
+    Path("device.eds").write_text(write_eds(describe(dictionary)))
+    return lasting(monkeypatch, dictionary)
+
+
+_FILES: dict[str, str] = {}
+"""before.dcf and changed.dcf, as the first test that wants them has made them."""
+
+
+def change(run: Run, world: Lasting) -> None:
+    """The backup of the device, a changed one beside it, and the device as the changed one says."""
+    if not _FILES:
+        assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
+        before = Path("before.dcf").read_text()
+        changed = before.replace("ParameterValue=0x00000285", "ParameterValue=0x00000295")
+        changed = changed.replace("ParameterValue=an I/O device with a long name", "ParameterValue=changed")
+        _FILES.update({"before.dcf": before, "changed.dcf": changed.replace("ParameterValue=1.5", "ParameterValue=2.5")})
+    for name, text in _FILES.items():
+        Path(name).write_text(text)
+    world.values.update({0x1801_01: 0x295, TEXT << 8: "changed", GAIN << 8: 2.5})
+
+
+# ---- backup ----
+
+
+def test_a_backup_is_a_dcf_with_all_that_was_read(run: Run, world: Lasting) -> None:
+    outcome = run("backup", *NODE, *EDS, "-o", "before.dcf")
+    assert (outcome.status, outcome.out) == (0, "")
+    assert outcome.err == (
+        "before.dcf: backup of node 5 (0x05), 135 objects read; 1 write-only, 1 kept out by ObjFlags, "
+        "1 DOMAIN (not read without --domains), 3 not in the device\n"
+    )
+    description = load_description("before.dcf")
+    assert [str(each) for each in description.findings] == []
+    assert description.commissioning is not None
+    assert (description.commissioning.node_id, description.commissioning.bit_rate) == (5, None)
+    assert description.file_info.file_name == "before.dcf"
+    read = {each.mux: each.configured for each in description.dictionary if each.configured is not None}
+    assert read == {key: world.values[key] for key in read}
+    assert len(read) == 135
+    assert world.writes == []
+    assert world.state is NmtState.OPERATIONAL
+
+
+def test_a_backup_as_json_and_with_the_bit_rate(run: Run, world: Lasting) -> None:
+    outcome = run("backup", *NODE, *EDS, "-o", "before.dcf", "--json", "--domains")
+    assert outcome.status == 0
+    assert outcome.json["counts"] == {"read": 136, "write-only": 1, "kept out": 1, "absent": 3}
+    assert [each["result"] for each in outcome.json["not_read"]] == ["absent"] * 3 + ["write-only", "kept out"]
+    assert load_description("before.dcf").dictionary.variable("image").configured == b"firmware"
+    rates = {"pcan:PCAN_USBBUS1@500k": 500, "pcan:PCAN_USBBUS1@83.333k": None, "can0": None, "nonsense": None}
+    assert {bus: bit_rate_of(Settings(bus=bus)) for bus in rates} == rates
+
+
+def test_a_backup_by_the_data_files_holds_what_the_device_has(run: Run, world: Lasting) -> None:
+    assert run("backup", *NODE, "-o", "before.dcf").status == 0
+    indices = set(load_description("before.dcf").dictionary.objects)
+    assert {0x1000, 0x1017, 0x1018} <= indices
+    assert indices <= set(world.dictionary.objects)
+
+
+def test_a_backup_by_a_walk(run: Run, world: Lasting) -> None:
+    outcome = run("backup", *NODE, "-o", "found.dcf", "--walk", "1000-1019,2000-0x2003")
+    assert outcome.status == 0
+    found = load_description("found.dcf").dictionary
+    assert found.variable(0x2002).configured == 10
+    assert found.variable(0x2003).configured == b"an I/O device with a long name"
+    world.values[LIMITED << 8] = 12
+    assert run("compare", *NODE[1:], "5", "found.dcf").status == 1
+    assert run("restore", *NODE, "found.dcf", "--yes").status == 0
+    assert world.values[LIMITED << 8] == 10
+    assert run("backup", *NODE, *EDS, "-o", "x.dcf", "--walk", "2000").status == ExitCode.USAGE
+    for nonsense in ("2001-2000", "xyz", "0"):
+        assert run("backup", *NODE, "-o", "x.dcf", "--walk", nonsense).status == ExitCode.USAGE
+
+
+def test_what_could_not_be_read_is_told_and_makes_a_backup_partial(run: Run, world: Lasting) -> None:
+    refused = dict.fromkeys((0x1400, 0x1600, 0x1601, 0x2100), AbortCode.GENERAL_ERROR)
+    world.prepare = lambda node: answering(node, {**refused, LIMITED: b"\x01\x02\x03"})
+    outcome = run("backup", *NODE, *EDS, "-o", "before.dcf")
+    assert outcome.status == ExitCode.PARTIAL
+    assert "not read: 1400:00 rpdo1_communication_parameter:highest_sub" in outcome.err
+    assert "refused: abort 0x08000000, general error" in outcome.err
+    assert "not read: 7 more; -v shows them" in outcome.err
+    assert Path("before.dcf").exists()
+    told = run("backup", *NODE, *EDS, "-o", "before.dcf", "-v").err
+    assert "not read: 2002:00 limited: 3 bytes (01 02 03) are no UNSIGNED8" in told
+    assert "not read: 2010:00 secret: write-only" in told
+
+
+def test_a_backup_that_cannot_be_written_is_told_before_the_work(run: Run, world: Lasting) -> None:
+    outcome = run("backup", *NODE, *EDS, "-o", "nowhere/before.dcf")
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "there is no folder nowhere" in outcome.err
+    assert world.state is None  # nobody was asked
+    assert run("backup", *NODE, *EDS, "-o", "device.eds").status == ExitCode.USAGE  # the file that describes it
+    assert run("backup", *NODE).status == ExitCode.USAGE
+
+
+@pytest.mark.parametrize(
+    "command", [("backup", "-o", "x.dcf"), ("dump",), ("compare", "good.dcf"), ("restore", "good.dcf", "--yes")]
+)
+def test_a_dead_node(run: Run, world: Lasting, command: tuple[str, ...]) -> None:
+    assert run("backup", *NODE, *EDS, "-o", "good.dcf").status == 0
+    world.is_there = False
+    name, *rest = command
+    outcome = run(name, "5", *rest, "-b", "demo")
+    assert outcome.status == ExitCode.NO_ANSWER
+    assert "node 5 did not answer reading" in outcome.err
+    assert "nothing at all was heard on this bus" in outcome.err
+    assert not Path("x.dcf").exists()
+
+
+def test_ctrl_c_leaves_no_half_file(run: Run, world: Lasting) -> None:
+    world.prepare = lambda node: trio.lowlevel.spawn_system_task(ctrl_c, 0.001)
+    Path("before.dcf").write_text("what was there")
+    world_is_slow(world)
+    outcome = run("backup", *NODE, *EDS, "-o", "before.dcf")
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert Path("before.dcf").read_text() == "what was there"
+
+
+def answering(node: Strict, answers: dict[int, bytes | AbortCode]) -> None:
+    """Have a device answer reads of some indices otherwise."""
+    reads = node.read
+    node.read = lambda index, sub, now: answers.get(index) or reads(index, sub, now)  # type: ignore[method-assign]
+
+
+async def ctrl_c(after: float) -> None:
+    await trio.sleep(after)
+    signal.raise_signal(signal.SIGINT)
+
+
+def world_is_slow(world: Lasting) -> None:
+    """Nobody answers: time passes on a virtual clock only while somebody waits."""
+    begin = world.prepare
+
+    def prepare(node: Strict) -> None:
+        begin(node)
+        node.receive = lambda frame, now: None  # type: ignore[method-assign]
+
+    world.prepare = prepare
+
+
+# ---- restore ----
+
+
+def test_a_changed_device_is_restored_and_each_write_is_shown(run: Run, world: Lasting) -> None:
+    assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
+    before = dict(world.values)
+    change(run, world)
+    world.values = before.copy()
+    assert run("restore", *NODE, "changed.dcf", "--yes").status == 0
+    assert (world.values[0x1801_01], world.values[TEXT << 8], world.values[GAIN << 8]) == (0x295, "changed", 2.5)
+    outcome = run("restore", *NODE, "before.dcf", "--verify", "--store", "--yes")
+    assert outcome.status == 0
+    assert outcome.out.splitlines() == [
+        "1801:01 tpdo2_communication_parameter:cob_id: 661 (0x00000295) → 2147484309 (0x80000295)",
+        "2003:00 text: 'changed' → 'an I/O device with a long name'",
+        "2012:00 gain: 2.5 → 1.5",
+        "1801:01 tpdo2_communication_parameter:cob_id: 2147484309 (0x80000295) → 645 (0x00000285)",
+    ]
+    assert "node 5 (0x05): 4 writes done, and stored. It is OPERATIONAL, as before" in outcome.err
+    assert world.state is NmtState.OPERATIONAL
+    assert world.writes == [(0x1801, 1), (TEXT, 0), (GAIN, 0), (0x1801, 1), (0x1010, 1)]
+    settings = before.keys() - {0x1010_01, 0x1010_02, 0x1011_01, 0x1011_02}  # these show what a device can do
+    assert {key: world.values[key] for key in settings} == {key: before[key] for key in settings}
+    assert run("compare", "5", "before.dcf", "-b", "demo").status == 0
+
+
+def test_a_dry_run_writes_nothing(run: Run, world: Lasting) -> None:
+    change(run, world)
+    outcome = run("restore", *NODE, "before.dcf", "--dry-run", "-v")
+    assert outcome.status == 0
+    assert len(outcome.out.splitlines()) == 4
+    assert "4 writes to do; nothing was written (--dry-run)" in outcome.err
+    assert "left out: 1000:00, read-only" in outcome.err
+    assert world.writes == []
+    assert world.state is NmtState.OPERATIONAL
+    assert world.values[GAIN << 8] == 2.5
+
+
+def test_a_restore_as_json(run: Run, world: Lasting) -> None:
+    change(run, world)
+    outcome = run("restore", *NODE, "before.dcf", "--yes", "--json", "--skip", "gain", "--skip", "2003")
+    assert outcome.status == 0
+    document = outcome.json
+    assert [(each["index"], each["sub"], each["done"]) for each in document["writes"]] == [(0x1801, 1, True)] * 2
+    assert document["writes"][0]["before"] == 0x295
+    assert (document["state_before"], document["done"], document["stored"]) == ("OPERATIONAL", True, False)
+    assert {"index": GAIN, "sub": 0, "reason": "skipped"} in document["left_out"]
+
+
+def test_a_device_without_a_heartbeat_stays_pre_operational(run: Run, world: Lasting) -> None:
+    world.dictionary = device(0)
+    change(run, world)
+    outcome = run("restore", *NODE, "before.dcf", "--yes")
+    assert outcome.status == 0
+    assert "It has no heartbeat that shows in which state it was: it stays Pre-operational; canopen nmt start 5" in outcome.err
+    assert world.state is NmtState.PRE_OPERATIONAL
+    assert "0 writes done\n" in run("restore", *NODE, "before.dcf", "--yes").err
+
+
+def test_a_refusal_in_the_middle_is_told_with_what_stands(run: Run, world: Lasting) -> None:
+    change(run, world)
+    world.prepare = lambda node: setattr(node, "refuse", lambda count: AbortCode.DEVICE_STATE if count == 2 else None)
+    outcome = run("restore", *NODE, "before.dcf", "--yes")
+    assert outcome.status == ExitCode.SDO_ABORT
+    assert len(outcome.out.splitlines()) == 1
+    for line in (
+        "error CO202: node 5 refused writing 0x2003:00",
+        "1 of 4 writes were confirmed",
+        "not written: 2003:00 (text), 2012:00 (gain), 1801:01 (tpdo2_communication_parameter:cob_id)",
+        "PDOs left disabled: 1801:01 (tpdo2_communication_parameter:cob_id)",
+        "node 5 (0x05) stays Pre-operational",
+        "canopen restore 5 before.dcf --dry-run -b demo    (what is still to be written)",
+        "--skip 2003:00, if the device need not have it",
+    ):
+        assert line in outcome.err
+    assert world.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_write_that_is_not_confirmed_is_told_and_not_repeated(run: Run, world: Lasting) -> None:
+    change(run, world)
+    world.prepare = lambda node: setattr(node, "is_silent", lambda count: count == 3)
+    outcome = run("restore", *NODE, "before.dcf", "--yes", "--json")
+    assert outcome.status == ExitCode.NO_ANSWER
+    assert "not confirmed, so it may have been executed: 2012:00 (gain); it is not sent again" in outcome.error["also"]
+    assert len(world.writes) == 3
+    assert [each["done"] for each in outcome.json["writes"]] == [True, True, False, False]
+
+
+def test_what_reads_back_otherwise_is_told(run: Run, world: Lasting) -> None:
+    change(run, world)
+
+    def prepare(node: Strict) -> None:
+        reads = node.read
+        node.read = lambda index, sub, now: (  # type: ignore[method-assign]
+            b"\0\0\0\0" if index == GAIN and node.writes else reads(index, sub, now)
+        )
+
+    world.prepare = prepare
+    outcome = run("restore", *NODE, "before.dcf", "--yes", "--verify")
+    assert outcome.status == ExitCode.VERIFY_MISMATCH
+    assert "error CO205: node 5 took 1.5 for gain (0x2012:00), but shows something else" in outcome.err
+    assert "bytes 00 00 00 00, written were 00 00 c0 3f" in outcome.err
+    assert "--skip 2012:00" in outcome.err
+
+
+def test_ctrl_c_in_the_middle_of_a_restore(run: Run, world: Lasting) -> None:
+    change(run, world)
+
+    def prepare(node: Strict) -> None:
+        node.is_silent = lambda count: trio.lowlevel.spawn_system_task(ctrl_c, 0.1) is not None if count == 2 else False
+
+    world.prepare = prepare
+    outcome = run("restore", *NODE, "before.dcf", "--yes")
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "1 of 4 writes were confirmed" in outcome.err
+    assert "not confirmed, so it may have been executed: 2003:00 (text)" in outcome.err
+    assert "PDOs left disabled: 1801:01" in outcome.err
+    assert world.state is NmtState.PRE_OPERATIONAL
+
+
+def test_ctrl_c_before_anything_was_written(run: Run, world: Lasting) -> None:
+    assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
+    world.prepare = lambda node: trio.lowlevel.spawn_system_task(ctrl_c, 0.1)
+    world_is_slow(world)
+    outcome = run("restore", *NODE, "before.dcf", "--yes")
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "nothing was written" in outcome.err
+
+
+def test_a_device_that_cannot_store(run: Run, world: Lasting) -> None:
+    change(run, world)
+    world.prepare = lambda node: answering(node, {0x1010: bytes(4)})
+    outcome = run("restore", *NODE, "before.dcf", "--yes", "--store")
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "does not store its parameters on command" in outcome.err
+    assert "nothing was written" in outcome.err
+    assert world.writes == []
+
+
+def test_a_restore_has_to_be_confirmed(run: Run, world: Lasting) -> None:
+    change(run, world)
+    outcome = run("restore", *NODE, "before.dcf")
+    assert outcome.status == ExitCode.USAGE
+    assert "becomes Pre-operational" in outcome.err
+    assert "the same with --yes" in outcome.err
+
+
+def test_files_that_do_not_suit(run: Run, world: Lasting) -> None:
+    change(run, world)
+    assert "is of node 5 (0x05), not of node 6 (0x06)" in run("restore", "6", "before.dcf", "--yes", "-b", "demo").err
+    assert run("restore", *NODE, "nothing.dcf", "--yes").status == ExitCode.BAD_FILE
+    outcome = run("restore", *NODE, "device.eds", "--yes")
+    assert (outcome.status, "device.eds sets nothing" in outcome.err) == (ExitCode.USAGE, True)
+    assert run("restore", *NODE, "before.dcf", "--skip", "nonsense", "--yes").status == ExitCode.USAGE
+    text = Path("before.dcf").read_text()
+    Path("other.dcf").write_text(text.replace("ParameterValue=0x0000029C", "ParameterValue=0x000000AB"))
+    world.writes = []
+    outcome = run("restore", *NODE, "other.dcf", "--yes")
+    assert outcome.status == ExitCode.DIFFERENT
+    assert "vendor-ID 0x0000029C, in the file 0x000000AB" in outcome.err
+    assert world.writes == []
+    assert run("restore", *NODE, "other.dcf", "--yes", "--force").status == 0
+
+    world.prepare = lambda node: answering(node, {0x1018: AbortCode.NO_SUCH_OBJECT})
+    assert run("restore", *NODE, "other.dcf", "--yes").status == 0  # what a device does not tell is no difference
+
+
+# ---- compare ----
+
+
+def test_what_differs_between_a_device_and_a_file(run: Run, world: Lasting) -> None:
+    change(run, world)
+    outcome = run("compare", "5", "before.dcf", "-b", "demo")
+    assert outcome.status == ExitCode.DIFFERENT
+    assert [line.split()[0] for line in outcome.out.splitlines()[2:]] == ["1801:01", "2003:00", "2012:00"]
+    assert "3 differences between node 5 (0x05) and before.dcf" in outcome.err
+    rows = run("compare", "before.dcf", "changed.dcf", "--json").json
+    assert (rows[0]["index"], rows[0]["left"], rows[0]["right"]) == (0x1801, 0x285, 0x295)
+    assert {row["change"] for row in rows} == {"changed"}
+    assert rows[0]["role"] == "communication"
+
+
+def test_what_is_near_enough_is_equal(run: Run, world: Lasting) -> None:
+    change(run, world)
+
+    def objects(*options: str) -> list[int]:
+        return [row["index"] for row in run("compare", "before.dcf", "changed.dcf", "--json", *options).json]
+
+    assert objects("--tolerance", "1") == [0x1801, TEXT]
+    assert objects("--tolerance", "40%") == [TEXT]
+    assert objects("--tolerance", "16") == [TEXT]
+    for nonsense in ("-1", "1%%", "x", "nan"):
+        assert run("compare", "before.dcf", "changed.dcf", f"--tolerance={nonsense}").status == ExitCode.USAGE
+
+
+def test_process_data_and_what_only_one_side_has(run: Run, world: Lasting) -> None:
+    change(run, world)
+    world.values[0x2001_00] = 77
+    assert "2001:00" not in run("compare", "5", "changed.dcf", "-b", "demo").out
+    assert run("compare", "5", "changed.dcf", "-b", "demo").status == 0
+    assert "2001:00" in run("compare", "5", "changed.dcf", "-b", "demo", "--process-data").out
+    world.dictionary = device(200, Object.of("image", [Variable(0x2011, 0, "image", DataType.UNSIGNED8)]))
+    lacking = Path("before.dcf").read_text().replace("ParameterValue=an I/O device with a long name\n", "")
+    Path("lacking.dcf").write_text(lacking)
+    missing = run("compare", "before.dcf", "lacking.dcf", "--only", "missing", "--json")
+    assert [(row["index"], row["change"]) for row in missing.json] == [(TEXT, "only left")]
+    assert run("compare", "before.dcf", "lacking.dcf", "--only", "changed").status == 0
+    assert run("compare", "lacking.dcf", "before.dcf").out.splitlines()[-1].split()[2] == "-"
+    assert run("compare", "before.dcf", "lacking.dcf", "--defaults").status == 0  # its default is the same
+
+
+def test_an_eds_stands_for_its_defaults(run: Run, world: Lasting) -> None:
+    change(run, world)
+    outcome = run("compare", "5", "device.eds", "-b", "demo", "--json")
+    assert [row["index"] for row in outcome.json if row["change"] == "changed"] == [0x1801, TEXT, GAIN]
+    text = Path("device.eds").read_text().replace("DefaultValue=0x00000285", "DefaultValue=$NODEID+0x280")
+    Path("relative.eds").write_text(text)
+    assert "depends on that" in run("compare", "relative.eds", "device.eds").err
+    assert run("compare", "relative.eds", "device.eds", "--id", "5").status == 0
+    assert run("compare", "relative.eds", "device.eds", "--id", "6").status == 1
+    assert run("compare", "device.eds", "relative.eds", "--id", "5").status == 0
+
+
+def test_what_cannot_be_read_is_no_difference_but_told(run: Run, world: Lasting) -> None:
+    assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
+
+    world.prepare = lambda node: answering(node, {GAIN: AbortCode.DEVICE_STATE})
+    outcome = run("compare", "5", "before.dcf", "-b", "demo")
+    assert outcome.status == ExitCode.PARTIAL
+    assert "not read: 2012:00 gain: refused" in outcome.err
+    assert "0 differences" in outcome.err
+
+
+# ---- dump ----
+
+
+def test_a_dump_on_the_screen(run: Run, world: Lasting) -> None:
+    outcome = run("dump", *NODE, *EDS)
+    assert outcome.status == 0
+    assert len(outcome.out.splitlines()) == 2 + 135
+    assert any(line.split()[:6] == ["2002:00", "limited", "UNSIGNED8", "rw", "10", "0x0A"] for line in outcome.out.splitlines())
+    document = run("dump", *NODE, *EDS, "--json").json
+    assert len(document["objects"]) == 141
+    assert document["node"] == 5
+
+
+def test_a_dump_into_files(run: Run, world: Lasting) -> None:
+    assert run("dump", *NODE, *EDS, "-o", "od.json").status == 0
+    objects = {(each["index"], each["sub"]): each for each in json.loads(Path("od.json").read_text())["objects"]}
+    assert objects[TEXT, 0]["value"] == "an I/O device with a long name"
+    assert run("dump", *NODE, *EDS, "-o", "od.csv").status == 0
+    with Path("od.csv").open(newline="") as file:
+        rows = {(row["index"], row["sub"]): row for row in csv.DictReader(file)}
+    assert rows["2010", "00"]["result"] == "write-only"
+    assert rows["2002", "00"]["value"] == "10"
+    assert run("dump", *NODE, *EDS, "-o", "od.dcf").status == 0
+    assert load_description("od.dcf").dictionary.variable("limited").configured == 10
+    assert run("dump", *NODE, *EDS, "-o", "od.xlsx").status == ExitCode.USAGE
+    assert run("dump", *NODE, "--walk", "2002").out.splitlines()[-1].split()[0] == "2002:00"
+
+
+# ---- on a terminal ----
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_progress_is_drawn_on_a_terminal(run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, silent: bool) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    if silent:
+        world.is_there = False
+    outcome = run("dump", *NODE, *EDS)
+    assert "reading node 5 (0x05)" in outcome.err
+    assert outcome.status == (ExitCode.NO_ANSWER if silent else 0)
