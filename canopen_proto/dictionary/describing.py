@@ -9,6 +9,7 @@ Source: CiA 306-1 v1.4.0, 4.4 to 4.6.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final
 
 from canopen_proto.datatypes import Value
@@ -19,6 +20,7 @@ EDS_VERSION: Final = "4.0"
 """Of the files that are written: "4.0" is what CiA 306 names."""
 MANDATORY: Final = (0x1000, 0x1001, 0x1018)
 """The objects that every device has. CiA 301 v4.2.0, 7.5.1."""
+IDENTITY: Final = 0x1018
 MANUFACTURER: Final = range(0x2000, 0x6000)
 _RPDOS: Final = range(0x1400, 0x1600)
 _TPDOS: Final = range(0x1800, 0x1A00)
@@ -60,8 +62,23 @@ def describe(
     )
 
 
+def identified(description: DeviceDescription) -> ObjectDictionary:
+    """The dictionary with the identity (0x1018:01 to 03) that the file names for the device as a whole, where the object itself
+    says none: many files leave it out there, and a device made of them would be nobody's."""
+    dictionary, info = description.dictionary, description.device_info
+    identity = dictionary.objects.get(IDENTITY)
+    if identity is None:
+        return dictionary
+    variables = dict(identity.variables)
+    for subindex, number in enumerate((info.vendor_number, info.product_number, info.revision_number), start=1):
+        variable = variables.get(subindex)
+        if variable is not None and number and not variable.initial_of(0):
+            variables[subindex] = replace(variable, default=number, configured=None)
+    return dictionary.with_objects([replace(identity, variables=MappingProxyType(variables))])
+
+
 def _identity(dictionary: ObjectDictionary, subindex: int) -> int | None:
     """A number of the identity object (0x1018), where the dictionary says it."""
-    variable = dictionary.get(0x1018, subindex)
+    variable = dictionary.get(IDENTITY, subindex)
     value: Value | None = None if variable is None else variable.default
     return value if isinstance(value, int) else None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import canopen_data
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
-from canopen_proto.dictionary.describing import describe
+from canopen_proto.dictionary.describing import describe, identified
 from canopen_proto.dictionary.description import DeviceInfo, FileInfo, FileKind
 
 
@@ -44,3 +46,13 @@ def test_manufacturer_objects_have_their_own_list() -> None:
     objects = [Object.of("x", [Variable(index, 0, "x", DataType.UNSIGNED8)]) for index in (0x6000, 0x2000, 0x5FFF, 0x1017)]
     described = describe(ObjectDictionary(objects))
     assert (described.mandatory, described.optional, described.manufacturer) == ((), (0x1017, 0x6000), (0x2000, 0x5FFF))
+
+
+def test_the_identity_of_the_file_where_the_object_has_none() -> None:
+    members = [Variable(0x1018, subindex, f"number{subindex}", DataType.UNSIGNED32) for subindex in (1, 2, 3, 4)]
+    members[1] = replace(members[1], default=5)
+    info = DeviceInfo(vendor_number=0xFB, product_number=6, revision_number=None)
+    dictionary = identified(describe(ObjectDictionary([Object.of("identity", members)]), device_info=info))
+    assert [dictionary.variable((0x1018, subindex)).default for subindex in (1, 2, 3, 4)] == [0xFB, 5, None, None]
+    nothing = describe(ObjectDictionary([]), device_info=info)
+    assert identified(nothing) is nothing.dictionary

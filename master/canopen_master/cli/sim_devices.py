@@ -24,6 +24,7 @@ from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary
 from canopen_proto.dictionary.configured import configure, without_configured_values
+from canopen_proto.dictionary.describing import identified
 from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.dictionary.findings import Severity
 from canopen_proto.frame import MAX_NODE_ID
@@ -112,7 +113,7 @@ def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> Device
         count = "1 error" if len(errors) == 1 else f"{len(errors)} errors"
         screen.say(f"[dim]{escape(entry.file)}: {count} in it; all of them: canopen eds lint {escape(entry.file)}[/]")
     description = with_names(description, names)
-    dictionary = with_drive_names(description.dictionary)
+    dictionary = with_drive_names(identified(description))
     if entry.defaults:
         dictionary = without_configured_values(dictionary)
     return replace(description, dictionary=overlaid(dictionary, entry.overlays, screen))
