@@ -188,7 +188,7 @@ def dummies(document: EdsDocument, findings: Findings) -> MappingProxyType[int, 
     if section is None:
         return None
     fields = Fields(section, findings)
-    usable = {int(found[1], 16): fields.flag(key) for key in section.values if (found := _DUMMY.fullmatch(key))}
+    usable = {int(found[1], 16): fields.flag(key) for key in reversed(section.values) if (found := _DUMMY.fullmatch(key))}
     return MappingProxyType(usable)
 
 

@@ -95,7 +95,7 @@ class Entry(NamedTuple):
 class Section:
     """One section. name: as it is spelt, without blanks around it. line: of the name, from 1.
 
-    values: by key in small letters, without blanks around; the first of two equal keys.
+    values: by key in small letters, without blanks around; the first of two equal keys. The last key comes first.
     """
 
     __slots__ = ("_body", "line", "name", "values")
@@ -164,7 +164,13 @@ class EdsDocument:
     def section(self, name: str) -> Section | None:
         """The section of that name, in any spelling (`fold`), that counts."""
         folded = fold(name)
-        return next((each for each in self.sections if fold(each.name) == folded), None)
+        found = _OBJECT.fullmatch(folded)
+        if found is None:
+            return self.named.get(folded)
+        index = int(found[1], 16)
+        if found[2] is not None:
+            return self.subs.get(index, {}).get(int(found[2], 16))
+        return self.objects.get(index) if found[3] is None else self.lists.get((index, found[3]))
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
         """See `description.Document`. Of a sub-object in compact form: where its name or its value stands, if it has its own."""

@@ -61,7 +61,7 @@ def read_eds(data: bytes | str, source: str = "", *, strict: bool = False) -> De
         data = data[:MAX_FILE_SIZE]
     text, encoding = (data.removeprefix("\ufeff"), "utf-8") if isinstance(data, str) else text_of(data, findings)
     document = EdsDocument(text, encoding, findings)
-    variables = Variables(findings)
+    variables = Variables(document, findings)
     info = device.device_info(document, findings)
     objects = _Objects(document, variables, findings)
     objects.read()
@@ -139,13 +139,12 @@ class _Objects:
             message = f"a {object_type.name} has no sub-objects; taken as RECORD"
             self._variables.warn(section, "ObjectType", "object-type", message)
             object_type = ObjectType.RECORD
-        code = self._type_code(section)
         if object_type not in _WITH_SUBS and not subs and not is_compact:
-            if object_type is ObjectType.NULL or (object_type is ObjectType.DEFTYPE and code is None):
-                return self._whole(section, index, name, object_type, {}, code)
-            likely = DataType.DOMAIN if object_type is ObjectType.DOMAIN else None
-            variable = self._variables.read(section, index, 0, likely)
+            if object_type is ObjectType.NULL or (object_type is ObjectType.DEFTYPE and "datatype" not in values):
+                return self._whole(section, index, name, object_type, {}, None)
+            variable = self._variables.read(section, index, 0)
             return Object(index, name, object_type, MappingProxyType({0: variable}), *_of_single(variable))
+        code = self._variables.number(section, "DataType", 0xFFFF) or None
         likely = _TYPES.get(code) if code is not None and object_type is ObjectType.ARRAY else None
         found = self._subs(index, subs, likely)
         if is_compact:
@@ -211,10 +210,6 @@ class _Objects:
         message = f"ObjectType {quoted(text)!r} is none that there is; taken as {likely.name}"
         self._variables.warn(section, "ObjectType", "object-type", message)
         return likely
-
-    def _type_code(self, section: Section) -> int | None:
-        """DataType of a whole object, which may be the index of a DEFSTRUCT."""
-        return self._variables.number(section, "DataType", 0xFFFF) or None if "datatype" in section.values else None
 
     def _check_count(self, section: Section, object_type: ObjectType, found: dict[int, Variable]) -> None:
         """SubNumber: how many sub-objects there are, without 255, which tells the structure."""

@@ -7,7 +7,7 @@ or makes no sense is made good, each with a finding:
 
 - DataType: of subindex 0 of an array or record UNSIGNED8; of an entry of an array that of the array; else the type that the
   standards give the object; else OCTET_STRING, which can hold whatever a device sends;
-- AccessType: that of the standards; else `rw` (the device refuses what it does not allow);
+- AccessType: that of the standards; of subindex 0 of an array or record `ro`; else `rw` (the device refuses what it must);
 - a value that cannot be read, or does not fit the type, is left out;
 - PDOMapping is 0.
 
@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from canopen_proto.datatypes import DataType, Value, is_number, range_of
-from canopen_proto.dictionary.eds.ini import Findings, Section, quoted
+from canopen_proto.dictionary.eds.ini import EdsDocument, Findings, Section, quoted
 from canopen_proto.dictionary.eds.numbers import Reading, read_number, read_value
 from canopen_proto.dictionary.findings import Severity
 from canopen_proto.dictionary.objects import Access, ObjectType, Variable
@@ -87,8 +87,9 @@ class _Readings(dict[str, Reading]):
 class Variables:
     """Makes variables out of sections. has_configured: whether one of them had a ParameterValue."""
 
-    def __init__(self, findings: Findings) -> None:
+    def __init__(self, document: EdsDocument, findings: Findings) -> None:
         self.has_configured = False
+        self._document = document
         self._findings = findings
         self._readings = {data_type: _Readings(data_type) for data_type in DataType}
         self._by_text: dict[str | None, _Readings] = {
@@ -104,7 +105,7 @@ class Variables:
         readings = self._by_text.get(get("datatype"))
         if readings is None:
             readings = self._readings[self._odd_type(section, index, subindex, likely, in_array)]
-        access = _ACCESSES.get(get("accesstype", "")) or self._odd_access(section, index, subindex)
+        access = _ACCESSES.get(get("accesstype", "")) or self._odd_access(section, index, subindex, in_array)
         mappable = _FLAGS.get(get("pdomapping"))
         if mappable is None:
             mappable = bool(self.number(section, "PDOMapping", 1))
@@ -173,7 +174,7 @@ class Variables:
         """A notice of keys that CiA 306 does not have: one of them may be a misspelt one."""
         if section.values.keys() <= _KNOWN:
             return
-        keys = [key for key in section.values if key not in _KNOWN and not key.startswith(_FOREIGN)]
+        keys = [key for key in reversed(section.values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
         if keys and not self._findings.full(Severity.NOTICE):
             names = ", ".join(quoted(key) for key in keys[:5])
             message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
@@ -225,6 +226,9 @@ class Variables:
             if remark:
                 self.warn(section, "DataType", "number", f"DataType {quoted(text)!r}: {remark}")
             return _TYPES[number]
+        described = None if number is None or number < 0x20 else self._described_type(number)
+        if described is not None:
+            return described
         if in_array and subindex == 0:
             guess: DataType = DataType.UNSIGNED8
         elif likely is not None:
@@ -238,7 +242,17 @@ class Variables:
         self.warn(section, "DataType", "data-type", f"{reason}; taken as {guess.name}")
         return guess
 
-    def _odd_access(self, section: Section, index: int, subindex: int) -> Access:
+    def _described_type(self, code: int) -> DataType | None:
+        """The type for which a DEFTYPE of this file stands. One of the tools gives it in the default of subindex 1."""
+        text = None
+        if (sub := self._document.subs.get(code, {}).get(1) or self._document.section(f"{code:X}sub1")) is not None:
+            text = sub.get("DefaultValue")
+        elif (whole := self._document.objects.get(code)) is not None:
+            text = whole.get("DataType")
+        number = read_number(text)[0] if text else None
+        return None if number is None else _TYPES.get(number)
+
+    def _odd_access(self, section: Section, index: int, subindex: int, in_array: bool) -> Access:
         text = section.values.get("accesstype", "")
         bare = text.partition("#")[0].partition(";")[0].strip().lower()
         access = _ACCESSES.get(bare)
@@ -247,7 +261,7 @@ class Variables:
                 self.warn(section, "AccessType", "access", "the comment behind AccessType was left out")
             return access
         known = find_standard(index, subindex) if index < PROFILES else None
-        access = Access.RW if known is None else known.access
+        access = known.access if known is not None else Access.RO if in_array and subindex == 0 else Access.RW
         reason = f"AccessType {quoted(text)!r} is none of {', '.join(Access)}" if text else "AccessType is missing"
         self.warn(section, "AccessType", "access", f"{reason}; taken as {access}")
         return access
