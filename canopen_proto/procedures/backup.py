@@ -41,6 +41,7 @@ from canopen_proto.sdo.client import Block
 MAX_SILENT: Final = 3
 """Objects in a row without an answer, after which the device counts as gone. One may be a device's fault, or a lost frame."""
 _CONTROL_WORDS: Final = frozenset(CONTROLWORD + (0x800 << 8) * axis for axis in range(8))
+_PADDING: Final = "\0 \t\r\n"
 NO_UPLOAD: Final = 2
 """ObjFlags, bit 1: refuses to be read by an upload of the whole dictionary. CiA 306-1."""
 
@@ -219,9 +220,16 @@ def report(node: RemoteNode, reading: Reading, done: int, total: int) -> Procedu
     yield from act(lambda now: node.out.events.append(news))
 
 
-def same_value(one: Value | None, other: Value | None) -> bool:
-    """Whether two values are one for a backup. Padding of a text is not part of it (a file's line cannot hold it), and a REAL
-    that is no number is equal to itself."""
+def same_value(variable: Variable, one: Value | None, other: Value | None) -> bool:
+    """Whether two values of an object are one for a backup: whether their bytes are, so that 0.1 is what a REAL32 makes of it.
+
+    Padding of a text is not part of it: a line of a file cannot hold it. None, a value that is not known, is equal to None only.
+    """
+    if one is None or other is None:
+        return one is other
     if isinstance(one, str) and isinstance(other, str):
-        return one.strip("\0 \t\r\n") == other.strip("\0 \t\r\n")
-    return one == other or (one != one and other != other)
+        return one.strip(_PADDING) == other.strip(_PADDING)
+    try:
+        return variable.encode(one) == variable.encode(other)
+    except ValueRangeError:  # values of two files that differ in the type
+        return False

@@ -203,7 +203,11 @@ def plan_restore(
     for key in _absent(backup, wanted):
         del wanted[key]
         left_out[key] = "the device does not have it"
-    different = {key for key, value in wanted.items() if everything or not same_value(standing.get(key), value)}
+
+    def same(key: int, value: Value) -> bool:
+        return same_value(dictionary.variable((key >> 8, key & 0xFF)), standing.get(key), value)
+
+    different = {key for key, value in wanted.items() if everything or not same(key, value)}
     mappings = {key >> 8 for key in different if any(key >> 8 in each for each in _MAPPINGS)}
     different |= {key for key in wanted if key >> 8 in mappings}
     order = download_order(
@@ -302,7 +306,7 @@ def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restorat
 
 def _shows(variable: Variable, data: bytes, value: Value) -> bool:
     try:
-        return same_value(variable.decode(data), value)
+        return same_value(variable, variable.decode(data), value)
     except ValueRangeError:
         return False
 

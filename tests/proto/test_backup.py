@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_proto.datatypes import DataType
+from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.backup import MAX_SILENT, Backup, ObjectRead, ReadResult, back_up, same_value
@@ -221,8 +221,15 @@ def test_a_record_of_write_only_fields_and_refused_counts() -> None:
 
 
 def test_what_counts_as_the_same_value() -> None:
-    assert same_value("name\0\0", "name ")
-    assert not same_value("name", "other")
-    assert same_value(float("nan"), float("nan"))
-    assert same_value(1, True)
-    assert not same_value(None, 0)
+    def same(data_type: DataType, one: Value | None, other: Value | None) -> bool:
+        return same_value(Variable(0x2000, 0, "own", data_type), one, other)
+
+    assert same(DataType.VISIBLE_STRING, "name\0\0", "name ")
+    assert not same(DataType.VISIBLE_STRING, "name", "other")
+    assert same(DataType.REAL64, float("nan"), float("nan"))
+    assert same(DataType.REAL32, 5.2, 5.199999809265137)
+    assert not same(DataType.REAL64, 5.2, 5.199999809265137)
+    assert same(DataType.BOOLEAN, 1, True)
+    assert not same(DataType.UNSIGNED8, None, 0)
+    assert same(DataType.UNSIGNED8, None, None)
+    assert not same(DataType.UNSIGNED8, 300, "text")

@@ -160,10 +160,10 @@ def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
     rows: list[Row] = []
     for key in sorted(left.values.keys() | right.values.keys()):
         one, other = left.values.get(key), right.values.get(key)
-        if key in left.missing or same_value(one, other) or tolerance.allows(one, other):
+        variable = (left if other is None else right).dictionary.variable((key >> 8, key & 0xFF))
+        if key in left.missing or same_value(variable, one, other) or tolerance.allows(one, other):
             continue
         change = Change.RIGHT if one is None else Change.LEFT if other is None else Change.CHANGED
-        variable = (left if other is None else right).dictionary.variable((key >> 8, key & 0xFF))
         rows.append(Row(variable, change, roles[key], one, other))
     return rows
 
