@@ -1,0 +1,168 @@
+"""`WireMember`: one CAN controller on the wire, with its transmit queue and its error counters.
+
+**Transmit queue.** Which of the waiting frames takes part in the arbitration is the controller's and the driver's choice:
+
+- FIFO: the oldest. So do Linux's SocketCAN (its network queue hands frames to the controller in order, most drivers use one
+  mailbox or a hardware FIFO), PEAK's and most other USB adapters, and CANopen stacks with one software queue. A SYNC then waits
+  behind an SDO that is queued before it: priority inversion, which the classic analysis knows nothing of.
+- PRIORITY: the lowest identifier. So do controllers with several mailboxes that are sent by identifier (bxCAN, FlexCAN, MCAN
+  with a queue instead of a FIFO) where the driver fills them that way. This is what the classic analysis presumes.
+
+A frame that is being sent is never overtaken: it stays at the head until it is out.
+
+**Error counters** (ISO 11898-1, fault confinement). Transmit errors add 8, a sent frame takes 1 away; receive errors add 1, and 8
+more for who saw the error first; a received frame takes 1 away. From 96 on: error warning; from 128 on: error-passive; a transmit
+error counter of 256: bus-off.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from enum import Enum
+from typing import Final, NamedTuple
+
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.machine import LocalProtocolError, Time
+from canopen_transports.errors import BusState
+
+WARNING_LIMIT: Final = 96
+PASSIVE_LIMIT: Final = 128
+BUS_OFF_LIMIT: Final = 256
+AFTER_PASSIVE: Final = 119
+"""The receive error counter of an error-passive receiver that got a frame: the standard allows 119 to 127."""
+TRANSMIT_QUEUE_SIZE: Final = 64
+"""Frames; 16 times what a small controller has, and about what a driver's queue holds."""
+
+
+class QueueOrder(Enum):
+    """Which of a member's waiting frames competes for the bus."""
+
+    FIFO = "fifo"
+    PRIORITY = "priority"
+
+
+class QueueFull(LocalProtocolError):
+    """A member's transmit queue has no room for this frame."""
+
+
+class Waiting(NamedTuple):
+    """A frame in a transmit queue. Sorted by its arbitration, then by its age."""
+
+    arbitration: int
+    number: int
+    frame: Frame
+    queued: Time
+
+
+def arbitration(frame: Frame) -> int:
+    """The bits by which the bus decides, as a number: the lower one wins.
+
+    They are the identifier's and RTR, SRR and IDE as they follow on the wire: of equal 11 bits a data frame goes before a remote
+    frame, and both before a 29-bit frame that begins with them.
+    """
+    remote = frame.flags & REMOTE
+    if frame.flags & EXTENDED:
+        return ((frame.can_id >> 18) << 2 | 0b11) << 19 | (frame.can_id & 0x3FFFF) << 1 | remote
+    return (frame.can_id << 1 | remote) << 20
+
+
+class WireMember:
+    """A place on the wire; made by `Wire.join`, which alone changes it. All is read-only outside.
+
+    number: in the order of joining, from 0. state: ACTIVE, WARNING, PASSIVE or BUS_OFF. transmit_errors, receive_errors: the
+    counters. sent: frames that got out.
+    """
+
+    __slots__ = (
+        "_heap", "_order", "_queue", "_queued", "babbles_until", "delayed_until", "joined", "number", "receive_errors",
+        "recovery", "sending", "sent", "size", "state", "suspended_until", "transmit_errors", "unacknowledged",
+    )  # fmt: skip
+
+    def __init__(self, number: int, order: QueueOrder, size: int) -> None:
+        if size < 1:
+            raise LocalProtocolError(f"a transmit queue of {size} frames can hold nothing")
+        self.number = number
+        self.size = size
+        self.joined = True
+        self.state = BusState.ACTIVE
+        self.transmit_errors = 0
+        self.receive_errors = 0
+        self.sent = 0
+        self.sending: Waiting | None = None  # stays at the head, whatever comes
+        self.suspended_until: Time = 0
+        self.delayed_until: Time = 0
+        self.babbles_until: Time | None = None
+        self.recovery = 0  # times 11 recessive bits that are still to be seen; of a member that is bus-off
+        self.unacknowledged = False
+        self._order = order
+        self._queued = 0
+        self._queue: deque[Waiting] = deque()
+        self._heap: list[Waiting] = []
+
+    def __repr__(self) -> str:
+        counters = f"TEC {self.transmit_errors}, REC {self.receive_errors}"
+        return f"<WireMember {self.number}: {self.state.value}, {counters}, {self.queued} queued>"
+
+    @property
+    def order(self) -> QueueOrder:
+        """Which of its waiting frames competes for the bus."""
+        return self._order
+
+    @property
+    def queued(self) -> int:
+        """How many frames wait, with the one that is being sent."""
+        return len(self._queue) + len(self._heap) + (self.sending is not None)
+
+    @property
+    def has_room(self) -> bool:
+        """Whether one more frame can be queued."""
+        return self.queued < self.size
+
+    def put(self, frame: Frame, now: Time) -> None:
+        """Queue a frame. QueueFull where there is no room."""
+        if not self.has_room:
+            raise QueueFull(f"the transmit queue of member {self.number} is full: {self.size} frames")
+        waiting = Waiting(arbitration(frame), self._queued, frame, now)
+        self._queued += 1
+        if self._order is QueueOrder.FIFO:
+            self._queue.append(waiting)
+        else:
+            heapq.heappush(self._heap, waiting)
+
+    def head(self) -> Waiting | None:
+        """What competes for the bus, while this member sends nothing."""
+        if self._queue:
+            return self._queue[0]
+        return self._heap[0] if self._heap else None
+
+    def begin(self) -> None:
+        """The head is on the wire."""
+        self.sending = self._queue.popleft() if self._queue else heapq.heappop(self._heap)
+
+    def failed(self) -> None:
+        """It did not get out, and competes again: with what else has come meanwhile, where the order is that of priority."""
+        waiting, self.sending = self.sending, None
+        if waiting is None:
+            return
+        if self._order is QueueOrder.FIFO:
+            self._queue.appendleft(waiting)
+        else:
+            heapq.heappush(self._heap, waiting)
+
+    def clear(self) -> list[Waiting]:
+        """Empty the queue; what was in it."""
+        self.failed()
+        dropped = sorted([*self._queue, *self._heap], key=lambda waiting: waiting.number)
+        self._queue.clear()
+        self._heap.clear()
+        return dropped
+
+    def state_of_counters(self) -> BusState:
+        """The state that the error counters mean."""
+        if self.transmit_errors >= BUS_OFF_LIMIT:
+            return BusState.BUS_OFF
+        worst = max(self.transmit_errors, self.receive_errors)
+        if worst >= PASSIVE_LIMIT:
+            return BusState.PASSIVE
+        return BusState.WARNING if worst >= WARNING_LIMIT else BusState.ACTIVE

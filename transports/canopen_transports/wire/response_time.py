@@ -1,0 +1,164 @@
+"""How long a CAN frame waits at worst: the classic analysis, without simulating anything.
+
+R. I. Davis, A. Burns, R. J. Bril, J. J. Lukkien: "Controller Area Network (CAN) schedulability analysis: Refuted, revisited and
+revised", Real-Time Systems 35 (2007), 239-272.
+
+Theory of operation
+-------------------
+Each message m has a priority (its identifier), a period T (or a shortest distance), a queuing jitter J (how much later than its
+period's beginning it may be queued) and a transmission time C, at worst with all stuff bits, the intermission with it. Frames are
+not preemptive, so the longest one of lower priority may just have begun: the blocking B. The priority level-m busy period begins
+then, and lasts (equation 4)
+
+    t = B + sum over k of priority m or higher of ceil((t + J_k) / T_k) C_k
+
+Several instances of m may lie in it, Q = ceil((t + J) / T); for the q-th of them (equation 5)
+
+    w(q) = B + q C + sum over k of higher priority of ceil((w + J_k + bit) / T_k) C_k        R(q) = J + w(q) - q T + C
+
+The worst of these is the response time: from the beginning of the period to the end of the intermission. (The receivers have the
+frame 3 bits before that.) The older analysis, which looked at q = 0 only, was refuted by this paper: a frame may wait longest in
+its second instance.
+
+It presumes that each member sends its most urgent frame first (see QueueOrder). For members that send in the order of queuing
+(`queue` of a Message) the bound here is simpler than the published one (R. I. Davis, S. Kollmann, V. Pollex, F. Slomka:
+"Schedulability analysis for CAN with FIFO queues", ECRTS 2011), and not below it: a frame is as urgent as the least urgent one
+of its queue only, and waits for all of its queue; and to the others it comes with the jitter that its own queue gives it.
+
+Errors: `error_interval` is the shortest time between two errors on the bus; each costs an error frame and the longest frame that
+may have to be sent again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from canopen_proto.machine import NEVER, LocalProtocolError, Time
+from canopen_transports.wire.frame_bits import duration
+
+MAX_INSTANCES: Final = 1_000
+"""Of one message in one busy period: the next one is always waiting already. A network that is meant to work has a few."""
+MAX_ROUNDS: Final = 100
+"""Of letting queues and response times make each other longer, until the network is said not to fit."""
+ERROR_OVERHEAD: Final = 31
+"""Bits of an error frame at worst: flag and echo 12, delimiter 8, intermission 3, suspend transmission 8."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A frame that is sent again and again.
+
+    priority: lower goes first; two messages with one priority are taken to wait for each other. time: how long it takes on the
+    wire at worst, ns. period: ns, or the shortest distance of two. jitter: ns. deadline: ns, by default the period. queue: the
+    FIFO of the member that it is sent by; None for a member that sends its most urgent frame first.
+    """
+
+    name: str
+    priority: int
+    time: Time
+    period: Time
+    jitter: Time = 0
+    deadline: Time | None = None
+    queue: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.time < 1 or self.period < 1 or self.jitter < 0:
+            raise LocalProtocolError(f"message {self.name}: its time and period are 1 ns or more, and its jitter is none below 0")
+
+    @property
+    def due(self) -> Time:
+        """Its deadline."""
+        return self.period if self.deadline is None else self.deadline
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseTime:
+    """What the analysis says of a message. worst: ns, NEVER where it grows without end. instance: which one waits longest, from
+    0 on. instances: how many lie in the longest busy period. blocking: by one frame of lower priority, ns."""
+
+    message: Message
+    worst: Time
+    instance: int
+    instances: int
+    blocking: Time
+
+    @property
+    def fits(self) -> bool:
+        """Whether it always meets its deadline."""
+        return self.worst <= self.message.due
+
+
+def utilisation(messages: Sequence[Message]) -> float:
+    """Which part of the bus they need at worst."""
+    return sum(message.time / message.period for message in messages)
+
+
+def response_times(messages: Sequence[Message], bitrate: int, *, error_interval: Time = NEVER) -> list[ResponseTime]:
+    """The worst-case response time of each message, in the order given. bitrate: bit/s."""
+    bit = duration(1, bitrate)
+    seen = list(messages)  # as they look to others: what a queue holds back comes late
+    for _ in range(MAX_ROUNDS):
+        found = [_of_message(number, messages, seen, bit, error_interval) for number in range(len(messages))]
+        late = [
+            message if message.queue is None else replace(message, jitter=min(each.worst, NEVER) - message.time)
+            for message, each in zip(messages, found, strict=True)
+        ]
+        if late == seen:
+            return found
+        if any(each.worst >= NEVER for each in found):
+            break
+        seen = late
+    return [each if each.message.queue is None and _is_above_queues(each.message, messages) else _endless(each) for each in found]
+
+
+def _is_above_queues(message: Message, messages: Sequence[Message]) -> bool:
+    """Whether no message of a queue is as urgent as this one: then what happens in the queues is nothing to it."""
+    return all(other.queue is None or other.priority > message.priority for other in messages)
+
+
+def _endless(response: ResponseTime) -> ResponseTime:
+    return replace(response, worst=NEVER, instance=0, instances=0)
+
+
+def _of_message(
+    number: int, messages: Sequence[Message], seen: Sequence[Message], bit: Time, error_interval: Time
+) -> ResponseTime:
+    message = messages[number]
+    others = [(other, late) for place, (other, late) in enumerate(zip(messages, seen, strict=True)) if place != number]
+    mates = [other for other, _ in others if message.queue is not None and other.queue == message.queue]
+    urgency = max([message.priority, *(mate.priority for mate in mates)])
+    strangers = [late for other, late in others if message.queue is None or other.queue != message.queue]
+    before = [*mates, *(other for other in strangers if other.priority <= urgency)]
+    behind = [other.time for other in strangers if other.priority > urgency]
+    blocking = max(behind, default=0)
+    if error_interval < NEVER:
+        again = max([message.time, blocking, *(other.time for other in before)])
+        before.append(Message("errors", -1, ERROR_OVERHEAD * bit + again, error_interval))
+    busy = NEVER
+    if utilisation([message, *before]) < 1:
+        longest = MAX_INSTANCES * message.period
+        busy = _fixed_point(blocking + message.time, blocking, 0, [message, *before], longest)
+    instances = -(-(busy + message.jitter) // message.period)
+    if instances > MAX_INSTANCES:
+        return ResponseTime(message, NEVER, 0, 0, blocking)
+    worst = at = wait = 0
+    for instance in range(instances):
+        own = blocking + instance * message.time
+        wait = _fixed_point(max(wait, own), own, bit, before, NEVER)
+        response = message.jitter + wait - instance * message.period + message.time
+        if response > worst:
+            worst, at = response, instance
+    return ResponseTime(message, worst, at, instances, blocking)
+
+
+def _fixed_point(start: Time, own: Time, granularity: Time, messages: Sequence[Message], longest: Time) -> Time:
+    """The smallest t from `start` on with t = own + what the messages need in t; NEVER where it is above `longest`."""
+    time = start
+    while time <= longest:
+        needed = own + sum(-(-(time + each.jitter + granularity) // each.period) * each.time for each in messages)
+        if needed <= time:
+            return time
+        time = needed
+    return NEVER

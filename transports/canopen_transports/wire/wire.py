@@ -1,0 +1,533 @@
+"""`Wire`: a CAN bus as a machine. Members queue frames; who has the lowest identifier sends; all others hear it; faults happen.
+
+Theory of operation
+-------------------
+**Arbitration.** When the bus is free, all members that have a frame begin with it at once, and the lowest arbitration field goes
+on. Frames that are queued at the same time take part together. A bus that is idle is taken at once. Two equal frames go out as
+one; two different ones with one identifier destroy each other, again and again, until their members are bus-off.
+
+**Time.** A frame takes its exact number of bits (frame_bits.py). Its receivers have it at the end of EOF, the intermission of 3
+bits follows. An error frame is an error flag, to which the flags of the others add up to 12 bits, 8 bits of delimiter, and the
+intermission. An error-passive member waits 8 bits more after having sent, before it sends again.
+
+**Acknowledge.** A frame that nobody else hears is not acknowledged, and is sent again for ever; its member becomes error-passive,
+but not bus-off (ISO 11898-1, fault confinement, exception 1). `acknowledge=False` is a bus on which somebody unseen acknowledges.
+
+**Faults** come from the rates and the seed, or are ordered: `bus_off`, `babble`, `cut` and `mend`. One seed and one sequence of
+calls give one trace. What happened is told: `FaultHappened` for each frame that was hit, `StateReported` for each change of a
+member's state. A member that is bus-off loses its queue, and returns after 128 times 11 recessive bits (or by `restart`).
+
+**A cut cable** makes two buses, each of which goes on by itself. A frame that is on the wire at that moment, or when the cable is
+mended, is destroyed.
+
+What it simplifies: all members see a bit at the same time (no propagation, no clock tolerance, no resynchronisation); a frame
+that comes in the first bit of another waits; an error flag and its echoes always last 12 bits; there are no overload frames.
+
+As a machine of the core: `send` and the other commands mutate, `drain` gives what came of it, `next_deadline` says when to call
+`handle_timeout`. A late driver loses nothing: what was due happens at the time when it was due.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, LocalProtocolError, Time
+from canopen_transports.errors import BusState
+from canopen_transports.wire.faults import FaultKind, FaultRates
+from canopen_transports.wire.frame_bits import FRAME_TAIL, INTERMISSION, duration, frame_bits
+from canopen_transports.wire.member import (
+    AFTER_PASSIVE,
+    BUS_OFF_LIMIT,
+    PASSIVE_LIMIT,
+    TRANSMIT_QUEUE_SIZE,
+    QueueOrder,
+    Waiting,
+    WireMember,
+)
+from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
+from canopen_transports.wire.segment import Segment, Transmission, first_difference
+
+ERROR_FLAG: Final = 6
+ERROR_DELIMITER: Final = 8
+ERROR_FRAME: Final = 2 * ERROR_FLAG + ERROR_DELIMITER
+"""Bits of an error that one member saw first: its flag, then those of the others, then the delimiter."""
+SUSPEND: Final = 8
+"""Bits that an error-passive member waits after it has sent."""
+RECOVERY: Final = 128
+"""Times 11 recessive bits that a member which is bus-off has to see."""
+RECESSIVE: Final = 11
+MAX_STEPS: Final = 10_000
+"""In one call of `handle_timeout`: a driver that comes hours late gets what happened in portions."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireSettings:
+    """bitrate: bit/s. rates: of faults, `seed` says whom they hit. acknowledge: whether frames need a second member.
+    auto_recovery: members return from bus-off by themselves, as soon as they may."""
+
+    bitrate: int = 1_000_000
+    rates: FaultRates = field(default_factory=FaultRates)
+    seed: int = 0
+    acknowledge: bool = True
+    auto_recovery: bool = True
+
+
+class Wire:
+    """See this module's text. frames, error_frames: how many there were so far. rates: of faults, and may be set."""
+
+    def __init__(self, settings: WireSettings = WireSettings(), now: Time = 0) -> None:
+        if settings.bitrate < 1:
+            raise LocalProtocolError(f"a bit rate is 1 bit/s or more, not {settings.bitrate}")
+        self.settings = settings
+        self.rates = settings.rates
+        self.frames = 0
+        self.error_frames = 0
+        self._busy: Time = 0
+        self._now = self._since = now
+        self._random = random.Random(settings.seed)
+        self._segments = [Segment((), now)]
+        self._joined = 0
+        self._disturbed: dict[WireMember, None] = {}  # whose counters are not 0
+        self._late: list[tuple[Time, int, Delivery]] = []
+        self._late_so_far = 0
+        self._deliveries: list[Delivery] = []
+        self._events: list[WireEvent] = []
+        self._tails: dict[int, Time] = {}
+        self._intermission = self.time_of(INTERMISSION)
+
+    # ---- getters ----
+
+    @property
+    def members(self) -> tuple[WireMember, ...]:
+        """Who is on the wire."""
+        return tuple(member for segment in self._segments for member in segment.members)
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether there are two halves."""
+        return len(self._segments) > 1
+
+    def time_of(self, bits: int) -> Time:
+        """How long that many bits take, in ns."""
+        time = self._tails.get(bits)
+        if time is None:
+            time = self._tails[bits] = duration(bits, self.settings.bitrate)
+        return time
+
+    def load(self, now: Time) -> float:
+        """Which part of the time since `begin_load` the bus was busy, intermissions and error frames with it: 0 to 1.
+
+        A frame counts when it ends. On a cut cable, that of both halves together.
+        """
+        return self._busy / (now - self._since) if now > self._since else 0.0
+
+    def begin_load(self, now: Time) -> None:
+        """Measure the load from now on."""
+        self._advance(now)
+        self._busy, self._since = 0, now
+
+    # ---- commands ----
+
+    def join(self, now: Time, *, order: QueueOrder = QueueOrder.FIFO, queue_size: int = TRANSMIT_QUEUE_SIZE) -> WireMember:
+        """One more member. order, queue_size: of its transmit queue. On a cut cable it joins the first half."""
+        self._advance(now)
+        member = WireMember(self._joined, order, queue_size)
+        self._joined += 1
+        self._segments[0].members.append(member)
+        return member
+
+    def leave(self, member: WireMember, now: Time) -> None:
+        """Take a member off the wire. What it has queued vanishes; of a frame that is on the wire the rest is sent."""
+        self._advance(now)
+        if not member.joined:
+            return
+        segment = self._segment_of(member)
+        member.joined = False
+        if not (segment.current and member in segment.current.senders):
+            self._forget(segment, member)
+
+    def send(self, member: WireMember, frame: Frame, now: Time) -> None:
+        """Queue a frame. Raises QueueFull where there is no room, LocalProtocolError for a member that is bus-off or has left."""
+        self._advance(now)
+        if not member.joined or member.state is BusState.BUS_OFF:
+            raise LocalProtocolError(f"{member!r} cannot send: it is {member.state.value if member.joined else 'gone'}")
+        member.put(frame, self._now)
+        segment = self._segments[0] if len(self._segments) == 1 else self._segment_of(member)
+        segment.wanting[member] = None
+        if segment.current is None:
+            self._schedule(segment)
+
+    def bus_off(self, member: WireMember, now: Time) -> None:
+        """Take a member's controller bus-off, as 32 transmit errors in a row would."""
+        self._advance(now)
+        segment = self._segment_of(member)
+        current = segment.current
+        if current is not None and member in current.senders:
+            self._destroy(segment, FaultKind.CORRUPTION)
+        member.transmit_errors = BUS_OFF_LIMIT
+        self._recount(segment, member, self._now)
+        self._schedule(segment)
+
+    def restart(self, member: WireMember, now: Time) -> None:
+        """Begin the recovery of a member that is bus-off, as `auto_recovery` does: it takes 128 times 11 recessive bits."""
+        self._advance(now)
+        if member.state is BusState.BUS_OFF and not member.recovery:
+            segment = self._segment_of(member)
+            self._settle_recoveries(segment, self._now)
+            member.recovery = RECOVERY
+            segment.recovering.append(member)
+
+    def babble(self, frame: Frame, until: Time, now: Time) -> WireMember:
+        """A member that has gone mad: it sends this frame again and again until then, and leaves. It hears nothing."""
+        member = self.join(now, queue_size=1)
+        member.babbles_until = until
+        self.send(member, frame, now)
+        return member
+
+    def cut(self, half: Iterable[WireMember], now: Time) -> None:
+        """Cut the cable: these members here, all others there. LocalProtocolError where it is cut already."""
+        self._advance(now)
+        if self.is_cut:
+            raise LocalProtocolError("the cable is cut already; mend it first")
+        (whole,) = self._segments
+        self._destroy(whole, FaultKind.CUT)
+        self._settle_recoveries(whole, self._now)
+        here = set(half)
+        parts = [member for member in whole.members if member in here], [each for each in whole.members if each not in here]
+        self._segments = [Segment(part, whole.free_at) for part in parts]
+        for segment in self._segments:
+            self._schedule(segment)
+
+    def mend(self, now: Time) -> None:
+        """Join the two halves again. A whole cable stays as it is."""
+        self._advance(now)
+        if not self.is_cut:
+            return
+        for segment in self._segments:
+            self._destroy(segment, FaultKind.CUT)
+            self._settle_recoveries(segment, self._now)
+        free_at = max(segment.free_at for segment in self._segments)
+        self._segments = [Segment(sorted(self.members, key=lambda member: member.number), free_at)]
+        self._schedule(self._segments[0])
+
+    # ---- time, and what comes out ----
+
+    def next_deadline(self) -> Time:
+        """When to call `handle_timeout`; NEVER if nothing goes on."""
+        deadline = self._late[0][0] if self._late else NEVER
+        for segment in self._segments:
+            due = self._due(segment)
+            if due < deadline:
+                deadline = due
+        return deadline
+
+    def handle_timeout(self, now: Time) -> None:
+        """Let happen what is due. Early calls do nothing; after a very late one `next_deadline` may still be due."""
+        self._run(now + 1, MAX_STEPS)
+        if self.next_deadline() > now:
+            self._now = max(self._now, now)
+
+    def drain(self) -> tuple[list[Delivery], list[WireEvent]]:
+        """What came out since the last drain, each in order."""
+        drained = self._deliveries, self._events
+        self._deliveries, self._events = [], []
+        return drained
+
+    def _advance(self, now: Time) -> None:
+        """Let happen what was due before now; what is due at this very time waits for more commands."""
+        if now > self._now:
+            self._run(now, None)
+            self._now = now
+
+    def _run(self, end: Time, most: int | None) -> None:
+        steps = 0
+        while (due := self.next_deadline()) < end and (most is None or steps < most):
+            steps += 1
+            self._now = max(self._now, due)
+            if self._late and self._late[0][0] <= due:
+                self._deliveries.append(heapq.heappop(self._late)[2])
+                continue
+            for segment in self._segments:
+                if self._due(segment) <= due:
+                    self._step(segment, due)
+
+    def _due(self, segment: Segment) -> Time:
+        if segment.current is not None:
+            return segment.current.ends
+        if segment.recovering:
+            bits = RECESSIVE * min(member.recovery for member in segment.recovering)
+            return min(segment.begins, segment.free_at + self.time_of(bits))
+        return segment.begins
+
+    def _step(self, segment: Segment, now: Time) -> None:
+        if segment.current is not None:
+            self._finish(segment, segment.current)
+        elif segment.begins <= now:
+            self._begin(segment, now)
+        else:
+            self._settle_recoveries(segment, now)
+
+    # ---- a transmission ----
+
+    def _schedule(self, segment: Segment) -> None:
+        """When the next frame begins; on a bus where one is sent now, that is seen at its end."""
+        if segment.current is not None:
+            return
+        if not segment.wanting:
+            segment.begins = NEVER
+            return
+        begins = segment.free_at
+        if self._disturbed:
+            begins = max(begins, min(member.suspended_until for member in segment.wanting))
+        segment.begins = begins if begins > self._now else self._now
+
+    def _begin(self, segment: Segment, now: Time) -> None:
+        best = -1
+        senders: list[WireMember] = []
+        for member in segment.wanting:
+            head = member.head()
+            if head is None or member.suspended_until > now:
+                continue
+            if not senders or head.arbitration < best:
+                best, senders = head.arbitration, [member]
+            elif head.arbitration == best:
+                senders.append(member)
+        if segment.recovering:
+            self._settle_recoveries(segment, now)
+        for member in senders:
+            member.begin()
+        first = senders[0].sending
+        assert first is not None
+        sending = segment.current = Transmission(now, first, senders)
+        segment.begins = NEVER
+        sending.ends = now + self.time_of(self._course(segment, sending))
+
+    def _course(self, segment: Segment, sending: Transmission) -> int:
+        """Decide what becomes of a frame; the bits until that shows."""
+        frame, senders = sending.waiting.frame, sending.senders
+        bits = frame_bits(frame)
+        if len(senders) > 1:
+            others = [member.sending.frame for member in senders if member.sending is not None]
+            place = min((first_difference(frame, other) for other in others if other != frame), default=0)
+            if place:
+                sending.outcome = FaultKind.COLLISION
+                return place
+        hearing = [member for member in segment.members if member not in senders and member.state is not BusState.BUS_OFF]
+        if not hearing and self.settings.acknowledge:
+            sending.outcome = FaultKind.LOSS  # with nobody there: not acknowledged
+            sending.victim = senders[0]
+            return bits - FRAME_TAIL + 2
+        rates = self.rates
+        total = rates.total
+        if total and (draw := self._random.random()) < total:
+            return self._hit(sending, hearing, draw, bits)
+        return bits - INTERMISSION
+
+    def _hit(self, sending: Transmission, hearing: list[WireMember], draw: float, bits: int) -> int:
+        rates, choose = self.rates, self._random
+        if draw < rates.corruption:
+            victim = choose.choice([*sending.senders, *hearing])
+            if victim in hearing and victim.state is BusState.PASSIVE:
+                self._grow(victim, receive=1)  # its flag is recessive, and disturbs nobody
+                sending.outcome, sending.victim = FaultKind.LOSS, victim
+                return bits - INTERMISSION
+            sending.outcome, sending.victim = FaultKind.CORRUPTION, victim
+            return choose.randint(1, bits - INTERMISSION - 1)
+        if draw < rates.corruption + rates.repetition:
+            sending.outcome = FaultKind.REPETITION
+        elif hearing:
+            sending.outcome = FaultKind.LOSS if draw < rates.corruption + rates.repetition + rates.loss else FaultKind.DELAY
+            sending.victim = choose.choice(hearing)
+        return bits - INTERMISSION
+
+    def _finish(self, segment: Segment, sending: Transmission) -> None:
+        """What was decided at the beginning shows now."""
+        now, outcome = sending.ends, sending.outcome
+        segment.current = None
+        if outcome is FaultKind.CORRUPTION or outcome is FaultKind.COLLISION:
+            self._fail(segment, sending, outcome, now)
+        elif outcome is FaultKind.LOSS and sending.victim in sending.senders:
+            self._not_acknowledged(segment, sending, now)
+        else:
+            self._deliver(segment, sending, now)
+        for member in sending.senders:
+            if not member.joined:
+                self._forget(segment, member)
+        self._busy += segment.free_at - sending.begun
+        if segment.recovering:
+            self._settle_recoveries(segment, segment.free_at, frames=1)
+        self._schedule(segment)
+
+    def _deliver(self, segment: Segment, sending: Transmission, now: Time) -> None:
+        waiting, senders, outcome, victim = sending.waiting, sending.senders, sending.outcome, sending.victim
+        receivers = tuple(
+            [
+                member
+                for member in segment.members
+                if member not in senders and member.state is not BusState.BUS_OFF and member.babbles_until is None
+            ]
+        )
+        self.frames += 1
+        segment.free_at = now + self._intermission
+        if outcome is not None:
+            self._events.append(FaultHappened(now, outcome, waiting.frame, victim))
+            if outcome is not FaultKind.REPETITION:
+                receivers = tuple(member for member in receivers if member is not victim)
+            if outcome is FaultKind.DELAY and victim.babbles_until is None:
+                victim.delayed_until = now + self._random.randint(1, self.rates.delay_time)
+                self._late_for(victim, Delivery(now, waiting.frame, waiting.queued, tuple(senders), (victim,)))
+        if self._late:
+            for member in receivers:
+                if member.delayed_until > now:
+                    self._late_for(member, Delivery(now, waiting.frame, waiting.queued, tuple(senders), (member,)))
+            receivers = tuple(member for member in receivers if member.delayed_until <= now)
+        self._deliveries.append(Delivery(now, waiting.frame, waiting.queued, tuple(senders), receivers))
+        if outcome is FaultKind.REPETITION:
+            segment.free_at = now + self.time_of(ERROR_FRAME + INTERMISSION)
+            self.error_frames += 1
+            for member in senders:
+                self._grow(member, transmit=8)
+                member.failed()
+                self._recount(segment, member, now)
+            return
+        for member in senders:
+            self._sent(segment, member, waiting, now)
+        if self._disturbed:
+            self._recover_counters(segment, senders, now)
+
+    def _late_for(self, member: WireMember, delivery: Delivery) -> None:
+        self._late_so_far += 1
+        heapq.heappush(self._late, (member.delayed_until, self._late_so_far, delivery._replace(at=member.delayed_until)))
+
+    def _sent(self, segment: Segment, member: WireMember, waiting: Waiting, now: Time) -> None:
+        member.sending = None
+        member.sent += 1
+        member.unacknowledged = False
+        if member.babbles_until is not None:
+            if now < member.babbles_until:
+                member.put(waiting.frame, now)
+            else:
+                member.joined = False
+        elif not member.queued:
+            segment.wanting.pop(member, None)
+        if member.state is BusState.PASSIVE:
+            member.suspended_until = segment.free_at + self.time_of(SUSPEND)
+
+    def _fail(self, segment: Segment, sending: Transmission, outcome: FaultKind, now: Time) -> None:
+        """An error frame follows."""
+        self.error_frames += 1
+        segment.free_at = now + self.time_of(ERROR_FRAME + INTERMISSION)
+        self._events.append(FaultHappened(now, outcome, sending.waiting.frame, sending.senders[0]))
+        for member in list(segment.members):
+            if member.state is BusState.BUS_OFF:
+                continue
+            if member in sending.senders:
+                self._grow(member, transmit=8)
+                member.failed()
+                if member.state is BusState.PASSIVE:
+                    member.suspended_until = segment.free_at + self.time_of(SUSPEND)
+            else:
+                self._grow(member, receive=9 if member is sending.victim else 1)
+            self._recount(segment, member, now)
+
+    def _not_acknowledged(self, segment: Segment, sending: Transmission, now: Time) -> None:
+        self.error_frames += 1
+        segment.free_at = now + self.time_of(ERROR_FLAG + ERROR_DELIMITER + INTERMISSION)
+        for member in sending.senders:
+            member.failed()
+            if not member.unacknowledged:
+                member.unacknowledged = True
+                self._events.append(StateReported(now, BusState.NO_ACKNOWLEDGE, member))
+            if member.state is BusState.PASSIVE:
+                member.suspended_until = segment.free_at + self.time_of(SUSPEND)
+            else:
+                self._grow(member, transmit=8)
+                self._recount(segment, member, now)
+
+    def _destroy(self, segment: Segment, outcome: FaultKind) -> None:
+        """What is on the wire now is lost, and is sent again."""
+        sending = segment.current
+        if sending is not None:
+            segment.current = None
+            self._fail(segment, sending, outcome, self._now)
+            self._busy += segment.free_at - sending.begun
+            for member in sending.senders:
+                if not member.joined:
+                    self._forget(segment, member)
+
+    # ---- error counters ----
+
+    def _grow(self, member: WireMember, *, transmit: int = 0, receive: int = 0) -> None:
+        member.transmit_errors += transmit
+        member.receive_errors = min(member.receive_errors + receive, BUS_OFF_LIMIT - 1)
+        self._disturbed[member] = None
+
+    def _recover_counters(self, segment: Segment, senders: list[WireMember], now: Time) -> None:
+        """A frame got through."""
+        for member in [each for each in self._disturbed if each in segment.members and each.state is not BusState.BUS_OFF]:
+            if member in senders:
+                member.transmit_errors = max(member.transmit_errors - 1, 0)
+            elif member.receive_errors >= PASSIVE_LIMIT:
+                member.receive_errors = AFTER_PASSIVE
+            else:
+                member.receive_errors = max(member.receive_errors - 1, 0)
+            self._recount(segment, member, now)
+            if not (member.transmit_errors or member.receive_errors or member.suspended_until > now):
+                del self._disturbed[member]
+
+    def _recount(self, segment: Segment, member: WireMember, now: Time) -> None:
+        """The state follows the counters."""
+        state = member.state_of_counters()
+        if state is member.state:
+            return
+        member.state = state
+        if state is BusState.BUS_OFF:
+            dropped = member.clear()
+            segment.wanting.pop(member, None)
+            self._events += [FaultHappened(now, FaultKind.NOT_SENT, each.frame, member) for each in dropped]
+            if member.babbles_until is not None:
+                member.joined = False
+                self._forget(segment, member)
+            elif self.settings.auto_recovery:
+                self._settle_recoveries(segment, now)
+                member.recovery = RECOVERY
+                segment.recovering.append(member)
+        self._events.append(StateReported(now, state, member))
+
+    def _settle_recoveries(self, segment: Segment, now: Time, frames: int = 0) -> None:
+        """Count the times 11 recessive bits since the bus became free, and one for each frame (ACK delimiter to intermission)."""
+        seen = frames
+        if not frames and segment.current is None and now > segment.free_at:
+            seen = (now - segment.free_at) // self.time_of(RECESSIVE)
+            segment.free_at = segment.free_at + seen * self.time_of(RECESSIVE) if segment.recovering else now
+        for member in list(segment.recovering):
+            member.recovery -= min(seen, member.recovery)
+            if not member.recovery:
+                segment.recovering.remove(member)
+                member.transmit_errors = member.receive_errors = 0
+                self._disturbed.pop(member, None)
+                self._recount(segment, member, now)
+
+    # ---- members ----
+
+    def _segment_of(self, member: WireMember) -> Segment:
+        for segment in self._segments:
+            if member in segment.members:
+                return segment
+        raise LocalProtocolError(f"{member!r} is not on this wire")
+
+    def _forget(self, segment: Segment, member: WireMember) -> None:
+        if member not in segment.members:
+            return
+        member.clear()
+        segment.members.remove(member)
+        segment.wanting.pop(member, None)
+        self._disturbed.pop(member, None)
+        if member in segment.recovering:
+            segment.recovering.remove(member)
+        self._schedule(segment)
