@@ -11,14 +11,15 @@ import pytest
 import trio
 
 from canopen_data.descriptions import load_description
-from canopen_master.cli.backup import bit_rate_of
+from canopen_master.cli.backup import bit_rate_of, write_dcf
 from canopen_master.cli.options import Settings
 from canopen_master.cli.problem import ExitCode
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Object, Variable
+from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.describing import describe
 from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.backup import Backup
 from canopen_proto.sdo.abort import AbortCode
 from tests.master.backup_world import NODE, Lasting, lasting
 from tests.master.cli_support import Run, runner
@@ -454,3 +455,83 @@ def test_progress_is_drawn_on_a_terminal(run: Run, world: Lasting, monkeypatch: 
     outcome = run("dump", *NODE, *EDS)
     assert "reading node 5 (0x05)" in outcome.err
     assert outcome.status == (ExitCode.NO_ANSWER if silent else 0)
+
+
+# ---- odd cases ----
+
+
+def test_reading_a_drive_that_another_master_runs_does_not_halt_it(run: Run, world: Lasting) -> None:
+    world.dictionary = device(
+        200, Object.of("controlword", [Variable(0x6040, 0, "controlword", DataType.UNSIGNED16, default=0x0F)])
+    )
+    outcome = run("dump", *NODE, "--json")
+    assert 0x0F in [each["value"] for each in outcome.json["objects"] if each["index"] == 0x6040]
+    assert world.writes == []
+
+
+def test_a_backup_by_the_dcf_of_another_node_is_of_this_one(run: Run, world: Lasting) -> None:
+    change(run, world)
+    other = Path("before.dcf").read_text().replace("NodeID=5", "NodeID=7\nNodeName=axis 7")
+    Path("other.dcf").write_text(other)
+    assert run("backup", *NODE, "-e", "5=other.dcf", "-o", "mine.dcf").status == 0
+    mine = load_description("mine.dcf").commissioning
+    assert mine is not None
+    assert (mine.node_id, mine.node_name) == (5, "")
+    found = Backup(5, world.dictionary, [])
+    write_dcf("fast.dcf", found, load_description("mine.dcf"), 500)
+    fast = load_description("fast.dcf").commissioning
+    assert fast is not None
+    assert (fast.node_id, fast.bit_rate) == (5, 500)
+
+
+def test_all_is_written_and_the_device_refuses_to_store(run: Run, world: Lasting) -> None:
+    change(run, world)
+    world.prepare = lambda node: setattr(node, "refuse", lambda count: AbortCode.HARDWARE_ERROR if count == 5 else None)
+    outcome = run("restore", *NODE, "before.dcf", "--yes", "--store")
+    assert outcome.status == ExitCode.SDO_ABORT
+    assert "node 5 refused writing 0x1010:01" in outcome.err
+    assert "4 of 4 writes were confirmed" in outcome.err
+    assert "all of it is written\n" in outcome.err
+    assert "not written:" not in outcome.err
+    assert world.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_file_without_an_identity_suits_any_device(run: Run, world: Lasting) -> None:
+    whole = device()
+    without = type(whole)(each for each in whole.objects.values() if each.index != 0x1018)
+    Path("small.eds").write_text(write_eds(describe(without)))
+    world.values[LIMITED << 8] = 12
+    assert run("eds", "to-dcf", "small.eds", "--id", "5", "--set", "limited=15", "-o", "small.dcf").status == 0
+    outcome = run("restore", *NODE, "small.dcf", "--yes")
+    assert (outcome.status, world.values[LIMITED << 8]) == (0, 15)
+    assert outcome.out == "2002:00 limited: 12 (0x0C) → 15 (0x0F)\n"
+
+
+def test_what_cannot_be_read_is_written_without_knowing_what_it_was(run: Run, world: Lasting) -> None:
+    assert run("eds", "to-dcf", "device.eds", "--id", "5", "--set", "secret=7", "-o", "secret.dcf").status == 0
+    outcome = run("restore", *NODE, "secret.dcf", "--yes", "--verify")
+    assert outcome.out == "2010:00 secret: ? → 7 (0x0007)\n"
+    assert world.values[0x2010_00] == 7
+
+
+def test_files_in_which_nothing_depends_on_the_node_id(run: Run, world: Lasting) -> None:
+    objects = device().objects
+    Path("plain.eds").write_text(write_eds(describe(ObjectDictionary(objects[index] for index in (0x1000, LIMITED)))))
+    assert run("compare", "plain.eds", "plain.eds").status == 0
+
+
+def test_progress_goes_on_while_an_object_is_waited_for(run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prepare(node: Strict) -> None:
+        receive = node.receive
+        node.receive = (
+            lambda frame, now: (  # type: ignore[method-assign]
+                None if frame.can_id == 0x605 and frame.data[1:3] == b"\x12\x20" else receive(frame, now)
+            )
+        )
+
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    world.prepare = prepare
+    outcome = run("dump", *NODE, *EDS)
+    assert outcome.status == ExitCode.PARTIAL
+    assert "not read:" in outcome.err
+    assert "/141" in outcome.err

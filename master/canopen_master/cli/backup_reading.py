@@ -42,8 +42,6 @@ class Indices(Kind):
     name = "indices"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[range, ...]:
-        if isinstance(value, tuple):
-            return value
         ranges = []
         for part in str(value).split(","):
             match = _RANGE.fullmatch(part)

@@ -82,8 +82,6 @@ class ToleranceKind(Kind):
     name = "tolerance"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Tolerance:
-        if isinstance(value, Tolerance):
-            return value
         number, percent, rest = str(value).partition("%")
         try:
             size = float(number)
