@@ -23,6 +23,10 @@ The timekeeper sleeps by the finest timer that the platform has (alarm.py); howe
 the kernel does), our SYNC producer rests, and each SYNC that comes is reported as `SyncSent`: what follows SYNC follows it still.
 Buses then keep the period, but not one phase.
 
+**Sending.** Where the transport can (`send_nowait`), a frame goes to the kernel in the very turn that made it: one that waits
+for another task costs a round of the scheduler. Where it cannot, has no room, or others wait already, it is queued, and the
+sender task hands over one after the other.
+
 **What goes first.** Frames leave in the order in which the core made them, but for SDO: its frames wait until nothing else is to
 be sent, and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs behind it, then SDO in what
 is left.
@@ -57,6 +61,7 @@ from canopen_transports import (
     BusState,
     BusStateChanged,
     CyclicTransport,
+    EagerTransport,
     FilteringTransport,
     FrameNotSent,
     ReceiveOverrun,
@@ -133,6 +138,7 @@ class Bus:
         self._sdo: deque[Frame] = deque()
         self._is_sending = False
         self._filter = transport if isinstance(transport, FilteringTransport) and transport.filtered else None
+        self._eager = transport if isinstance(transport, EagerTransport) else None
         self._wanted: tuple[int, ...] | None = None
         self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
         self._period: Time = 0  # of the transport's SYNC
@@ -145,15 +151,38 @@ class Bus:
         """Frames that have not reached the transport yet."""
         return len(self._first) + len(self._sdo) + self._is_sending
 
-    def queue(self, frames: Sequence[Frame]) -> bool:
-        """Queue frames for sending; False where they are too many."""
+    def queue(self, frames: Sequence[Frame], now: Time) -> bool:
+        """Send frames at once, where the transport can and nothing waits before them, else queue them; False: they are too many.
+
+        Raises what the transport does where sending at once fails.
+        """
         if self.failed:
             return True
+        eager = self._eager is not None and not self.pending
         for frame in frames:
-            is_sdo = _SDO_FIRST <= frame.can_id <= _SDO_LAST and not frame.flags & EXTENDED
-            (self._sdo if is_sdo else self._first).append(frame)
-        self._work.unpark()
+            if _SDO_FIRST <= frame.can_id <= _SDO_LAST and not frame.flags & EXTENDED:
+                self._sdo.append(frame)
+            elif not (eager and self._send_at_once(frame)):
+                eager = False
+                self._first.append(frame)
+        if eager:
+            while self._sdo and self._until_sync(now) > SDO_GUARD and self._send_at_once(self._sdo[0]):
+                self._sdo.popleft()
+        if self._first or self._sdo:
+            self._work.unpark()
         return len(self._first) + len(self._sdo) <= MAX_SEND_QUEUE
+
+    def _send_at_once(self, frame: Frame) -> bool:
+        """Whether the frame is out, or cannot get out now and was dropped."""
+        assert self._eager is not None
+        try:
+            if not self._eager.send_nowait(frame):
+                return False
+        except FrameNotSent as refusal:
+            self.drop(refusal.seen)
+        else:
+            self.settle_not_sent()
+        return True
 
     def change(self, state: BusState, reason: str) -> None:
         """The transport reports a change. Events: FramesNotSent, BusChanged."""
@@ -293,13 +322,14 @@ class Pump:
         return round(trio.current_time() * SECOND)
 
     @enable_ki_protection
-    def pump(self) -> None:
-        """Take up everything that the machines have to say, until they have no more. After each mutation."""
+    def pump(self, now: Time | None = None) -> None:
+        """Take up everything that the machines have to say, until they have no more. After each mutation (at `now`)."""
         if self._is_pumping:
             return  # called by what is being delivered: the loop below goes round again
         self._is_pumping = True
         try:
-            now = self.now()
+            if now is None:
+                now = self.now()
             busy = True
             while busy:
                 busy = False
@@ -319,9 +349,12 @@ class Pump:
 
     def _take(self, bus: Bus, now: Time) -> None:
         frames, events = bus.network.drain(now)
-        if frames and not bus.queue(frames):
-            name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
-            self._fail(bus, TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen), "send")
+        try:
+            if frames and not bus.queue(frames, now):
+                name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
+                raise TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen)
+        except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+            self._fail(bus, error, "send")
         for each in events:
             self._listener.on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
 
@@ -358,7 +391,8 @@ class Pump:
                 self._fail(bus, error, "receive")
             else:
                 self._received += 1
-                self._turn(bus.network.receive, frame, self.now(), timestamp)
+                now = self.now()
+                self._turn(bus.network.receive, frame, now, timestamp, now=now)
 
     @enable_ki_protection
     async def _send(self, bus: Bus) -> None:
@@ -406,10 +440,10 @@ class Pump:
         if deadline < NEVER:
             self._alarm.set(deadline / SECOND)
 
-    def _turn(self, mutate: Callable[..., object], *args: object) -> None:
+    def _turn(self, mutate: Callable[..., object], *args: object, now: Time | None = None) -> None:
         try:
             mutate(*args)
-            self.pump()
+            self.pump(now)
         except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
             self._listener.on_failure(None, error)
 

@@ -29,9 +29,10 @@ class OpenRequest:
         self._dispatcher = dispatcher
         self._root = bus.network.out.root
         self._remote = remote
-        self.request_id = submit(pump.now())
+        now = pump.now()
+        self.request_id = submit(now)
         self._waiter = dispatcher.expect(self._root, self.request_id, remote)
-        pump.pump()
+        pump.pump(now)
 
     @enable_ki_protection
     async def outcome(self) -> Outcome:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import pytest
 import trio
 
-from canopen_master import open_master
+from canopen_master import BusError, FramesNotSent, open_master
 from canopen_proto.frame import Frame
+from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
-from canopen_transports import BusState, BusStateChanged, Received
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received
 from tests.master.world import virtual_time
 
 
@@ -137,3 +139,60 @@ async def test_sdo_is_held_back_before_a_sync_of_the_transport() -> None:
             await trio.sleep(0.0005)
             assert bus.sent == ["603#4000100000000000"]
             nursery.cancel_scope.cancel()
+
+
+class Eager(Able):
+    """A transport that takes frames at once, while it has room."""
+
+    def __init__(self) -> None:
+        super().__init__(filtered=False, sends_sync=False)
+        self.at_once: list[str] = []
+        self.failure: Exception | None = None
+
+    def send_nowait(self, frame: Frame) -> bool:
+        if self.failure is not None:
+            raise self.failure
+        if self.room:
+            self.at_once.append(str(frame))
+        return bool(self.room)
+
+
+@virtual_time
+async def test_frames_go_out_in_the_turn_that_made_them_where_the_transport_can() -> None:
+    bus = Eager()
+    async with open_master(bus) as master, trio.open_nursery() as nursery:
+        node = master.node(3)
+        master.launch(read(node.remote, 0x1000))
+        assert bus.at_once == ["603#4000100000000000"]
+        bus.room = 0
+        master.sync_start(0.1)
+        bus.room = 512
+        nursery.start_soon(master.send_sync)  # something waits: it stays behind that
+        await trio.testing.wait_all_tasks_blocked()
+        assert bus.sent == ["080#", "080#"]
+        assert len(bus.at_once) == 1
+        await master.send_sync()
+        assert bus.at_once[1:] == ["080#"]
+        await trio.sleep(0.0999)
+        master.launch(read(master.node(4).remote, 0x1000))
+        assert bus.at_once[2:] == []  # a SYNC is near
+        await trio.sleep(0.0002)
+        assert bus.at_once[2:] == ["080#"]
+        await trio.testing.wait_all_tasks_blocked()
+        assert bus.sent[2:] == ["604#4000100000000000"]
+
+
+@virtual_time
+async def test_a_bus_that_is_away_or_fails_when_a_frame_is_to_go_out_at_once() -> None:
+    bus = Eager()
+    with pytest.raises(BusError, match="cannot send on able"):
+        async with open_master(bus) as master:
+            with master.events(FramesNotSent) as events:
+                bus.failure = FrameNotSent("CO111", "able", "cannot send", seen="it is away")
+                for _ in range(3):
+                    await master.send_sync()
+                bus.failure = None
+                await master.send_sync()
+                assert [(await events.receive()).count for _ in range(2)] == [1, 2]
+            bus.failure = trio.ClosedResourceError()
+            await master.send_sync()

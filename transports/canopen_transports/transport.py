@@ -59,6 +59,14 @@ class FilteringTransport(Protocol):
 
 
 @runtime_checkable
+class EagerTransport(Protocol):
+    """What a transport has besides that can hand a frame to the bus at once."""
+
+    def send_nowait(self, frame: Frame) -> bool:
+        """Hand a frame to the bus; False, and nothing was sent, where it has no room: then use `send`. Errors as there."""
+
+
+@runtime_checkable
 class CyclicTransport(Protocol):
     """What a transport has besides that can send cyclic frames without us. sends_sync: whether it shall send the SYNC."""
 

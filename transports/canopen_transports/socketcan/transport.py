@@ -145,6 +145,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
                 await self._wait_and_send(frame, data)
         await trio.lowlevel.cancel_shielded_checkpoint()
 
+    def send_nowait(self, frame: Frame) -> bool:
+        """Hand the frame to the kernel at once; False, and nothing was sent, where it has no room or others wait for it."""
+        check_frame(frame)
+        return not self._send_lock.locked() and not self._try_to_send(frame, kernel.pack(frame))
+
     def _try_to_send(self, frame: Frame, data: bytes) -> int:
         """Send, or EAGAIN or ENOBUFS for want of room; else 0."""
         if self._closed:
