@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import pytest
 import trio
@@ -16,10 +17,15 @@ from canopen_proto.dictionary.configured import configure
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.sdo.abort import AbortCode
 from canopen_transports import open_transport
-from tests.proto.restore_bench import Strict
+from tests.master.cli_support import Run
+from tests.proto.devices import TEXT
+from tests.proto.restore_bench import GAIN, Strict
 
 NODE = ("5", "-b", "demo")
+EDS = ("-e", "device.eds")
+"""The file of the device, in the current folder."""
 
 
 class Lasting:
@@ -36,7 +42,6 @@ class Lasting:
         self.writes: list[tuple[int, int]] = []
         self.prepare: Callable[[Strict], object] = lambda node: None
         self.is_there = True
-        self.starts = True
 
     def make(self, out: Outbox) -> LocalNode:
         held = {key: value for key, value in self.values.items() if self._is_kept(key)}
@@ -53,8 +58,7 @@ class Lasting:
             if self.is_there:
                 await nursery.start(simulate, await open_transport("virtual:demo"), [self.make])
                 self.prepare(self.node)
-                if self.starts:
-                    self.node.execute(NmtCommand.START, 0)
+                self.node.execute(NmtCommand.START, 0)
             await trio.sleep(0.05)
             try:
                 yield
@@ -75,3 +79,27 @@ def lasting(monkeypatch: pytest.MonkeyPatch, dictionary: ObjectDictionary) -> La
     world = Lasting(dictionary)
     monkeypatch.setattr(session, "simulated_fleet", world.fleet)
     return world
+
+
+_FILES: dict[int, dict[str, str]] = {}
+"""before.dcf and changed.dcf of each dictionary, by its id, as the first test that wants them has made them."""
+
+
+def change(run: Run, world: Lasting) -> None:
+    """The backup of the device, a changed one beside it, and the device as the changed one says."""
+    files = _FILES.setdefault(id(world.dictionary), {})
+    if not files:
+        assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
+        before = Path("before.dcf").read_text()
+        changed = before.replace("ParameterValue=0x00000285", "ParameterValue=0x00000295")
+        changed = changed.replace("ParameterValue=an I/O device with a long name", "ParameterValue=changed")
+        files.update({"before.dcf": before, "changed.dcf": changed.replace("ParameterValue=1.5", "ParameterValue=2.5")})
+    for name, text in files.items():
+        Path(name).write_text(text)
+    world.values.update({0x1801_01: 0x295, TEXT << 8: "changed", GAIN << 8: 2.5})
+
+
+def answering(node: Strict, answers: dict[int, bytes | AbortCode]) -> None:
+    """Have a device answer reads of some indices otherwise."""
+    reads = node.read
+    node.read = lambda index, sub, now: answers.get(index) or reads(index, sub, now)  # type: ignore[method-assign]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -29,8 +30,12 @@ HEARTBEAT_MS = 200
 
 
 def device(heartbeat_ms: int = HEARTBEAT_MS, *more: Object) -> ObjectDictionary:
-    """An I/O device with objects of all kinds that a backup treats in ways of their own."""
+    """An I/O device with objects of all kinds that a backup treats in ways of their own, and more."""
+    return _device(heartbeat_ms).with_objects(more) if more else _device(heartbeat_ms)
 
+
+@functools.cache
+def _device(heartbeat_ms: int) -> ObjectDictionary:
     def own(index: int, name: str, data_type: DataType, **fields: Any) -> Object:
         return Object.of(name, [Variable(index, 0, name, data_type, **fields)])
 
@@ -42,7 +47,6 @@ def device(heartbeat_ms: int = HEARTBEAT_MS, *more: Object) -> ObjectDictionary:
             own(GAIN, "gain", DataType.REAL32, default=1.5),
             own(HIDDEN, "hidden", DataType.UNSIGNED8, object_flags=2),
             own(FACTORY, "factory", DataType.UNSIGNED8, object_flags=1, default=3),
-            *more,
         ]
     )
 
@@ -104,6 +108,7 @@ class Bench:
         self.device = Strict(self.network.out, 5, self.dictionary)
         self.network.attach(self.device)
         self.host_stores = True
+        self._ended: list[Outcome] = []
         self.bus.on_event = self._serve
         self.device.boot(0)
         if start:
@@ -120,6 +125,8 @@ class Bench:
         self.device.writes.clear()
 
     def _serve(self, event: Event) -> None:
+        if isinstance(event, ENDED):
+            self._ended.append(event)
         if isinstance(event, ObjectAccessPending) and event.index == 0x1010 and self.host_stores:
             self.device.complete(event.access_id, None, self.bus.now)
 
@@ -138,9 +145,9 @@ class Bench:
         return self.master.run(procedure, self.bus.now)
 
     def outcome(self, limit: Time = 600 * SECOND) -> Outcome:
-        self.bus.run_until(lambda: any(isinstance(each, ENDED) for each in self.bus.events), limit)
-        (outcome,) = [each for each in self.bus.events if isinstance(each, ENDED)]
-        self.bus.events.remove(outcome)
+        self.bus.run_until(lambda: bool(self._ended), limit)
+        (outcome,) = self._ended
+        self._ended.clear()
         self.bus.run(100 * MILLISECOND)
         return outcome
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import Value
@@ -439,6 +439,7 @@ def test_an_empty_plan_is_nothing_to_do() -> None:
 # ---- whatever the bus does ----
 
 
+@settings(max_examples=50)
 @given(
     values=st.fixed_dictionaries({}, optional={key: st.just(value) for key, value in CHANGES.items()}),
     fates=st.lists(st.sampled_from(CAN_FATES), max_size=60),
