@@ -14,7 +14,16 @@ import trio
 import trio.testing
 
 from canopen_proto.frame import Frame
-from canopen_transports import PythonCanTransport, ReceiveOverrun, TransportError, parse_locator
+from canopen_transports import (
+    BusState,
+    BusStateChanged,
+    FrameNotSent,
+    PythonCanTransport,
+    ReceiveOverrun,
+    Transport,
+    TransportError,
+    parse_locator,
+)
 from canopen_transports.python_can import ROOM_TIME
 from tests.transports.fake_bus import ScriptedBus
 from tests.transports.support import trio_test
@@ -40,6 +49,12 @@ def error_frame(classes: int, data: str) -> can.Message:
 
 def sync() -> can.Message:
     return can.Message(arbitration_id=0x80, is_extended_id=False)
+
+
+async def reported(transport: Transport) -> BusStateChanged:
+    with pytest.raises(BusStateChanged) as caught:
+        await transport.receive()
+    return caught.value
 
 
 @pytest.fixture
@@ -101,6 +116,7 @@ async def _explains_with_what_it_heard(fd: int) -> None:
     bus = ScriptedBus(sends=[full()] * 5000, received=[sync(), passive, sync()], fd=fd)
     async with PythonCanTransport(bus, locator=CAN0) as transport:
         await transport.receive()
+        assert (await reported(transport)).state is BusState.PASSIVE
         await transport.receive()
         with pytest.raises(TransportError) as caught:
             await transport.send(SYNC)
@@ -198,6 +214,7 @@ async def _error_frames(fd: int) -> None:
     bus = ScriptedBus(
         received=[
             error_frame(0x001, ""),
+            error_frame(0x001, ""),  # so soon, it is not told again
             sync(),
             error_frame(0x004, "0001000000000000"),
             error_frame(0x040, "0000000000000000"),
@@ -208,17 +225,22 @@ async def _error_frames(fd: int) -> None:
         fd=fd,
     )
     async with PythonCanTransport(bus, locator=CAN0) as transport:
+        assert (await reported(transport)).seen == transport.last_error == "transmission timed out"
         assert (await transport.receive())[0] == SYNC
-        assert (transport.errors, transport.last_error) == (1, "transmission timed out")
+        assert transport.errors == 2
         with pytest.raises(ReceiveOverrun, match="1 received frame lost") as overrun:
             await transport.receive()
         assert overrun.value.seen == "controller's receive buffer overran"
-        with pytest.raises(TransportError) as caught:
-            await transport.receive()
-        assert caught.value.code == "CO110"
-        assert caught.value.seen == "controller is bus-off"
+        off = await reported(transport)
+        assert (off.state, off.seen) == (BusState.BUS_OFF, "controller is bus-off")
+        assert off.tries[-1].endswith("restart-ms 100")
+        with pytest.raises(FrameNotSent, match="nothing acknowledges") as refused:
+            await transport.send(SYNC)
+        assert refused.value.code == "CO110"
+        assert (await reported(transport)).state is BusState.ACTIVE
+        await transport.send(SYNC)
         assert (await transport.receive())[0] == SYNC
-        assert (transport.errors, transport.last_error) == (5, "unknown error")
+        assert (transport.errors, transport.last_error) == (6, "unknown error")
 
 
 def test_error_frames_are_reported_and_never_handed_out(readable: int) -> None:

@@ -10,7 +10,7 @@ import trio
 import trio.testing
 
 from canopen_proto.frame import Frame
-from canopen_transports import PythonCanTransport, ReceiveOverrun, Transport, open_transport
+from canopen_transports import BusStateChanged, PythonCanTransport, ReceiveOverrun, Transport, open_transport
 from tests.transports.conformance import TransportConformance, number_of, numbered
 from tests.transports.support import trio_test
 
@@ -97,9 +97,12 @@ async def test_what_is_no_classical_frame_stops_at_the_edge() -> None:
                 assert transport.refused == refused + 1
                 assert reason in transport.last_refusal
             other.send(can.Message(is_error_frame=True))
+            with pytest.raises(BusStateChanged, match="bus fault"):
+                await transport.receive()
+            other.send(can.Message(is_error_frame=True))  # so soon, it is not told again
             other.send(can.Message(arbitration_id=0x80, is_extended_id=False))
             assert (await transport.receive())[0] == Frame.parse("080#")
-            assert (transport.errors, transport.last_error) == (1, "error frame")
+            assert (transport.errors, transport.last_error) == (2, "error frame")
 
 
 @trio_test(real_time=True)

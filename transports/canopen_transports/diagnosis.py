@@ -18,6 +18,7 @@ import can
 
 from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, NO_PERMISSION, NOT_ACKNOWLEDGED, TransportError
 from canopen_transports.locator import Locator, bitrate_text, nearest
+from canopen_transports.peak import attached
 
 OPENING_ERRORS: Final = (
     can.CanError,
@@ -30,8 +31,9 @@ OPENING_ERRORS: Final = (
     LookupError,  # PEAK channel names
     RuntimeError,  # NotImplementedError among others
 )
-IO_ERRORS: Final = (can.CanError, OSError, ValueError)
-"""What a backend's send and recv raise. ValueError: a serial line that talks nonsense, too high a descriptor for `select`."""
+IO_ERRORS: Final = (can.CanError, OSError, NameError, ValueError, LookupError)
+"""What a backend's send and recv raise. ValueError, LookupError: a serial line that talks nonsense; ValueError: too high a
+descriptor for `select`; NameError: a function that the driver's library lacks."""
 
 SAMPLE_BITRATE: Final = 500_000
 """What a suggested command shows where we do not know the bus's bit rate."""
@@ -65,7 +67,8 @@ _DRIVERS: Final = {
 }
 _ROUTE_MULTICAST: Final = "sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)"
 _ARPHRD_CAN: Final = 280
-_FULL: Final = re.compile(r"\b(buffer|queue)\b.*\bfull\b", re.IGNORECASE)
+# PCAN-Basic: "The transmit queue is full"; Vector: XL_ERR_QUEUE_IS_FULL; Kvaser: "Transmit buffer overflow"
+_FULL: Final = re.compile(r"(buffer|queue).*full|transmit.*overflow", re.IGNORECASE)
 
 
 def error_number(error: BaseException) -> int | None:
@@ -138,6 +141,9 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         if isinstance(error, NameError):  # which of its functions was missed first helps nobody
             seen = f"python-can found no library of {locator.interface}"
         tries = [*_driver_steps(locator), *tries]
+    elif locator.interface == "pcan" and isinstance(error, can.CanInitializationError):
+        cause, steps = _why_no_peak_channel(locator, attached())
+        tries = [*steps, *tries]
     elif isinstance(error, LookupError | ValueError | TypeError):
         seen = f"{locator.interface} of python-can does not accept channel {locator.channel!r} with these options: {seen}"
         tries = [*_channel_steps(locator), f"https://python-can.readthedocs.io/ says what {locator.interface} takes"]
@@ -261,6 +267,23 @@ def _driver_steps(locator: Locator) -> Iterator[str]:
     if locator.interface == "pcan":
         by_kernel = locator._replace(interface="socketcan", channel="can0")
         yield f"socketcan:can0, after {bring_up(by_kernel)}   (with the kernel's own driver, peak_usb)"
+
+
+def _why_no_peak_channel(locator: Locator, channels: dict[str, str]) -> tuple[str, list[str]]:
+    """The cause and the next steps where PCAN-Basic is there, but does not open a channel."""
+    condition = channels.get(locator.channel)
+    others = [name for name, state in channels.items() if state == "free" and name != locator.channel]
+    steps = [f"pcan:{name}@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}" for name in others]
+    if condition == "in use":
+        return "another program uses the adapter", ["close the other program", *steps]
+    if condition == "free":
+        return "the driver refuses the adapter, which is there and free", ["plug it in again", *steps]
+    if steps:
+        return f"there is no {locator.channel}, but {', '.join(others)}", steps
+    return "no PEAK adapter is plugged in, or its driver is not loaded", [
+        "sudo modprobe pcan && cat /proc/pcan",
+        "canopen doctor",
+    ]
 
 
 def _channel_steps(locator: Locator) -> Iterator[str]:

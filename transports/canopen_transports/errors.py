@@ -90,14 +90,14 @@ class ReceiveOverrun(TransportError):
     lost: how many, at least 1. Only a lower bound where a CAN controller reports that it lost some, but not how many.
     """
 
-    def __init__(self, locator: str, lost: int, seen: str) -> None:
+    def __init__(self, locator: str, lost: int, seen: str, *, cause: str = "") -> None:
         super().__init__(
             OVERRUN,
             locator,
             f"{lost} received frame{'s' if lost > 1 else ''} lost on {locator}",
             seen=seen,
-            cause="this process was too slow, or stalled; a burst was longer than the receive queue",
-            tries=("take frames in a task that does nothing else",),
+            cause=cause or "this process was too slow, or stalled; a burst was longer than the receive queue",
+            tries=() if cause else ("take frames in a task that does nothing else",),
         )
         self.lost = lost
 

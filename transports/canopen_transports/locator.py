@@ -1,12 +1,14 @@
 """Locators: the text that names a bus, `INTERFACE:CHANNEL@BITRATE?OPTION=VALUE&...`.
 
     virtual:demo                        a bus inside this process (the name may be left out)
+    virtual:demo?bitrate=1M&loss=0.001  the same with the physics of copper, and faults (see virtual_wire.py)
     socketcan:can0                      Linux; the bit rate is set with `ip link`, not by us; also just `can0`, `vcan0`
     socketcan:can0?filter=ids           the kernel lets through only what the master's machines want
     socketcan:can0?sync=bcm             the kernel's broadcast manager sends the cyclic SYNC
     pcan:PCAN_USBBUS1@500k              PEAK adapters by PCAN-Basic; 500k where none is given
     /dev/pcan32  /dev/pcanusb32         the same by PEAK's Linux device file, as the manual's chain files have it
     slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
+    pcan:PCAN_USBBUS1@500k?listen_only=true     without a word of ours on the bus, not even an acknowledge (see `listen_only`)
     udp_multicast                       two terminals of one computer
     udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
     kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it
@@ -80,9 +82,7 @@ def parse_locator(text: str) -> Locator:
     if _NET_DEVICE.fullmatch(interface) and not colon:
         return Locator(text, True, "socketcan", interface, bitrate, options)
     if interface == "virtual":
-        if bitrate is not None or options:
-            raise _bad(text, "a virtual bus has neither bit rate nor options", tries=(f"virtual:{channel}",))
-        return Locator(text, True, interface, channel or DEFAULT_BUS_NAME, None, {})
+        return Locator(text, True, interface, channel or DEFAULT_BUS_NAME, bitrate, options)
     if interface == "socketcan":
         return Locator(text, True, interface, channel, bitrate, options)
     if interface == "pythoncan":

@@ -7,8 +7,6 @@ ask.
 
 from __future__ import annotations
 
-from typing import Final
-
 import can
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
@@ -51,42 +49,3 @@ def message_of(frame: Frame, channel: str | None = None) -> can.Message:
         data=frame.data,
         channel=channel,
     )
-
-
-# SocketCAN's error frames (linux/can/error.h): the identifier says which kinds of error, the data bytes give details.
-_CONTROLLER_PROBLEM: Final = 0x004
-_BUS_OFF: Final = 0x040
-_CLASSES: Final = (
-    (0x001, "transmission timed out"),
-    (0x002, "lost arbitration"),
-    (0x008, "protocol violation on the wire"),
-    (0x010, "transceiver fault"),
-    (0x020, "no acknowledge"),
-    (_BUS_OFF, "controller is bus-off"),
-    (0x080, "bus error"),
-    (0x100, "controller restarted"),
-)
-_CONTROLLER: Final = (  # data[1]
-    (0x01, "controller's receive buffer overran"),
-    (0x02, "controller's transmit buffer overran"),
-    (0x0C, "controller warns of errors"),
-    (0x30, "controller is error-passive"),
-    (0x40, "controller is error-active again"),
-)
-
-
-class BusError:
-    """What an error frame of SocketCAN says. text: for people. bus_off: the controller left the bus. overrun: it lost frames."""
-
-    __slots__ = ("bus_off", "overrun", "text")
-
-    def __init__(self, message: can.Message) -> None:
-        data = bytes(message.data).ljust(MAX_LENGTH, b"\0")
-        controller = data[1] if message.arbitration_id & _CONTROLLER_PROBLEM else 0
-        texts = [text for bit, text in _CLASSES if message.arbitration_id & bit]
-        texts += [text for bits, text in _CONTROLLER if controller & bits]
-        if data[6] or data[7]:
-            texts.append(f"tx error counter {data[6]}, rx error counter {data[7]}")
-        self.text = ", ".join(texts) or "unknown error"
-        self.bus_off = bool(message.arbitration_id & _BUS_OFF)
-        self.overrun = bool(controller & 0x01)

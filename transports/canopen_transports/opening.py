@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import errno
+import functools
 import ipaddress
 import logging
 import os
 import socket
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import can
 import trio
 
-from canopen_transports import diagnosis
+from canopen_transports import diagnosis, listen_only
 from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
-from canopen_transports.virtual import VirtualTransport
+from canopen_transports.virtual import VirtualTransport, open_virtual
+from canopen_transports.virtual_wire import WireTransport
 
 if TYPE_CHECKING:
     from canopen_transports.socketcan import SocketCanTransport
 
-OpenTransport: TypeAlias = "VirtualTransport | SocketCanTransport | PythonCanTransport"
+OpenTransport: TypeAlias = "VirtualTransport | WireTransport | SocketCanTransport | PythonCanTransport"
 
 MULTICAST_GROUP: Final = "239.74.163.2"
 """python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
@@ -43,15 +45,19 @@ async def open_transport(locator: str) -> OpenTransport:
     parsed = parse_locator(locator)
     if parsed.own:
         await trio.lowlevel.checkpoint()
-        return VirtualTransport(parsed.channel) if parsed.interface == "virtual" else _open_socketcan(parsed)
+        if parsed.interface == "virtual":
+            return open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
+        return _open_socketcan(parsed)
     await trio.lowlevel.checkpoint_if_cancelled()
     # In a thread, for drivers take their time (python-can's slcan sleeps 2 s). It is not abandoned when we are cancelled, so that
     # no adapter stays open behind our back; the cancel comes at the caller's next checkpoint, inside his `async with`.
     bus = await trio.to_thread.run_sync(_open_bus, parsed)
-    return PythonCanTransport(bus, locator=parsed)
+    return PythonCanTransport(bus, locator=parsed, reopen=functools.partial(_open_bus, parsed))
 
 
 def _open_socketcan(locator: Locator) -> SocketCanTransport:
+    if listen_only.LISTEN_ONLY in locator.options:
+        raise listen_only.refused(locator)
     try:
         _check_net_device(locator)
     except diagnosis.OPENING_ERRORS as error:  # no SocketCAN here
@@ -62,7 +68,7 @@ def _open_socketcan(locator: Locator) -> SocketCanTransport:
 
 
 def _open_bus(locator: Locator) -> can.BusABC:
-    channel, options = locator.python_can_channel, dict(locator.options)
+    channel, options = locator.python_can_channel, listen_only.backend_options(locator)
     if locator.bitrate is not None:
         options["bitrate"] = locator.bitrate
     try:
@@ -83,7 +89,7 @@ def _open_bus(locator: Locator) -> can.BusABC:
     return bus
 
 
-def _bus(interface: str, channel: Option, options: dict[str, Option]) -> can.BusABC:
+def _bus(interface: str, channel: Option, options: dict[str, Any]) -> can.BusABC:
     # ignore_config: python-can would else fill in what the locator leaves out from ~/.canrc and the environment.
     return can.Bus(channel=channel if channel != "" else None, interface=interface, ignore_config=True, **options)  # type: ignore[arg-type]
 

@@ -2,14 +2,15 @@
 
 Filled from the trio thread or from one reader thread, emptied by a trio task. When it is full, what comes next is lost, but not
 silently: a mark goes into the queue at the place of the loss and counts. A reader so gets first all frames from before the loss,
-then one `ReceiveOverrun`, then what came after it, and always knows what it can rely on.
+then one `ReceiveOverrun`, then what came after it, and always knows what it can rely on. In the same way reports stand between
+the frames: what a bus has to say that is no frame.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import Final
+from typing import Final, TypeVar
 
 import trio
 
@@ -18,6 +19,10 @@ from canopen_transports.transport import Received
 
 RECEIVE_QUEUE_SIZE: Final = 8192
 """Frames; about one second of a fully loaded 1 Mbit/s bus, which is longer than any stall that a controller survives anyway."""
+MAX_EXTRA: Final = 64
+"""Marks and reports that stand above the frames in a full queue. Then each new one takes the place of the last of its kind."""
+
+K = TypeVar("K")
 
 
 class _Lost:
@@ -28,14 +33,14 @@ class _Lost:
 
 
 class ReceiveQueue:
-    """See this module's text. `put` and `fail` may be called in any thread, followed by `wake` in the trio thread."""
+    """See this module's text. `put`, `report` and `fail` may be called in any thread, followed by `wake` in the trio thread."""
 
     def __init__(self, locator: str, size: int) -> None:
         if size < 1:
             raise ValueError(f"a receive queue of {size} frames can hold nothing")
         self._locator = locator
         self._size = size
-        self._items: deque[Received | _Lost] = deque()
+        self._items: deque[Received | TransportError | _Lost] = deque()
         self._lock = threading.Lock()
         self._waiting = trio.lowlevel.ParkingLot()
         self._failure: TransportError | None = None
@@ -48,11 +53,23 @@ class ReceiveQueue:
             if len(items) < self._size:
                 items.append(received)
                 return
-            last = items[-1]
-            if isinstance(last, _Lost):  # the mark itself stands above the size: at most size + 1 items
+            last = self._latest(_Lost) if len(items) >= self._size + MAX_EXTRA else items[-1]
+            if isinstance(last, _Lost):
                 last.count += 1
             else:
                 items.append(_Lost())
+
+    def report(self, report: TransportError) -> None:
+        """Add what `get` raises at this place."""
+        with self._lock:
+            items = self._items
+            last = self._latest(TransportError) if len(items) >= self._size + MAX_EXTRA - 1 else None
+            if last is not None:
+                items.remove(last)
+            items.append(report)
+
+    def _latest(self, kind: type[K]) -> K | None:
+        return next((item for item in reversed(self._items) if isinstance(item, kind)), None)
 
     def fail(self, failure: TransportError) -> None:
         """Nothing more will come: once what is queued was taken, each `get` raises this."""
@@ -68,6 +85,10 @@ class ReceiveQueue:
         self._items.clear()
         self._waiting.unpark_all()
 
+    def is_empty(self) -> bool:
+        """Whether all that came was taken."""
+        return not self._items
+
     async def get(self) -> Received:
         """The next frame. Cancelled, it took none."""
         await trio.lowlevel.checkpoint()
@@ -76,6 +97,8 @@ class ReceiveQueue:
                 raise trio.ClosedResourceError(f"{self._locator} was closed")
             with self._lock:
                 item = self._items.popleft() if self._items else None
+            if isinstance(item, TransportError):
+                raise item
             if item is None:
                 if self._failure is not None:
                     raise self._failure
