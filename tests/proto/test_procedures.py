@@ -132,7 +132,7 @@ def test_a_refused_step_raises_in_the_procedure_which_may_go_on(desk: Desk) -> N
         assert isinstance(failed, LocalProtocolError)
 
 
-@pytest.mark.parametrize("nonsense", [None, 5, "wait", sleep, Exception("x"), Wait, Step()], ids=repr)
+@pytest.mark.parametrize("nonsense", [None, 5, "wait", sleep, Exception("x"), Wait, Step()])
 def test_what_is_not_a_step_is_a_type_error_in_the_procedure(desk: Desk, nonsense: object) -> None:
     error = desk.result_of(steps(nonsense))
     assert isinstance(error, TypeError)
