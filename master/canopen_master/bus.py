@@ -158,7 +158,7 @@ class Bus:
         """
         if self.failed:
             return True
-        eager = self._eager is not None and not self.pending
+        eager = self._eager is not None and not self._first and not self._is_sending
         for frame in frames:
             if _SDO_FIRST <= frame.can_id <= _SDO_LAST and not frame.flags & EXTENDED:
                 self._sdo.append(frame)
