@@ -4,7 +4,8 @@ A group of the machines that concern one node: SDO clients, heartbeat consumer, 
 us. It holds
 
 - `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
-  by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read);
+  by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read). What we
+  command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`;
 - `nmt_state`: what its heartbeat says, and where it has none, what we commanded. A heartbeat right behind a command may have been
   sent before it: until NMT_REACTION_TIME is over, the command counts. A node whose heartbeat is lost keeps the state last known.
 
@@ -60,6 +61,7 @@ class RemoteNode(Group):
         "_mpdo_rpdos",
         "_wanted",
         "_writes",
+        "commanded",
         "emcy",
         "guarding",
         "heard_at",
@@ -100,6 +102,7 @@ class RemoteNode(Group):
         self.tpdos: dict[int, PdoConsumer] = {}
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
+        self.commanded: set[int] = set()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
         self._listeners: list[Callable[[Collection[int], Time], None]] = []
@@ -390,12 +393,16 @@ class RemoteNode(Group):
 
     def _on_uploaded(self, report: SdoUploaded, now: Time) -> None:
         variable = self.dictionary.get(report.index, report.subindex)
-        if variable is not None:
+        if variable is not None and not self._is_ours(variable.mux):
             try:
                 self.values.store[variable.mux] = variable.decode(report.data)
             except ValueRangeError:
                 return  # a length that is not the object's: whoever asked sees the bytes
             self._heard((variable.mux,), now)
+
+    def _is_ours(self, mux: int) -> bool:
+        """Whether the image of an object is what we command: what was read of it is older, or somebody else's."""
+        return mux in self.commanded or any(mux in each.mapping.muxes for each in self.rpdos.values())
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)

@@ -104,6 +104,7 @@ class Axis:
         self.settings = settings
         self.state = State.UNKNOWN
         self.is_homed = False
+        node.commanded.add(CONTROLWORD)
         node.add_listener(self._on_values, self._on_boot)
 
     # ---- what is known of the drive ----

@@ -12,9 +12,6 @@ A device may refuse some of its objects, or not know what its EDS lists: that is
 that does not answer at all is another matter: where the very first request, or MAX_SILENT in a row, get no answer, the device is
 gone, and the procedure fails. So it does where the device is reset meanwhile, as what it said before may not be so any more.
 
-`RemoteNode.values` follows what is read, but for control words: that image is what we have commanded, and a drive that somebody
-else has enabled is not ours to halt.
-
 An ObjectRead event tells of each object as it is known.
 
 Source: CiA 302-3 (upload of a device's configuration); CiA 306-1 v1.4.0, ObjFlags.
@@ -28,7 +25,6 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.machine import Event, event
@@ -40,7 +36,6 @@ from canopen_proto.sdo.client import Block
 
 MAX_SILENT: Final = 3
 """Objects in a row without an answer, after which the device counts as gone. One may be a device's fault, or a lost frame."""
-_CONTROL_WORDS: Final = frozenset(CONTROLWORD + (0x800 << 8) * axis for axis in range(8))
 _PADDING: Final = "\0 \t\r\n"
 NO_UPLOAD: Final = 2
 """ObjFlags, bit 1: refuses to be read by an upload of the whole dictionary. CiA 306-1."""
@@ -202,14 +197,10 @@ class Patience:
 def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Patience) -> Procedure[bytes | SdoFailed]:
     """An object's bytes, or why there are none. Raises SdoFailed where the device is gone."""
     answer: bytes | SdoFailed
-    key = index << 8 | subindex
-    image = node.values.store.get(key)
     try:
         answer = yield from upload(node.sdo, index, subindex, block=block)
     except SdoFailed as failed:
         answer = failed
-    if image is not None and key in _CONTROL_WORDS:
-        node.values.store[key] = image
     patience.note(answer)
     return answer
 

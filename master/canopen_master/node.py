@@ -49,6 +49,7 @@ class Node:
         self._master = master
         self._bus = bus
         self.remote = remote
+        remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
 
     def __repr__(self) -> str:

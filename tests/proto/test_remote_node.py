@@ -119,6 +119,21 @@ def test_an_object_is_read_by_any_of_its_names(key: str | int | tuple[int, int])
     assert bench.output == -2
 
 
+def test_what_is_read_does_not_change_what_we_command() -> None:
+    bench = MasterBench()
+    bench.node.add_pdo(bench.node.dictionary.pdo("outputs"), bench.now)
+    bench.output = 5  # to go out with the next SYNC
+    bench.node.read(OUTPUT, bench.now)
+    bench.tell("585#4B01200004000000")  # the device has the value of before
+    assert bench.seen(SdoUploaded)
+    assert bench.output == 5
+    bench.node.remove_pdo(Direction.RPDO, 1)
+    bench.node.commanded.add(OUTPUT << 8)
+    bench.node.read(OUTPUT, bench.now)
+    bench.tell("585#4B01200004000000")
+    assert bench.output == 5
+
+
 @pytest.mark.parametrize(
     ("value", "data"), [(7, "0700"), (-2, "FEFF"), ("all_off", "0000"), ("lamp", "0100"), ("low", "FEFF"), (True, "0100")]
 )
