@@ -12,6 +12,7 @@ from typing import Final
 
 from canopen_proto.dictionary import Values
 from canopen_proto.dictionary.csv import load_csv
+from canopen_proto.dictionary.eds import read_eds
 from canopen_proto.dictionary.eds.ini import MAX_FINDINGS
 from canopen_proto.dictionary.findings import DictionaryError
 from canopen_proto.dictionary.xdd import read_xdd
@@ -173,6 +174,17 @@ def xdd_files(data: bytes) -> None:
         assert description.place_of(variable.index, variable.subindex, "DefaultValue")[0] >= 1
 
 
+def eds_files(data: bytes) -> None:
+    """The reader of EDS and DCF: the same."""
+    description = read_eds(data, "any.eds")
+    assert len(description.findings) <= MAX_FINDINGS + 1
+    for variable in description.dictionary:
+        for value in (variable.default, variable.configured):
+            assert value is None or isinstance(value, str) or variable.encode(value) is not None
+        line, column = description.place_of(variable.index, variable.subindex, "DefaultValue")
+        assert line >= 1 <= column or description.device_info.compact_pdo  # which stands for whole objects
+
+
 TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
-    target.__name__: target for target in (local_node, remote_node, sdo_client, sdo_server, csv_files, xdd_files)
+    target.__name__: target for target in (local_node, remote_node, sdo_client, sdo_server, csv_files, xdd_files, eds_files)
 }

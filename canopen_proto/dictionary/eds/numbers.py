@@ -31,10 +31,13 @@ _NUMBER: Final = re.compile(r"([+-]?)(?:0[xX]([0-9A-Fa-f]{1,32})|([0-9]{1,40}))"
 _OCTAL: Final = re.compile(r"0[0-7]+", re.ASCII)
 _SUFFIXED: Final = re.compile(r"([0-9A-Fa-f]{1,32})[hH]", re.ASCII)
 _NODE_ID: Final = re.compile(r"\$NODEID", re.IGNORECASE | re.ASCII)
-_REAL: Final = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE | re.ASCII)
+_REAL: Final = re.compile(
+    r"[+-]?(?:[0-9]{1,400}(?:\.[0-9]{0,400})?|\.[0-9]{1,400})(?:[eE][+-]?[0-9]{1,9})?|[+-]?inf(?:inity)?",
+    re.IGNORECASE | re.ASCII,
+)
 _BITS: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
 _OCTETS: Final = re.compile(r"(?:0[xX])?((?:[0-9A-Fa-f]{2}\s*)*)", re.ASCII)
-_COMMENT: Final = re.compile(r"\s*[#;]")
+_COMMENT: Final = re.compile(r"[#;]")
 
 _TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 _REALS: Final = {DataType.REAL32: struct.Struct(">f"), DataType.REAL64: struct.Struct(">d")}
@@ -68,7 +71,7 @@ def read_number(text: str) -> tuple[int | None, str]:
     bare = text.strip()
     cut = _COMMENT.search(bare)
     if cut is not None and cut.start():
-        number_before, _ = read_number(bare[: cut.start()])
+        number_before, _ = read_number(bare[: cut.start()].rstrip())
         if number_before is not None:
             return number_before, "the comment behind it was left out; a comment has a line of its own"
     suffixed = _SUFFIXED.fullmatch("".join(bare.split()))
