@@ -273,7 +273,7 @@ def _why_no_peak_channel(locator: Locator, channels: dict[str, str]) -> tuple[st
     """The cause and the next steps where PCAN-Basic is there, but does not open a channel."""
     condition = channels.get(locator.channel)
     others = [name for name, state in channels.items() if state == "free" and name != locator.channel]
-    steps = [f"pcan:{name}@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}" for name in others]
+    steps = [f"pcan:{name}@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}" for name in others[:2]]
     if condition == "in use":
         return "another program uses the adapter", ["close the other program", *steps]
     if condition == "free":

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import can
 import trio
 
-from canopen_transports import diagnosis, listen_only
+from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
@@ -82,6 +82,7 @@ def _open_bus(locator: Locator) -> can.BusABC:
             _check_peak_bitrate(locator)
         bus = _bus(locator.interface, channel, options)
     except diagnosis.OPENING_ERRORS as error:
+        leftovers.clear_away(error)
         raise diagnosis.cannot_open(locator, error) from error
     if locator.interface == "socketcan" and _pending_error(bus) == errno.ENETDOWN:
         bus.shutdown()

@@ -46,6 +46,7 @@ from canopen_transports.errors import (
     ReceiveOverrun,
     TransportError,
 )
+from canopen_transports.leftovers import close_serial_line
 from canopen_transports.listen_only import is_listen_only
 from canopen_transports.locator import Locator
 from canopen_transports.messages import RefusedMessage, frame_of, message_of
@@ -251,8 +252,9 @@ class PythonCanTransport(trio.abc.AsyncResource):
         if self._mark is not None and not isinstance(error.__cause__, OSError):
             self._refuse(f"{error}: {error.__cause__}")
             return None
-        if isinstance(error, _NONSENSE):
-            self._refuse(f"{type(error).__name__}: {error}")
+        nonsense = error if isinstance(error, _NONSENSE) else error.__cause__
+        if isinstance(nonsense, _NONSENSE):
+            self._refuse(f"{type(nonsense).__name__}: {nonsense}")
             flush = getattr(self._bus, "flush", None)
             if flush is not None:  # python-can's slcan keeps a line that it cannot decode, and would stumble over it for ever
                 flush()
@@ -383,6 +385,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
                     self._bus.shutdown()
                 else:
                     await trio.to_thread.run_sync(self._bus.shutdown)
+            close_serial_line(self._bus)
 
     def _accept(self, message: can.Message) -> Received | TransportError | None:
         """The frame that a message is, or what it reports, or None for what stops here."""
