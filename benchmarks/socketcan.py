@@ -7,7 +7,8 @@
   by `await transport.receive()`, python-can's by a listener of its `Notifier`. Rounds are interleaved. CPU time is that of the
   receiving process only; the one that sends is another. Both hand out one object per frame, with the kernel's time stamp.
 - SDO: a bare server (a blocking socket that answers each expedited upload with the same 4 bytes) in a process of its own; the
-  same object is read from it over and over by our master and by `canopen`, each with its own transport.
+  same object is read from it over and over by our master and by `canopen`, each with its own transport; and by our core alone, in
+  the driver loop of a script that does nothing else.
 - SYNC: each producer sends it for a thousand cycles; what counts are the kernel's time stamps, by how much the distance of two
   differs from the period.
 
@@ -20,6 +21,7 @@ import argparse
 import itertools
 import platform
 import shutil
+import socket
 import statistics
 import subprocess
 import sys
@@ -36,8 +38,12 @@ import trio
 from canopen_master import open_master
 from canopen_master.alarm import FineAlarm
 from canopen_proto.frame import Frame
+from canopen_proto.machine import Event
+from canopen_proto.network import Network
+from canopen_proto.sdo.client import SdoClient, SdoUploaded
 from canopen_transports import ReceiveOverrun, open_transport
 from canopen_transports.socketcan import SocketCanTransport
+from canopen_transports.socketcan.kernel import CAN_FRAME, pack
 
 BUS = "vcan0"
 NODE = 5
@@ -161,17 +167,46 @@ def read_theirs(seconds: float) -> tuple[int, float, float]:
         network.disconnect()
 
 
+def read_by_the_core(seconds: float) -> tuple[int, float, float]:
+    """The core alone, as in a script that does one thing at a time: its driver loop around a blocking socket."""
+    network = Network()
+    client = SdoClient(network.out, NODE)
+    network.attach(client)
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as sock:
+        sock.bind((BUS,))
+        count = 0
+        wall, cpu = time.perf_counter(), time.process_time()
+        while time.perf_counter() - wall < seconds:
+            client.upload(0x1000, 0, time.monotonic_ns())
+            outcome: Event | None = None
+            while outcome is None:
+                frames, events = network.drain(time.monotonic_ns())
+                for frame in frames:
+                    sock.send(pack(frame))
+                if events:
+                    outcome = events[0]
+                    continue
+                can_id, length, data = CAN_FRAME.unpack(sock.recv(16))
+                network.receive(Frame(can_id, data[:length]), time.monotonic_ns())
+            assert isinstance(outcome, SdoUploaded)
+            assert outcome.data == b"\x92\x01\x02\x00"
+            count += 1
+        return count, time.perf_counter() - wall, time.process_time() - cpu
+
+
 def compare_sdo(rounds: int, seconds: float) -> None:
-    rates: dict[str, list[float]] = {"ours": [], "theirs": []}
-    costs: dict[str, list[float]] = {"ours": [], "theirs": []}
+    sides = {"ours": read_ours, "theirs": read_theirs, "core": read_by_the_core}
+    rates: dict[str, list[float]] = {name: [] for name in sides}
+    costs: dict[str, list[float]] = {name: [] for name in sides}
     with process(sys.executable, "-c", SERVER, wait=True):
         for number in range(rounds):
-            for name, read in sorted((("ours", read_ours), ("theirs", read_theirs)), reverse=bool(number % 2)):
-                count, wall, cpu = read(seconds)
+            for name in sorted(sides, reverse=bool(number % 2)):
+                count, wall, cpu = sides[name](seconds)
                 rates[name].append(count / wall)
                 costs[name].append(cpu / count * 1e6)
-    row("SDO round trips per second", rates, "1/s", higher_is_better=True)
-    row("CPU time per SDO round trip", costs, "us", higher_is_better=False)
+    for name, title in (("ours", "by the master"), ("core", "by the core around a blocking socket")):
+        row(f"SDO round trips per second, {title}", {**rates, "ours": rates[name]}, "1/s", higher_is_better=True)
+        row(f"CPU time per SDO round trip, {title}", {**costs, "ours": costs[name]}, "us", higher_is_better=False)
 
 
 def row(title: str, figures: dict[str, list[float]], unit: str, higher_is_better: bool) -> None:
@@ -234,7 +269,7 @@ def compare_sync(cycles: int) -> None:
     for name, produce in PRODUCERS.items():
         for milliseconds in (1, 4, 10):
             found = trio.run(jitter, produce, milliseconds / 1000, cycles)
-            tail = found[min(len(found) - 1, round(0.999 * len(found)))]
+            tail = found[int(0.999 * (len(found) - 1))]
             print(f"| {name} | {milliseconds} | {statistics.median(found):.0f} | {tail:.0f} | {found[-1]:.0f} |", flush=True)
 
 
