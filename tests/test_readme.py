@@ -1,4 +1,4 @@
-"""The README's Python examples run as they stand, each as a script of its own."""
+"""The Python examples of the README and of docs/devices.md run as they stand, each as a script of its own."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+DEVICES = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT + DEVICES, re.DOTALL)
 LIMIT = 60  # seconds, for a machine that is busy with other things
 
 
 def test_there_are_examples() -> None:
-    assert len(EXAMPLES) >= 4
+    assert len(EXAMPLES) >= 5
 
 
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
