@@ -13,6 +13,7 @@ from canopen_transports.locator import bitrate_text
     [
         ("virtual:demo", "virtual", "demo", None, {}),
         ("virtual", "virtual", "default", None, {}),
+        ("virtual:demo@500k?loss=0.001", "virtual", "demo", 500_000, {"loss": 0.001}),
         ("socketcan:can0", "socketcan", "can0", None, {}),
         ("socketcan:can0@500k", "socketcan", "can0", 500_000, {}),
         ("can1@125000", "socketcan", "can1", 125_000, {}),
@@ -66,8 +67,6 @@ def test_parts(text: str, interface: str, channel: str, bitrate: int | None, opt
         ("kvaser:0?receive_own_messages=1", "own frames", "leave it out"),
         ("kvaser:0?single_handle", "not of the form NAME=VALUE", "&"),
         ("kvaser:0?=1", "not of the form NAME=VALUE", "&"),
-        ("virtual:demo@500k", "neither bit rate nor options", "virtual:demo"),
-        ("virtual:demo?x=1", "neither bit rate nor options", "virtual:demo"),
         ("/dev/pcan16", "no device file of a PEAK adapter", "/dev/pcan32"),
         ("/dev/pcan99", "no device file of a PEAK adapter", "/dev/pcan32"),
         ("/dev/pcanusb0", "no device file of a PEAK adapter", "/dev/pcan32"),

@@ -15,7 +15,7 @@ from tests.transports.support import run, trio_test
 class TestConformance(TransportConformance):
     real_time = False
     burst = 10_000
-    unopenable = ("virtual:demo@500k", "virtual:demo?fd=false")
+    unopenable = ("virtual:demo@500", "virtual:demo?fd=false")
 
     async def join(self) -> Transport:
         return await open_transport("virtual:conformance")

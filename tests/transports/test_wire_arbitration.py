@@ -225,11 +225,17 @@ def test_a_lone_sender_repeats_for_ever_and_becomes_error_passive() -> None:
         BusState.PASSIVE,
     ]
     assert one.transmit_errors == 128
-    # Each try lasts until the ACK slot is over; flag 6, delimiter 8, intermission 3 follow, and 8 for an error-passive one.
-    assert wire.error_frames == pytest.approx(SECOND / BIT / (frame_bits(SYNC) - 11 + 17 + 8), rel=0.01)
+    # Each attempt lasts until the ACK slot is over, then flag 6, delimiter 8, intermission 3. The last ones are not computed.
+    assert wire.error_frames == 16
+    assert wire.next_deadline() == NEVER
+    assert wire.load(SECOND) == 1.0
+    wire.begin_load(SECOND)
+    assert wire.load(2 * SECOND) == 1.0
     other = wire.join(SECOND)
     deliveries, events = play(wire, 2 * SECOND)
-    assert [(each.frame, each.receivers) for each in deliveries] == [(SYNC, (other,))]
+    assert [(each.at, each.frame, each.receivers) for each in deliveries] == [
+        (SECOND + (frame_bits(SYNC) - 3) * BIT, SYNC, (other,))
+    ]
     assert one.state is BusState.WARNING
     assert one.transmit_errors == 127
 

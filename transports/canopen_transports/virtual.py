@@ -5,16 +5,22 @@ Every frame reaches every member but its sender, in one order for all. Members o
 another run, even in another thread of the same process, has its own buses. (Two processes meet on `udp_multicast`.)
 
 What it leaves out of CAN: bit rate, arbitration, acknowledge. A frame that is sent with nobody else on the bus vanishes, where a
-real controller would repeat it for ever.
+real controller would repeat it for ever. With options (`virtual:NAME?bitrate=500k&loss=0.001&seed=7`) the bus has all of that,
+and faults: see virtual_wire.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import trio
 
 from canopen_proto.frame import Frame
+from canopen_transports.errors import BAD_LOCATOR, TransportError
+from canopen_transports.locator import Option
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
+from canopen_transports.virtual_wire import WireTransport, open_wire
 
 _buses: trio.lowlevel.RunVar[dict[str, list[VirtualTransport]]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
 
@@ -31,12 +37,7 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._name = name
         self._closed = False
         self._queue = ReceiveQueue(self.locator, queue_size)
-        try:
-            buses = _buses.get()
-        except LookupError:
-            buses = {}
-            _buses.set(buses)
-        self._members = buses.setdefault(name, [])
+        self._members = _names().setdefault(name, [])
         self._members.append(self)
 
     async def send(self, frame: Frame) -> None:
@@ -66,3 +67,30 @@ class VirtualTransport(trio.abc.AsyncResource):
                 del _buses.get()[self._name]
             self._queue.close()
         await trio.lowlevel.checkpoint()
+
+
+def open_virtual(locator: str, name: str, bitrate: int | None, options: Mapping[str, Option]) -> VirtualTransport | WireTransport:
+    """One more member of the bus of this name: with physics where there are options, or where it has them already.
+
+    Raises TransportError (CO100) for options that make no sense, or that come when the bus is there without any.
+    """
+    plain = _names()
+    if name in plain and (options or bitrate is not None):
+        raise TransportError(
+            BAD_LOCATOR,
+            locator,
+            f"the bus {locator!r} makes no sense",
+            seen=f"there is a bus virtual:{name} without options already",
+            tries=("the same options for its first member", "another name"),
+        )
+    member = open_wire(locator, name, bitrate, options)
+    return VirtualTransport(name) if member is None else member
+
+
+def _names() -> dict[str, list[VirtualTransport]]:
+    """The instant buses of this run."""
+    try:
+        return _buses.get()
+    except LookupError:
+        _buses.set({})
+        return _buses.get()

@@ -27,9 +27,9 @@ class Transmission:
 
 
 class Segment:
-    """A piece of cable, and who is on it."""
+    """A piece of cable, and who is on it. unheard_since: since when `is_unheard` holds."""
 
-    __slots__ = ("begins", "current", "free_at", "members", "recovering", "wanting")
+    __slots__ = ("begins", "current", "free_at", "members", "recovering", "unheard_since", "wanting")
 
     def __init__(self, members: Iterable[WireMember], free_at: Time) -> None:
         self.members = list(members)
@@ -38,6 +38,13 @@ class Segment:
         self.current: Transmission | None = None
         self.wanting = {member: None for member in self.members if member.queued and member.state is not BusState.BUS_OFF}
         self.recovering = [member for member in self.members if member.recovery]
+        self.unheard_since: Time | None = None
+
+    @property
+    def is_unheard(self) -> bool:
+        """Whether its one member that is not bus-off repeats a frame for nobody, and this changes its counters no more."""
+        lone = [member for member in self.members if member.state is not BusState.BUS_OFF]
+        return len(lone) == 1 and lone[0].unacknowledged and lone[0].state is BusState.PASSIVE
 
 
 def first_difference(one: Frame, other: Frame) -> int:

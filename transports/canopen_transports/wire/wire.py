@@ -11,7 +11,8 @@ bits follows. An error frame is an error flag, to which the flags of the others 
 intermission. An error-passive member waits 8 bits more after having sent, before it sends again.
 
 **Acknowledge.** A frame that nobody else hears is not acknowledged, and is sent again for ever; its member becomes error-passive,
-but not bus-off (ISO 11898-1, fault confinement, exception 1). `acknowledge=False` is a bus on which somebody unseen acknowledges.
+but not bus-off (ISO 11898-1, fault confinement, exception 1). From then on its attempts are not computed, until there is
+somebody. `acknowledge=False` is a bus on which somebody unseen acknowledges.
 
 **Faults** come from the rates and the seed, or are ordered: `bus_off`, `babble`, `cut` and `mend`. One seed and one sequence of
 calls give one trace. What happened is told: `FaultHappened` for each frame that was hit, `StateReported` for each change of a
@@ -124,12 +125,16 @@ class Wire:
 
         A frame counts when it ends. On a cut cable, that of both halves together.
         """
-        return self._busy / (now - self._since) if now > self._since else 0.0
+        unheard = sum(now - each.unheard_since for each in self._segments if each.unheard_since is not None)
+        return (self._busy + unheard) / (now - self._since) if now > self._since else 0.0
 
     def begin_load(self, now: Time) -> None:
         """Measure the load from now on."""
         self._advance(now)
         self._busy, self._since = 0, now
+        for segment in self._segments:
+            if segment.unheard_since is not None:
+                segment.unheard_since = now
 
     # ---- commands ----
 
@@ -139,6 +144,7 @@ class Wire:
         member = WireMember(self._joined, order, queue_size)
         self._joined += 1
         self._segments[0].members.append(member)
+        self._schedule(self._segments[0])
         return member
 
     def leave(self, member: WireMember, now: Time) -> None:
@@ -197,6 +203,7 @@ class Wire:
         (whole,) = self._segments
         self._destroy(whole, FaultKind.CUT)
         self._settle_recoveries(whole, self._now)
+        self._schedule(whole)
         here = set(half)
         parts = [member for member in whole.members if member in here], [each for each in whole.members if each not in here]
         self._segments = [Segment(part, whole.free_at) for part in parts]
@@ -211,6 +218,7 @@ class Wire:
         for segment in self._segments:
             self._destroy(segment, FaultKind.CUT)
             self._settle_recoveries(segment, self._now)
+            self._schedule(segment)
         free_at = max(segment.free_at for segment in self._segments)
         self._segments = [Segment(sorted(self.members, key=lambda member: member.number), free_at)]
         self._schedule(self._segments[0])
@@ -271,12 +279,20 @@ class Wire:
             self._begin(segment, now)
         else:
             self._settle_recoveries(segment, now)
+            self._schedule(segment)
 
     # ---- a transmission ----
 
     def _schedule(self, segment: Segment) -> None:
         """When the next frame begins; on a bus where one is sent now, that is seen at its end."""
         if segment.current is not None:
+            return
+        if segment.unheard_since is not None:
+            self._busy += max(self._now - segment.unheard_since, 0)
+            segment.unheard_since = None
+        if self._disturbed and segment.is_unheard and segment.wanting and self.settings.acknowledge:
+            segment.unheard_since = max(self._now, segment.free_at)
+            segment.begins = NEVER
             return
         if not segment.wanting:
             segment.begins = NEVER
@@ -379,7 +395,8 @@ class Wire:
             if outcome is not FaultKind.REPETITION:
                 receivers = tuple(member for member in receivers if member is not victim)
             if outcome is FaultKind.DELAY and victim.babbles_until is None:
-                victim.delayed_until = now + self._random.randint(1, self.rates.delay_time)
+                late = now + self._random.randint(1, self.rates.delay_time)
+                victim.delayed_until = max(victim.delayed_until, late)
                 self._late_for(victim, Delivery(now, waiting.frame, waiting.queued, tuple(senders), (victim,)))
         if self._late:
             for member in receivers:

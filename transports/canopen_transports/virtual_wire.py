@@ -1,0 +1,334 @@
+"""`virtual:NAME?bitrate=1M&...`: the bus inside this process with the physics of copper, in trio's time.
+
+A `Wire` (canopen_transports.wire) decides who sends when and what goes wrong; here it is given trio's clock. In virtual time
+(trio's MockClock) a bus runs as fast as it is computed, in real time it paces itself.
+
+    bitrate=500k        1M where it is left out; also virtual:NAME@500k
+    loss=0.001          of a thousand frames one is lost at one receiver; repeat=, corrupt=, delay= likewise
+    delay_ms=5          how late a late frame is at most
+    seed=7              which frames are hit
+    queue=fifo          or priority: which of a member's waiting frames competes for the bus; queue_size=64 frames wait at most
+    ack=true            a lone member repeats its frame for ever; false: somebody unseen acknowledges
+    recover=true        a member that is bus-off returns by itself; false: after `PhysicalBus.restart`
+
+Who opens a name first says how that bus is. The others say the same, or nothing: `virtual:NAME` then joins it. queue and
+queue_size are each member's own.
+
+A test breaks the bus while it runs: `transport.bus` is the `PhysicalBus`, with `bus_off`, `babble`, `cut`, `mend` and `rates`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
+from canopen_transports.errors import BAD_LOCATOR, NOT_ACKNOWLEDGED, BusState, BusStateChanged, FrameNotSent, TransportError
+from canopen_transports.locator import Option, parse_bitrate
+from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
+from canopen_transports.transport import Received, check_frame
+from canopen_transports.wire import (
+    FaultHappened,
+    FaultKind,
+    FaultRates,
+    QueueOrder,
+    StateReported,
+    Wire,
+    WireMember,
+    WireSettings,
+)
+from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE
+
+DEFAULT_BITRATE: Final = 1_000_000
+ROOM_TIME: Final = 1.0
+"""Seconds that a sender waits for room in the transmit queue, as for a real adapter."""
+KEPT_FAULTS: Final = 1_000
+"""Of the last ones, to look at; `PhysicalBus.counts` has them all."""
+
+_buses: trio.lowlevel.RunVar[dict[str, PhysicalBus]] = trio.lowlevel.RunVar("canopen_transports physical virtual buses")
+
+
+class PhysicalBus:
+    """A wire that runs, and its members. Made by the first member that opens it.
+
+    wire: the machine; look, but let this class change it. counts: the faults so far, by kind. faults: the last of them.
+    """
+
+    def __init__(self, name: str, settings: WireSettings) -> None:
+        self.name = name
+        self.wire = Wire(settings, _clock())
+        self.counts: Counter[FaultKind] = Counter()
+        self.faults: deque[FaultHappened] = deque(maxlen=KEPT_FAULTS)
+        self._transports: dict[WireMember, WireTransport] = {}
+        self._changed = trio.lowlevel.ParkingLot()
+        self._room = trio.lowlevel.ParkingLot()
+        self._bit = self.wire.time_of(1)
+
+    # ---- what a test may do to it ----
+
+    @property
+    def rates(self) -> FaultRates:
+        """How often frames are hit, from now on."""
+        return self.wire.rates
+
+    @rates.setter
+    def rates(self, rates: FaultRates) -> None:
+        self.wire.rates = rates
+
+    def bus_off(self, transport: WireTransport) -> None:
+        """Take a member bus-off: what it has queued is lost, and it hears nothing."""
+        self.wire.bus_off(transport.member, _clock())
+        self.hand_out()
+
+    def restart(self, transport: WireTransport) -> None:
+        """Let a member that is bus-off come back."""
+        self.wire.restart(transport.member, _clock())
+        self.hand_out()
+
+    def babble(self, frame: Frame, seconds: float) -> None:
+        """A node sends this frame again and again for so long."""
+        now = _clock()
+        self.wire.babble(frame, now + round(seconds * SECOND), now)
+        self.hand_out()
+
+    def cut(self, half: Iterable[WireTransport]) -> None:
+        """Cut the cable: these members here, all others there. LocalProtocolError where it is cut already."""
+        self.wire.cut([transport.member for transport in half], _clock())
+        self.hand_out()
+
+    def mend(self) -> None:
+        """Mend the cable."""
+        self.wire.mend(_clock())
+        self.hand_out()
+
+    def load(self) -> float:
+        """Which part of the time since it was opened the bus was busy."""
+        return self.wire.load(_clock())
+
+    # ---- its members ----
+
+    def join(self, transport: WireTransport, order: QueueOrder, queue_size: int) -> WireMember:
+        """One more. With the first one the bus begins to run."""
+        member = self.wire.join(_clock(), order=order, queue_size=queue_size)
+        if not self._transports:
+            trio.lowlevel.spawn_system_task(self._run, name=f"virtual bus {self.name}")
+        self._transports[member] = transport
+        self.hand_out()
+        return member
+
+    def leave(self, transport: WireTransport) -> None:
+        """One less. With the last one the bus ends."""
+        self.wire.leave(transport.member, _clock())
+        del self._transports[transport.member]
+        if not self._transports:
+            del _buses.get()[self.name]
+        self.hand_out()
+        self._room.unpark_all()
+
+    def send(self, member: WireMember, frame: Frame) -> None:
+        """Queue a frame; there must be room."""
+        self.wire.send(member, frame, _clock())
+        self.hand_out()
+
+    async def room(self) -> None:
+        """Wait until something has left a queue."""
+        await self._room.park()
+
+    async def _run(self) -> None:
+        """Lets happen what is due, one bit time later: who sends at one time so takes part together, whichever task comes first.
+        A receiver then still has two bits of intermission to answer before the next frame begins."""
+        while self._transports:
+            due = self.wire.next_deadline()
+            with trio.move_on_at((due + self._bit) / SECOND if due < NEVER else math.inf) as scope:
+                await self._changed.park()
+            if scope.cancelled_caught:
+                self.wire.handle_timeout(max(due, _clock() - self._bit))
+                self.hand_out()
+
+    def hand_out(self) -> None:
+        """Deliver what came out of the wire, and look anew at when the next thing is due."""
+        deliveries, events = self.wire.drain()
+        touched: dict[WireTransport, None] = {}
+        for delivery in deliveries:
+            received = (delivery.frame, delivery.at)
+            for member in delivery.receivers:
+                transport = self._transports.get(member)
+                if transport is not None:
+                    transport.queue.put(received)
+                    touched[transport] = None
+        for event in events:
+            if isinstance(event, StateReported):
+                transport = self._transports.get(event.member)
+                if transport is not None:
+                    transport.queue.report(_report(transport, event))
+                    touched[transport] = None
+            else:
+                self.counts[event.kind] += 1
+                self.faults.append(event)
+        for transport in touched:
+            transport.queue.wake()
+        if deliveries or events:
+            self._room.unpark_all()
+        self._changed.unpark_all()
+
+
+class WireTransport(trio.abc.AsyncResource):
+    """A member of a PhysicalBus, from now until `aclose`; made by `open_wire`.
+
+    bus: to break it. member: its controller, with state, error counters and transmit queue; read only. Time stamps are the end of
+    a frame, on trio's clock.
+    """
+
+    def __init__(self, locator: str, bus: PhysicalBus, order: QueueOrder, queue_size: int) -> None:
+        self.locator = locator
+        self.bus = bus
+        self.queue = ReceiveQueue(locator, RECEIVE_QUEUE_SIZE)
+        self.member = bus.join(self, order, queue_size)
+        self._sending = trio.StrictFIFOLock()
+        self._closed = False
+
+    async def send(self, frame: Frame) -> None:
+        """Queue the frame, as soon as there is room. It is out later, in its turn."""
+        check_frame(frame)
+        async with self._sending:
+            with trio.move_on_after(ROOM_TIME):
+                while not self._closed and self.member.state is not BusState.BUS_OFF and not self.member.has_room:
+                    await self.bus.room()
+            if self._closed:
+                raise trio.ClosedResourceError(f"{self.locator} was closed")
+            if self.member.state is BusState.BUS_OFF:
+                raise FrameNotSent(NOT_ACKNOWLEDGED, self.locator, f"{frame} was not sent", seen="the controller is bus-off")
+            if not self.member.has_room:
+                raise self._no_room(frame)
+            self.bus.send(self.member, frame)
+        # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
+        await trio.lowlevel.cancel_shielded_checkpoint()
+
+    async def receive(self) -> Received:
+        """The next frame that another member sent."""
+        return await self.queue.get()
+
+    async def aclose(self) -> None:
+        """Leave the bus; the last one to leave takes it down."""
+        if not self._closed:
+            self._closed = True
+            self.bus.leave(self)
+            self.queue.close()
+        await trio.lowlevel.checkpoint()
+
+    def _no_room(self, frame: Frame) -> TransportError:
+        alone, full = self.member.unacknowledged, f"no room in the transmit queue of {self.member.size} frames"
+        return TransportError(
+            NOT_ACKNOWLEDGED,
+            self.locator,
+            f"{frame} was not sent on {self.locator}",
+            seen=f"{full} for {ROOM_TIME:g} s; the controller is {self.member.state.value}",
+            cause="nobody else is on the bus to acknowledge" if alone else "frames of lower identifiers take the whole bus",
+            tries=("open a second member", "ack=false") if alone else ("a higher bit rate", "fewer frames"),
+        )
+
+
+def open_wire(
+    locator: str, name: str, bitrate: int | None, options: Mapping[str, str | int | float | bool]
+) -> WireTransport | None:
+    """One more member of the physical bus of this name. None where no options are given and there is no such bus.
+
+    bitrate: that of the locator's @. Raises TransportError (CO100) for options that make no sense, or that are not the first's.
+    """
+    try:
+        buses = _buses.get()
+    except LookupError:
+        buses = {}
+        _buses.set(buses)
+    bus = buses.get(name)
+    if bitrate is None and not options and bus is None:
+        return None
+    try:
+        settings, order, queue_size = _settings(bitrate, dict(options))
+        if bus is None:
+            bus = buses.setdefault(name, PhysicalBus(name, settings))
+        elif (bitrate is not None or set(options) - _OF_MEMBER) and settings != bus.wire.settings:
+            raise ValueError(f"there is a bus of this name with other options: {bus.wire.settings}")
+        return WireTransport(locator, bus, order, queue_size)
+    except (ValueError, LocalProtocolError) as error:
+        raise TransportError(
+            BAD_LOCATOR,
+            locator,
+            f"the bus {locator!r} makes no sense",
+            seen=str(error),
+            tries=(f"virtual:{name}?bitrate=500k&loss=0.001&seed=7", f"known options: {', '.join(sorted(_KNOWN))}"),
+        ) from error
+
+
+_RATES: Final = {"loss": "loss", "repeat": "repetition", "corrupt": "corruption", "delay": "delay"}
+_OF_MEMBER: Final = {"queue", "queue_size"}
+_KNOWN: Final = {"bitrate", "delay_ms", "seed", "ack", "recover", *_RATES, *_OF_MEMBER}
+
+
+def _settings(bitrate: int | None, options: dict[str, Option]) -> tuple[WireSettings, QueueOrder, int]:
+    unknown = sorted(set(options) - _KNOWN)
+    if unknown:
+        raise ValueError(f"a virtual bus has no option {unknown[0]!r}")
+    rates = {field: _number(options, name, 0.0) for name, field in _RATES.items()}
+    named = options.get("bitrate")
+    if named is not None and bitrate is not None:
+        raise ValueError("its bit rate is given twice")
+    if named is not None:
+        bitrate = parse_bitrate(str(named))
+    settings = WireSettings(
+        bitrate=DEFAULT_BITRATE if bitrate is None else bitrate,
+        rates=FaultRates(**rates, delay_time=round(_number(options, "delay_ms", 5.0) * MILLISECOND)),
+        seed=_whole(options, "seed", 0),
+        acknowledge=_flag(options, "ack"),
+        auto_recovery=_flag(options, "recover"),
+    )
+    order = options.get("queue", QueueOrder.FIFO.value)
+    if order not in [each.value for each in QueueOrder]:
+        raise ValueError(f"queue={order}: it is fifo or priority")
+    queue_size = _whole(options, "queue_size", TRANSMIT_QUEUE_SIZE)
+    if queue_size < 1:
+        raise ValueError(f"queue_size={queue_size}: a queue needs room")
+    return settings, QueueOrder(order), queue_size
+
+
+def _number(options: Mapping[str, object], name: str, default: float) -> float:
+    value = options.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name}={value}: it is a number")
+    return value
+
+
+def _whole(options: Mapping[str, object], name: str, default: int) -> int:
+    value = options.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"{name}={value}: it is a whole number")
+    return value
+
+
+def _flag(options: Mapping[str, object], name: str) -> bool:
+    value = options.get(name, True)
+    if value not in (True, False):
+        raise ValueError(f"{name}={value}: it is true or false")
+    return bool(value)
+
+
+_CAUSES: Final = {
+    BusState.NO_ACKNOWLEDGE: ("nobody else is on the bus, or the cable is cut", ("open a second member", "ack=false")),
+    BusState.BUS_OFF: ("its frames were disturbed again and again, or a test did it", ("wait for error-active",)),
+}
+
+
+def _report(transport: WireTransport, event: StateReported) -> BusStateChanged:
+    member = event.member
+    seen = f"transmit error counter {member.transmit_errors}, receive error counter {member.receive_errors}"
+    cause, tries = _CAUSES.get(event.state, ("", ()))
+    return BusStateChanged(transport.locator, event.state, seen, cause=cause, tries=tries)
+
+
+def _clock() -> Time:
+    return round(trio.current_time() * SECOND)
