@@ -18,6 +18,7 @@ from typing import Final, TypeAlias
 from canopen_proto.conformance.case import Violation, does_not_apply, expect, expect_equal
 from canopen_proto.conformance.probe import FrameHeard, RawProbe
 from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.frame import (
     ERROR_CONTROL,
     REMOTE,
@@ -47,12 +48,24 @@ Stimulus: TypeAlias = Callable[[Variable, Time], None]
 
 
 class Bench:
-    """See this module's text. node_id, dictionary: of the device. probe, sdo, nmt: what it is asked with."""
+    """See this module's text. node_id, dictionary, description: of the device. probe, sdo, nmt: what it is asked with."""
 
-    def __init__(self, network: Network, node_id: int, dictionary: ObjectDictionary, *, stimulus: Stimulus | None = None) -> None:
-        """network: on the device's bus; nobody else should use the device's SDO channel meanwhile. node_id: 1..127."""
+    def __init__(
+        self,
+        network: Network,
+        node_id: int,
+        dictionary: ObjectDictionary,
+        *,
+        description: DeviceDescription | None = None,
+        stimulus: Stimulus | None = None,
+    ) -> None:
+        """network: on the device's bus; nobody else should use the device's SDO channel meanwhile. node_id: 1..127.
+
+        description: the device's file, of which the dictionary is; None where there is no file, and so none to be checked.
+        """
         self.node_id = check_node_id(node_id)
         self.dictionary = dictionary
+        self.description = description
         self.stimulus = stimulus
         self.probe = RawProbe(network.out)
         self.sdo = SdoClient(network.out, node_id, timeout=ANSWER_TIME)

@@ -8,7 +8,8 @@ what it expects by `expect` and the like; the first expectation that is not met 
     any other ProcedureError   failed too: it did not answer, it refused what it has to take
     NotApplicable              the device does not have what the case is about
 
-A body begins with a device that has just been reset and is pre-operational (`Bench.reset`); it may leave it in any state.
+A body begins with a device that has just been reset and is pre-operational (`Bench.reset`); it may leave it in any state. What
+it changes, a reset of the node puts back, unless the case `stores`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ class Result(StrEnum):
     PASSED = "passed"
     FAILED = "failed"
     NOT_APPLICABLE = "not applicable"
-    NOT_BUILT = "not built yet"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,26 +57,28 @@ Body: TypeAlias = "Callable[[Bench], Procedure[str | None]]"
 class Case:
     """One case.
 
-    number, name, title: as the conformance test calls it. body: what it does, None while it is not built; then `waits_for` says
-    what for. needs: indices that the dictionary must have, else the case does not apply.
+    number, name, title: as the conformance test calls it. body: what it does. needs: indices that the dictionary must have, else
+    the case does not apply. uses_device: False where it asks nothing of the device, which is then not reset either. stores: it
+    writes to 0x1010 or 0x1011, and so changes what the device keeps over power-off; a sound device has at its end what it had
+    before (a case about saving), or its defaults (one about restoring).
     """
 
     number: str
     name: str
     title: str
-    body: Body | None
+    body: Body
     needs: tuple[int, ...] = ()
-    waits_for: str = ""
+    uses_device: bool = True
+    stores: bool = False
 
     def run(self, bench: Bench) -> Procedure[Verdict]:
         """Reset the device, then ask it. Never raises a ProcedureError."""
-        if self.body is None:
-            return Verdict(Result.NOT_BUILT, self.waits_for)
         missing = [index for index in self.needs if not bench.dictionary.has_index(index)]
         if missing:
             return Verdict(Result.NOT_APPLICABLE, f"the dictionary has no object 0x{missing[0]:04X}")
         try:
-            yield from bench.reset()
+            if self.uses_device:
+                yield from bench.reset()
             remark = yield from self.body(bench)
         except NotApplicable as reason:
             return Verdict(Result.NOT_APPLICABLE, str(reason))

@@ -9,6 +9,7 @@ from typing import Final
 from canopen_proto.conformance import (
     block_cases,
     channel_cases,
+    description_cases,
     dictionary_cases,
     emergency_cases,
     guarding_cases,
@@ -24,10 +25,8 @@ from canopen_proto.conformance.bench import Bench
 from canopen_proto.conformance.case import Case, Verdict
 from canopen_proto.procedures.steps import Procedure
 
-EDS_CHECK: Final = Case("1.0", "EDS checker", "Check the EDS file", None, waits_for="a reader of EDS files")
-
 CASES: Final[tuple[Case, ...]] = (
-    EDS_CHECK,
+    *description_cases.CASES,
     *sdo_cases.CASES,
     *block_cases.CASES,
     *channel_cases.CASES,
@@ -46,19 +45,17 @@ BY_NUMBER: Final[Mapping[str, Case]] = MappingProxyType({case.number: case for c
 
 
 def run_all(bench: Bench, cases: Iterable[Case] = CASES) -> Procedure[list[tuple[Case, Verdict]]]:
-    """Run cases one after the other, each on a device that was just reset; the device is reset at the end too."""
+    """Run cases one after the other, each on a device that was just reset; a device that was used is reset at the end too."""
     results: list[tuple[Case, Verdict]] = []
     for case in cases:
         verdict = yield from case.run(bench)
         results.append((case, verdict))
-    yield from bench.reset()
+    if any(case.uses_device for case, _ in results):
+        yield from bench.reset()
     return results
 
 
 def table() -> str:
     """The cases as a table in Markdown: what docs/conformance.md holds."""
-    rows = ["| Number | Name | Case | State |", "|---|---|---|---|"]
-    for case in CASES:
-        state = "built" if case.body is not None else f"not built yet: {case.waits_for}"
-        rows.append(f"| {case.number} | {case.name} | {case.title} | {state} |")
-    return "\n".join(rows) + "\n"
+    rows = [f"| {case.number} | {case.name} | {case.title} | {'yes' if case.stores else ''} |" for case in CASES]
+    return "\n".join(["| Number | Name | Case | Stores |", "|---|---|---|---|", *rows]) + "\n"

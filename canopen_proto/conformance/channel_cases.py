@@ -137,5 +137,12 @@ def saved_clients(bench: Bench) -> Procedure[str]:
 CASES: Final = (
     Case("2.28", "SDO 28", "Read 0x1201 and following objects", further_servers, (DEVICE_TYPE,)),
     Case("2.29", "SDO 29", "Read 0x1201 and following objects after reset communication", servers_after_reset, (DEVICE_TYPE,)),
-    Case("2.30", "SDO 30", "Read 0x1280 and following objects after save and reset communication", saved_clients, (STORE,)),
+    Case(
+        "2.30",
+        "SDO 30",
+        "Read 0x1280 and following objects after save and reset communication",
+        saved_clients,
+        (STORE,),
+        stores=True,
+    ),
 )

@@ -172,7 +172,7 @@ def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
     found = []
     for variable in bench.dictionary:
         span = range_of(variable.data_type)
-        if variable.access.writable and span is not None:
+        if variable.access.writable and variable.index not in NEVER_WRITTEN and span is not None:
             least, most = span
             low, high = variable.low_limit, variable.high_limit
             below = int(low) - 1 if low is not None and low > least else None

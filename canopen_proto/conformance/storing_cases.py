@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from canopen_proto.conformance.bench import Bench
-from canopen_proto.conformance.case import Case, Violation, does_not_apply, expect_equal, expect_refusal
+from canopen_proto.conformance.case import Body, Case, Violation, does_not_apply, expect_equal, expect_refusal
 from canopen_proto.conformance.sdo_cases import ANY_TIME, settings, takes_any_time
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Variable
@@ -169,27 +169,20 @@ def restricted_can_ids(bench: Bench) -> Procedure[str]:
 
 _RESTORING: Final = (RESTORE, STORE)
 
+
+def _case(number: int, title: str, body: Body, needs: tuple[int, ...]) -> Case:
+    return Case(f"8.{number}", f"Testing other {number:02}", title, body, needs, stores=True)
+
+
 CASES: Final = (
-    Case("8.1", "Testing other 01", "Write a wrong signature to 0x1010:01", partial(wrong_signature, STORE, ALL), (STORE,)),
-    Case("8.2", "Testing other 02", "Write save to 0x1010:01", partial(store, ALL), (STORE,)),
-    Case("8.3", "Testing other 03", "Write a wrong signature to 0x1011:01", partial(wrong_signature, RESTORE, ALL), (RESTORE,)),
-    Case("8.4", "Testing other 04", "Write load to 0x1011:01", partial(restore, ALL), _RESTORING),
-    Case(
-        "8.5",
-        "Testing other 05",
-        "Write a wrong signature to 0x1010:02",
-        partial(wrong_signature, STORE, COMMUNICATION),
-        (STORE,),
-    ),
-    Case("8.6", "Testing other 06", "Write save to 0x1010:02", partial(store, COMMUNICATION), (STORE,)),
-    Case(
-        "8.7",
-        "Testing other 07",
-        "Write a wrong signature to 0x1011:02",
-        partial(wrong_signature, RESTORE, COMMUNICATION),
-        (RESTORE,),
-    ),
-    Case("8.8", "Testing other 08", "Write load to 0x1011:02", partial(restore, COMMUNICATION), _RESTORING),
-    Case("8.9", "Testing other 09", "Save the configuration date and time of 0x1020", verify_configuration, (STORE, VERIFY)),
+    _case(1, "Write a wrong signature to 0x1010:01", partial(wrong_signature, STORE, ALL), (STORE,)),
+    _case(2, "Write save to 0x1010:01", partial(store, ALL), (STORE,)),
+    _case(3, "Write a wrong signature to 0x1011:01", partial(wrong_signature, RESTORE, ALL), (RESTORE,)),
+    _case(4, "Write load to 0x1011:01", partial(restore, ALL), _RESTORING),
+    _case(5, "Write a wrong signature to 0x1010:02", partial(wrong_signature, STORE, COMMUNICATION), (STORE,)),
+    _case(6, "Write save to 0x1010:02", partial(store, COMMUNICATION), (STORE,)),
+    _case(7, "Write a wrong signature to 0x1011:02", partial(wrong_signature, RESTORE, COMMUNICATION), (RESTORE,)),
+    _case(8, "Write load to 0x1011:02", partial(restore, COMMUNICATION), _RESTORING),
+    _case(9, "Save the configuration date and time of 0x1020", verify_configuration, (STORE, VERIFY)),
     Case("8.10", "Testing other 10", "Try to use restricted CAN-IDs", restricted_can_ids),
 )

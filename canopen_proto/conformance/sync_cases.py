@@ -159,7 +159,14 @@ CASES: Final = (
     Case("6.5", "Synchronization 05", "Set the SYNC counter overflow value to invalid values", invalid_overflow, (OVERFLOW,)),
     Case("6.6", "Synchronization 06", "Set the SYNC counter overflow value to 0", no_counter, _COUNTER_NEEDS),
     Case("6.7", "Synchronization 07", "Check the SYNC counter", counter, _COUNTER_NEEDS),
-    Case("6.8", "Synchronization 08", "Save the SYNC counter configuration and reset the node", kept_counter, _STORED_NEEDS),
+    Case(
+        "6.8",
+        "Synchronization 08",
+        "Save the SYNC counter configuration and reset the node",
+        kept_counter,
+        _STORED_NEEDS,
+        stores=True,
+    ),
     Case(
         "6.9",
         "Synchronization 09",
@@ -167,5 +174,12 @@ CASES: Final = (
         overflow_while_running,
         _COUNTER_NEEDS,
     ),
-    Case("6.10", "Synchronization 10", "Save the SYNC configuration and reset the node", kept_producer, _STORED_NEEDS),
+    Case(
+        "6.10",
+        "Synchronization 10",
+        "Save the SYNC configuration and reset the node",
+        kept_producer,
+        _STORED_NEEDS,
+        stores=True,
+    ),
 )

@@ -15,6 +15,7 @@ from canopen_proto.conformance.bench import Bench
 from canopen_proto.conformance.case import Case, Result, Verdict
 from canopen_proto.conformance.catalogue import BY_NUMBER
 from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.frame import KEY_REMOTE, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
@@ -79,17 +80,26 @@ def altered(frame: Frame, alterations: Sequence[Alteration]) -> list[Frame]:
 
 
 class Site:
-    """A bench and a device on a bus. truth: the dictionary that the bench goes by; the device's own, unless the fault has one."""
+    """A bench and a device on a bus. truth: the dictionary that the bench goes by; the device's own, unless the fault has one.
+    description: the device's file, of which the truth is then."""
 
-    def __init__(self, fault: Fault | None = None, truth: ObjectDictionary | None = None, *, stimulus: bool = True) -> None:
+    def __init__(
+        self,
+        fault: Fault | None = None,
+        truth: ObjectDictionary | None = None,
+        *,
+        description: DeviceDescription | None = None,
+        stimulus: bool = True,
+    ) -> None:
         self.bus = Bus()
         fault = fault or Fault("none")
-        truth = truth or full_device()
+        truth = truth or (full_device() if description is None else description.dictionary)
         self.master = self.bus.attach(Network())
         self.device = self.bus.attach(Wire(fault))
         self.node = fault.node(self.device.out, NODE_ID, fault.dictionary or truth)
         self.device.attach(self.node)
-        self.bench = Bench(self.master, NODE_ID, truth, stimulus=self.change if stimulus else None)
+        change = self.change if stimulus else None
+        self.bench = Bench(self.master, NODE_ID, truth, description=description, stimulus=change)
         self.bus.on_event = self.serve
         self.node.boot(self.bus.now)
         self.bus.run(MILLISECOND)

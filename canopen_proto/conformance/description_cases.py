@@ -1,0 +1,36 @@
+"""Chapter 1 of the conformance test: the device's file, without the device (CiA 306-1 v1.4.0, CiA 311).
+
+All other cases go by what the file says, so that a mistake in it may look like one of the device. What is an error, and what is
+only a warning, the reader and the linter decide (canopen_proto/dictionary/checks).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.conformance.bench import Bench
+from canopen_proto.conformance.case import Case, Violation, does_not_apply
+from canopen_proto.dictionary.checks import check
+from canopen_proto.dictionary.findings import Severity
+from canopen_proto.procedures.steps import Procedure
+
+MAX_LISTED: Final = 3
+"""Errors that a verdict names; the rest is counted. A verdict is a line of a table."""
+
+
+def check_file(bench: Bench) -> Procedure[str]:
+    """1.0: neither reading the file nor checking it finds an error. How many warnings there are is a remark."""
+    yield from ()  # no step: the device is not asked
+    if bench.description is None:
+        does_not_apply("there is no file of the device")
+    found = [*bench.description.findings, *check(bench.description)]
+    errors = [each for each in found if each.severity is Severity.ERROR]
+    if errors:
+        listed = [str(each) for each in errors[:MAX_LISTED]]
+        rest = len(errors) - len(listed)
+        raise Violation("; ".join([*listed, f"and {rest} more"] if rest else listed))
+    warnings = sum(1 for each in found if each.severity is Severity.WARNING)
+    return f"{warnings} warning{'' if warnings == 1 else 's'}" if warnings else ""
+
+
+CASES: Final = (Case("1.0", "EDS checker", "Check the EDS file", check_file, uses_device=False),)
