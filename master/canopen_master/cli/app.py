@@ -15,12 +15,14 @@ import trio
 
 from canopen_master.cli.data import data
 from canopen_master.cli.demo import demo
+from canopen_master.cli.doctor import doctor
 from canopen_master.cli.eds import eds
 from canopen_master.cli.home import home
 from canopen_master.cli.info import info
 from canopen_master.cli.nmt import nmt
 from canopen_master.cli.objects import read, write
 from canopen_master.cli.options import Settings, common
+from canopen_master.cli.plan import plan
 from canopen_master.cli.problem import NO_ROOM, ExitCode, Problem, problem_of
 from canopen_master.cli.scan import scan
 from canopen_master.cli.sim import sim
@@ -59,7 +61,7 @@ def cli() -> None:
     """
 
 
-for _command in (demo, scan, info, read, write, nmt, home, sim, eds, data):
+for _command in (demo, doctor, scan, info, read, write, nmt, home, sim, plan, eds, data):
     cli.add_command(_command)
 
 

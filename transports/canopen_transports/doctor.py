@@ -1,0 +1,273 @@
+"""What there is on this computer to reach a CAN bus with, and what is missing: the checks of `canopen doctor`.
+
+Each check reads files (below `root`, so that tests can have a computer of their own) or takes what a tool or a driver's library
+said, and gives `Finding`s: what was looked at, whether it is well, what was seen, and the exact command where something is to be
+done. Nothing is changed, nothing is opened, and nothing is sent; `receive_test` is the module that opens a bus.
+
+The checks that the manual (chapter 2.1) lets the user do by hand are those of `check_peak`: `/proc/pcan` shows the driver, and
+the column "ndev" is NA for an adapter in character-device mode (`make NET=NO`), which PCAN-Basic and `/dev/pcan32` need. An
+adapter in network-device mode has its interface's name there; with the kernel's own driver, peak_usb, there is no `/proc/pcan`.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib.util
+import ipaddress
+import json
+import os
+import re
+import subprocess
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+
+from canopen_transports.diagnosis import is_can_device
+from canopen_transports.locator import bitrate_text
+from canopen_transports.peak import attached
+
+TOOL_TIME: Final = 5.0
+"""Seconds for `ip`, which answers in some milliseconds."""
+HIGH_COUNTER: Final = 96
+"""An error counter from here on means a disturbed bus: the controller warns (ISO 11898-1)."""
+PEAK_VENDOR: Final = "0c72"
+"""PEAK-System's USB vendor-ID."""
+_GROUP: Final = ipaddress.ip_address("239.74.163.2")
+_NO_HARDWARE: Final = (
+    "canopen demo   (everything but the bus, without hardware)",
+    "sudo modprobe vcan && sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up   (a bus inside the kernel)",
+)
+# Backends of python-can that need a Python package of their own, and its module.
+_PACKAGES: Final = {
+    "slcan": "serial",
+    "udp_multicast": "msgpack",
+    "gs_usb": "gs_usb",
+    "cantact": "cantact",
+    "canalystii": "canalystii",
+    "neovi": "ics",
+    "nixnet": "nixnet",
+}
+
+
+class Health(Enum):
+    """How it is with what was looked at."""
+
+    OK = "ok"
+    NOTE = "note"
+    """Not in use, or not there; nobody need do anything about it."""
+    WARNING = "warning"
+    """It will not work like this; what to do stands in the finding."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """subject: what was looked at. seen: how it was found. tries: what to do, commands as they are typed. locator: the bus."""
+
+    subject: str
+    health: Health
+    seen: str
+    tries: tuple[str, ...] = ()
+    locator: str | None = None
+
+
+def examine(root: Path = Path("/")) -> list[Finding]:
+    """All checks, of this computer."""
+    findings = [
+        *check_socketcan(root, ip_links()),
+        *check_peak(root, library=ctypes.util.find_library("pcanbasic"), channels=attached()),
+        *check_serial_lines(root, has_serial=importlib.util.find_spec("serial") is not None),
+    ]
+    if not any(each.locator for each in findings):
+        findings.insert(0, Finding("CAN adapters", Health.WARNING, "none was found on this computer", _NO_HARDWARE))
+    return [*findings, *check_vcan(root), *check_multicast(root), *check_python_can()]
+
+
+# ---- SocketCAN ----
+
+
+def ip_links() -> list[dict[str, Any]]:
+    """What `ip` tells of the network interfaces; nothing where there is no such tool, or none of the modern kind."""
+    try:
+        told = subprocess.run(
+            ["ip", "-details", "-statistics", "-json", "link"], capture_output=True, timeout=TOOL_TIME, check=True
+        ).stdout
+        links = json.loads(told)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return []
+    return [each for each in links if isinstance(each, dict)] if isinstance(links, list) else []
+
+
+def check_socketcan(root: Path, links: Iterable[dict[str, Any]]) -> Iterator[Finding]:
+    """Each CAN interface of the kernel: is it up, with which bit rate, and how is its controller. links: see `ip_links`."""
+    told = {str(each.get("ifname")): each for each in links}
+    for path in sorted((root / "sys/class/net").glob("*")):
+        if is_can_device(path.name, root):
+            yield _interface(root, path.name, told.get(path.name, {}))
+
+
+def _interface(root: Path, name: str, link: dict[str, Any]) -> Finding:
+    info = link.get("linkinfo") or {}
+    data = info.get("info_data") or {}
+    bitrate = (data.get("bittiming") or {}).get("bitrate")
+    is_virtual = name.startswith("vcan") or info.get("info_kind") in ("vcan", "vxcan")
+    subject, locator = f"SocketCAN {name}", f"socketcan:{name}"
+    up = f"sudo ip link set {name} up"
+    with_rate = up if is_virtual else f"{up} type can bitrate {bitrate or 500_000}"
+    if not _is_up(root, name, link):
+        return Finding(subject, Health.WARNING, "it is there, but DOWN", (with_rate,), locator)
+    state = str(data.get("state", "")).lower()
+    counters = data.get("berr_counter") or {}
+    sent, received = counters.get("tx", 0), counters.get("rx", 0)
+    parts = ["up"]
+    parts += ["virtual"] if is_virtual else []
+    parts += [f"{bitrate_text(bitrate)}bit/s"] if isinstance(bitrate, int) else []
+    parts += [state] if state else []
+    parts += [f"error counters tx {sent}, rx {received}"] if counters else []
+    modes = [str(each).lower() for each in data.get("ctrlmode") or ()]
+    parts += modes
+    seen = ", ".join(parts)
+    restart = (
+        f"sudo ip link set {name} down && {with_rate} restart-ms 100   (100 ms after bus-off the controller comes back by itself)"
+    )
+    if state == "bus-off":
+        return Finding(subject, Health.WARNING, seen, (restart,), locator)
+    if "listen-only" in modes:
+        again = f"sudo ip link set {name} down && {with_rate} listen-only off"
+        return Finding(subject, Health.NOTE, f"{seen}: nothing can be sent", (again,), locator)
+    if state in ("error-passive", "error-warning") or max(sent, received) >= HIGH_COUNTER:
+        steps = (f"canopen doctor -b {locator}   (what is heard?)", "check bit rate, CAN-H and CAN-L, termination (60 ohm)")
+        return Finding(subject, Health.WARNING, seen, steps, locator)
+    return Finding(subject, Health.OK, seen, (), locator)
+
+
+def _is_up(root: Path, name: str, link: dict[str, Any]) -> bool:
+    if "flags" in link:
+        return "UP" in link["flags"]
+    try:
+        return bool(int((root / "sys/class/net" / name / "flags").read_text(), 16) & 1)  # IFF_UP
+    except (OSError, ValueError):
+        return False
+
+
+# ---- PEAK ----
+
+
+def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> Iterator[Finding]:
+    """PEAK's adapters: plugged in, driver, `/proc/pcan`, PCAN-Basic. library: its name, if there is one. channels: `attached`."""
+    plugged = [path for path in _usb_devices(root) if _text(path / "idVendor") == PEAK_VENDOR]
+    by_kernel = (root / "sys/module/peak_usb").exists()
+    driver = _text(root / "proc/pcan")
+    if driver:
+        yield from _proc_pcan(driver, library)
+    elif plugged and not by_kernel:
+        yield Finding(
+            "PEAK adapter",
+            Health.WARNING,
+            f"{_count(len(plugged), 'USB adapter')} of PEAK is plugged in, and no driver is loaded",
+            ("sudo modprobe peak_usb   (the kernel's own: socketcan:can0)", "sudo modprobe pcan   (PEAK's: pcan:PCAN_USBBUS1)"),
+        )
+    elif plugged:
+        yield Finding("PEAK adapter", Health.OK, "the kernel's own driver, peak_usb, has it: use socketcan:can0")
+    if not library:
+        health = Health.WARNING if driver and " NA " in driver else Health.NOTE
+        steps = ("install PEAK's PCAN-Basic library (peak-system.com)",) if health is Health.WARNING else ()
+        yield Finding("PCAN-Basic", health, "PEAK's library is not installed; pcan:... and /dev/pcan32 need it", steps)
+    elif not channels:
+        yield Finding("PCAN-Basic", Health.NOTE, "installed; it sees no adapter")
+    for name, condition in channels.items():
+        tries = () if condition == "free" else ("close the other program",)
+        yield Finding(
+            f"PCAN-Basic {name}", Health.OK if condition == "free" else Health.WARNING, condition, tries, f"pcan:{name}@500k"
+        )
+
+
+# "*n -type- -ndev- --base-- irq --btr- --read-- --write- --irqs-- -errors- status", then one such line for each channel
+_PROC_LINE: Final = re.compile(r"^\s*(\d+)\s+(\w+)\s+(-?\w+-?)\s", re.MULTILINE)
+_RELEASE: Final = re.compile(r"Release_\S+(?:\s*\(([^)]*)\))?")
+
+
+def _proc_pcan(text: str, library: str | None) -> Iterator[Finding]:
+    release = _RELEASE.search(text)
+    version = f"PEAK's driver {release[1] or release[0]}" if release else "PEAK's driver"
+    channels = _PROC_LINE.findall(text)
+    if not channels:
+        yield Finding("/proc/pcan", Health.WARNING, f"{version} is loaded and sees no adapter", ("plug it in; lsusb -d 0c72:",))
+    for minor, kind, ndev in channels:
+        interface = ndev.strip("-")
+        subject = f"/proc/pcan {minor}"
+        if interface == "NA":
+            locator = f"/dev/pcan{minor}"
+            yield Finding(subject, Health.OK, f"{version}, {kind}, ndev NA: {locator}", (), locator if library else None)
+        else:
+            step = f"use socketcan:{interface}, or build the driver with `make NET=NO`"
+            yield Finding(
+                subject,
+                Health.NOTE,
+                f"{version}, {kind}, ndev {interface}: a network interface, no {minor} for PCAN-Basic",
+                (step,),
+            )
+
+
+def _usb_devices(root: Path) -> list[Path]:
+    return sorted(path.parent for path in (root / "sys/bus/usb/devices").glob("*/idVendor"))
+
+
+# ---- serial lines, vcan, multicast, python-can ----
+
+
+def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[Finding]:
+    """Serial lines that may have an adapter (slcan) at their end, and whether this user may open them."""
+    for pattern in ("ttyACM*", "ttyUSB*"):
+        for path in sorted((root / "dev").glob(pattern)):
+            locator, name = f"slcan:/dev/{path.name}@500k", f"serial line /dev/{path.name}"
+            if not os.access(path, os.R_OK | os.W_OK):
+                steps = ("sudo usermod -aG dialout $USER   (then log in again)",)
+                yield Finding(name, Health.WARNING, "this user may not open it", steps, locator)
+            elif not has_serial:
+                yield Finding(name, Health.WARNING, "pyserial is not installed", ("pip install pyserial",), locator)
+            else:
+                yield Finding(name, Health.OK, f"may be an adapter that speaks slcan: -b {locator}", (), locator)
+
+
+def check_vcan(root: Path) -> Iterator[Finding]:
+    """Whether the kernel has virtual CAN buses."""
+    if not any((root / "sys/class/net").glob("*can*")) and not (root / "sys/module/vcan").exists():
+        yield Finding("vcan", Health.NOTE, "no virtual CAN bus; the kernel's module vcan is not loaded", ("sudo modprobe vcan",))
+
+
+def check_multicast(root: Path) -> Iterator[Finding]:
+    """Whether udp_multicast has a route: then two terminals of this computer make a bus."""
+    routes = _text(root / "proc/net/route").splitlines()[1:]
+    for line in routes:
+        fields = line.split()
+        if len(fields) > 7:
+            destination, mask = (int.from_bytes(bytes.fromhex(fields[place]), "little") for place in (1, 7))
+            if int(_GROUP) & mask == destination:
+                yield Finding("udp_multicast", Health.OK, f"{_GROUP} is routed by {fields[0]}: two terminals can share a bus")
+                return
+    if routes or (root / "proc/net").exists():
+        step = "sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)"
+        yield Finding("udp_multicast", Health.NOTE, f"no network interface has a route to {_GROUP}", (step,))
+
+
+def check_python_can() -> Iterator[Finding]:
+    """Its version, and which backends lack a package."""
+    missing = [name for name, module in _PACKAGES.items() if importlib.util.find_spec(module) is None]
+    seen = f"version {metadata.version('python-can')}"
+    if missing:
+        seen += f"; python-can's packages for these are not installed: {', '.join(missing)}"
+    yield Finding("python-can", Health.OK, seen)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,133 @@
+"""The receive test: open a bus, say nothing, and tell what is heard.
+
+The adapter is opened to listen only where python-can can do so: a bus that runs is then not disturbed even by a wrong bit rate.
+Elsewhere its controller acknowledges what others send, as any node does; a frame of ours is never sent.
+
+A wrong bit rate shows as error frames without any frame; `find_bitrate` tries one bit rate after the other, and only with
+adapters that listen only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import EXTENDED, Frame
+from canopen_transports.diagnosis import bring_up
+from canopen_transports.errors import BAD_LOCATOR, BusState, BusStateChanged, ReceiveOverrun, TransportError
+from canopen_transports.listen_only import LISTEN_ONLY, can_listen_only
+from canopen_transports.locator import Locator, bitrate_text, parse_locator
+from canopen_transports.opening import open_transport
+from canopen_transports.transport import Transport
+
+BITRATES: Final = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
+"""CiA 301's bit rates (v4.2.0, table 1), the usual ones first."""
+MAX_IDS: Final = 2048
+"""Different CAN-IDs that are told apart at most."""
+_HEARTBEATS: Final = range(0x701, 0x780)
+NO_WIRE: Final = ("virtual", "udp_multicast", "tcp")
+"""Interfaces without a CAN controller."""
+
+
+@dataclass
+class Heard:
+    """locator: as it was opened. listen_only: whether the adapter was silent. frames: how many. ids: how often each CAN-ID came.
+    first: the first frame. states: what the bus reported besides, in order. faults: error frames."""
+
+    locator: str
+    listen_only: bool
+    frames: int = 0
+    ids: Counter[int] = field(default_factory=Counter)
+    first: Frame | None = None
+    states: list[tuple[BusState, str]] = field(default_factory=list)
+    faults: int = 0
+    lost: int = 0
+
+    @property
+    def nodes(self) -> list[int]:
+        """Nodes whose heartbeat or boot-up came."""
+        return sorted(can_id - 0x700 for can_id in self.ids if can_id in _HEARTBEATS)
+
+    @property
+    def is_bad(self) -> bool:
+        """Whether the bus is at fault, and not just silent."""
+        return any(state in (BusState.BUS_OFF, BusState.DOWN) for state, _ in self.states) or self.faults > 0
+
+
+def _has_silent_wire(locator: Locator) -> bool:
+    return can_listen_only(locator) and locator.interface not in NO_WIRE
+
+
+def silently(locator: Locator) -> str:
+    """The locator that opens the same to listen only; itself where that cannot be."""
+    if not can_listen_only(locator) or LISTEN_ONLY in locator.options:
+        return locator.text
+    return f"{locator.text}{'&' if '?' in locator.text else '?'}{LISTEN_ONLY}=true"
+
+
+async def listen(text: str, seconds: float) -> Heard:
+    """What is heard on a bus in that time. Raises TransportError where it cannot be opened, or fails."""
+    locator = parse_locator(text)
+    async with await open_transport(silently(locator)) as transport:
+        return await listen_on(transport, text, seconds, listen_only=_has_silent_wire(locator))
+
+
+async def listen_on(transport: Transport, text: str, seconds: float, *, listen_only: bool = False) -> Heard:
+    """As `listen`, on a bus that is open."""
+    heard = Heard(text, listen_only)
+    with trio.move_on_after(seconds):
+        while True:
+            try:
+                frame, _ = await transport.receive()
+            except BusStateChanged as change:
+                heard.states.append((change.state, change.seen))
+            except ReceiveOverrun as overrun:
+                heard.lost += overrun.lost
+            else:
+                heard.frames += 1
+                heard.first = heard.first or frame
+                if not frame.flags & EXTENDED and len(heard.ids) < MAX_IDS:
+                    heard.ids[frame.can_id] += 1
+    errors = getattr(transport, "errors", 0)
+    heard.faults = errors if isinstance(errors, int) else 0
+    return heard
+
+
+async def find_bitrate(text: str, seconds: float, told: Callable[[Heard], None] = lambda heard: None) -> Heard | None:
+    """Listen at one bit rate after the other, `seconds` each; the first at which frames come and no errors, or None.
+
+    told: called after each. Raises TransportError where the adapter cannot listen only (CO100) or not be opened; a bit rate that
+    it does not have is left out.
+    """
+    locator = parse_locator(text)
+    if not _has_silent_wire(locator):
+        seen = f"we cannot make {locator.interface} listen only; with a wrong bit rate it would destroy the frames of others"
+        tries: tuple[str, ...] = ("an adapter that can: pcan, slcan, kvaser, vector",)
+        if locator.interface == "socketcan":
+            again = f"sudo ip link set {locator.channel} down && {bring_up(locator)} listen-only on && canopen doctor -b {text}"
+            tries = (f"{again}   (for each bit rate)", *tries)
+        raise TransportError(BAD_LOCATOR, text, f"cannot try bit rates on {text}", seen=seen, tries=tries)
+    address, _, query = text.partition("?")
+    address = address.rpartition("@")[0] or address
+    failure: TransportError | None = None
+    opened = False
+    for bitrate in BITRATES:
+        name = (
+            f"{address}@{bitrate_text(bitrate)}" if locator.text[:1] != "/" else f"pcan:{locator.channel}@{bitrate_text(bitrate)}"
+        )
+        try:
+            heard = await listen(f"{name}?{query}" if query else name, seconds)
+        except TransportError as error:
+            failure = error
+            continue
+        opened = True
+        told(heard)
+        if heard.frames and not heard.faults:
+            return heard
+    if failure is not None and not opened:
+        raise failure
+    return None
