@@ -9,7 +9,8 @@
     /dev/pcan32  /dev/pcanusb32         the same by PEAK's Linux device file, as the manual's chain files have it
     slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
     pcan:PCAN_USBBUS1@500k?listen_only=true     without a word of ours on the bus, not even an acknowledge (see `listen_only`)
-    udp_multicast                       two terminals of one computer
+    tcp  tcp:localhost:20301            the bus of `canopen bus serve`, for several terminals of one computer, or of several
+    udp_multicast                       two terminals of one computer, without a server
     udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
     kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it
     pythoncan:virtual:demo              the same where we have another meaning for the name, as for `virtual` and `socketcan`
@@ -40,7 +41,7 @@ DEFAULT_BUS_NAME: Final = "default"
 MANUAL_BITRATE: Final = 500_000
 """For /dev/pcan32, which the manual opens without naming a bit rate."""
 
-OUR_INTERFACES: Final = ("virtual", "pythoncan")
+OUR_INTERFACES: Final = ("virtual", "tcp", "pythoncan")
 _EXAMPLES: Final = ("virtual:demo", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "slcan:/dev/ttyACM0@250k", "udp_multicast")
 
 _BITRATE: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([kM]?)")
@@ -85,6 +86,10 @@ def parse_locator(text: str) -> Locator:
         return Locator(text, True, interface, channel or DEFAULT_BUS_NAME, bitrate, options)
     if interface == "socketcan":
         return Locator(text, True, interface, channel, bitrate, options)
+    if interface == "tcp":
+        if bitrate is not None or options:
+            raise _bad(text, "a bus by TCP has neither bit rate nor options", tries=(f"tcp:{channel}" if channel else "tcp",))
+        return Locator(text, True, interface, channel, None, {})
     if interface == "pythoncan":
         interface, _, channel = channel.partition(":")
     if interface not in VALID_INTERFACES:

@@ -17,13 +17,14 @@ from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
+from canopen_transports.tcp import TcpTransport, open_tcp
 from canopen_transports.virtual import VirtualTransport, open_virtual
 from canopen_transports.virtual_wire import WireTransport
 
 if TYPE_CHECKING:
     from canopen_transports.socketcan import SocketCanTransport
 
-OpenTransport: TypeAlias = "VirtualTransport | WireTransport | SocketCanTransport | PythonCanTransport"
+OpenTransport: TypeAlias = "VirtualTransport | WireTransport | SocketCanTransport | TcpTransport | PythonCanTransport"
 
 MULTICAST_GROUP: Final = "239.74.163.2"
 """python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
@@ -47,6 +48,8 @@ async def open_transport(locator: str) -> OpenTransport:
         await trio.lowlevel.checkpoint()
         if parsed.interface == "virtual":
             return open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
+        if parsed.interface == "tcp":
+            return await open_tcp(parsed.text, parsed.channel)
         return _open_socketcan(parsed)
     await trio.lowlevel.checkpoint_if_cancelled()
     # In a thread, for drivers take their time (python-can's slcan sleeps 2 s). It is not abandoned when we are cancelled, so that

@@ -1,0 +1,108 @@
+"""The address in `tcp:HOST:PORT`, and what there is to say when it cannot be reached."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import re
+import socket
+from typing import Final
+
+from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, NO_PERMISSION, TransportError
+
+DEFAULT_HOST: Final = "127.0.0.1"
+DEFAULT_PORT: Final = 20301
+"""Free in IANA's list. 301 is the number of CANopen's application layer."""
+
+_ADDRESS: Final = re.compile(r"(?:(\[[0-9A-Fa-f:.]+\]|[^\[\]:\s/]+)(?::([0-9]{1,5}))?)?")
+
+
+def parse_address(locator: str, channel: str) -> tuple[str, int]:
+    """Host and port of a locator's channel: "localhost:20301", "[::1]:20301", "localhost", "". Raises TransportError (CO100)."""
+    match = _ADDRESS.fullmatch(channel)
+    port = int(match[2] or DEFAULT_PORT) if match is not None else 0
+    if match is None or not 1 <= port <= 65535:
+        raise TransportError(
+            BAD_LOCATOR,
+            locator,
+            f"the bus {locator!r} makes no sense",
+            seen=f"{channel!r} is not of the form HOST:PORT, with a port of 1 to 65535",
+            tries=(f"tcp:{DEFAULT_HOST}:{DEFAULT_PORT}", f"tcp:[::1]:{DEFAULT_PORT}   (an IPv6 address stands in brackets)"),
+        )
+    return (match[1] or DEFAULT_HOST).strip("[]"), port
+
+
+def address_text(host: str, port: int) -> str:
+    """HOST:PORT, as it stands in a locator."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this computer can reach what listens there. A name other than localhost counts as not."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def serve_command(host: str, port: int) -> str:
+    """How a server for this address is started."""
+    command = "canopen bus serve" + (f" --port {port}" if port != DEFAULT_PORT else "")
+    if is_loopback(host):
+        return f"{command}    (in another terminal)"
+    return f"{command} --bind 0.0.0.0 --yes    (on {host}; whoever reaches it can move its drives)"
+
+
+def cannot_connect(locator: str, host: str, port: int, error: OSError) -> TransportError:
+    """Why there is no connection."""
+    number = _error_number(error)
+    tries: tuple[str, ...] = (serve_command(host, port),)
+    cause = ""
+    if isinstance(error, socket.gaierror):
+        seen, tries = f"the name {host!r} is not known: {error.strerror}", (f"tcp:{DEFAULT_HOST}:{port}",)
+    elif isinstance(error, TimeoutError) or number == errno.ETIMEDOUT:
+        seen, cause = f"{host} port {port} did not answer", "the computer is off, or a firewall is between"
+    elif number == errno.ECONNREFUSED:
+        seen, cause = f"nobody listens at {host} port {port}", "no bus server runs there"
+    else:
+        seen, cause = str(error.__cause__ or error), "there is no way through the network to that computer"
+    return TransportError(CANNOT_OPEN, locator, f"cannot open {locator}", seen=seen, cause=cause, tries=tries)
+
+
+def no_bus_server(locator: str, host: str, port: int, seen: str) -> TransportError:
+    """Somebody listens, but it is no bus server of ours, or it does not want us."""
+    tries = (serve_command(host, port + 1 if port < 65535 else DEFAULT_PORT),)
+    cause = "another program uses this port, or another version of this one"
+    return TransportError(CANNOT_OPEN, locator, f"cannot open {locator}", seen=seen, cause=cause, tries=tries)
+
+
+def connection_lost(locator: str, doing: str, seen: str, cause: str) -> TransportError:
+    """The connection worked and has ended. It is not made anew behind the caller's back: frames would be missing."""
+    tries = ("canopen bus serve    (if it has ended), then start this program again",)
+    return TransportError(BUS_LOST, locator, f"cannot {doing} on {locator}", seen=seen, cause=cause, tries=tries)
+
+
+def cannot_listen(host: str, port: int, error: OSError) -> TransportError:
+    """Why no server can be started there."""
+    where = f"tcp:{address_text(host, port)}"
+    number, code = _error_number(error), CANNOT_OPEN
+    tries: tuple[str, ...] = (f"canopen bus serve --bind {DEFAULT_HOST}",)
+    cause = "this computer has no such address"
+    if number == errno.EADDRINUSE:
+        other = port + 1 if port < 65535 else DEFAULT_PORT
+        cause = "a bus server runs there already (then just use it), or another program does"
+        tries = (f"-b {where}    (to join it)", f"canopen bus serve --port {other}")
+    elif number in (errno.EACCES, errno.EPERM):
+        code, cause = NO_PERMISSION, "ports below 1024 are the administrator's"
+        tries = (f"canopen bus serve --port {DEFAULT_PORT}",)
+    return TransportError(code, where, f"cannot serve a bus on {where}", seen=str(error), cause=cause, tries=tries)
+
+
+def _error_number(error: BaseException) -> int | None:
+    """The errno of an OSError, or of the first one of those that it was raised from (trio tries each address of a name)."""
+    if isinstance(error, BaseExceptionGroup):
+        return _error_number(error.exceptions[0])
+    number = error.errno if isinstance(error, OSError) else None
+    if number is None and error.__cause__ is not None:
+        return _error_number(error.__cause__)
+    return number

@@ -1,0 +1,191 @@
+"""`tcp:HOST:PORT`: a member of the bus that `canopen bus serve` makes, in this process or another, on this computer or another.
+
+`framing` says what travels. Frames have no time stamps: the bus is only in the server's memory, and when a frame was there cannot
+be measured here. A connection that ends is a TransportError (CO111), for good: what is said meanwhile is lost, so whoever wants
+to go on opens the bus anew, and begins anew.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_transports.errors import NOT_ACKNOWLEDGED, ReceiveOverrun, TransportError
+from canopen_transports.tcp.address import cannot_connect, connection_lost, no_bus_server, parse_address
+from canopen_transports.tcp.framing import HELLO, Bye, FramingError, LineSplitter, Lost, decode, encode, shown
+from canopen_transports.transport import Received, check_frame
+
+CONNECT_TIME: Final = 5.0
+"""Seconds until a computer that does not answer counts as not there."""
+HELLO_TIME: Final = 3.0
+"""Seconds that a server may take for its hello."""
+ROOM_TIME: Final = 1.0
+"""Seconds that a sender waits while the server takes nothing. It always reads, so it is stopped, or the network is."""
+READ_SIZE: Final = 1 << 16
+KEEP_ALIVE: Final = (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))
+"""Seconds, seconds, tries: of a computer that was switched off the other learns within half a minute."""
+
+_SERVER_GONE: Final = "the bus server was ended, or it cut us off because we took frames too slowly"
+
+
+class TcpTransport(trio.abc.AsyncResource):
+    """A member of a bus server's bus. Made by `open_tcp`."""
+
+    def __init__(self, locator: str, sock: trio.socket.SocketType, lines: LineSplitter, waiting: list[bytes]) -> None:
+        self.locator = locator
+        self._socket = sock
+        self._lines = lines
+        self._waiting = deque(waiting)  # lines; no more are read while there are some, so they are bounded by READ_SIZE
+        self._failure: TransportError | None = None
+        self._closed = False
+        self._send_lock = trio.Lock()
+
+    async def send(self, frame: Frame) -> None:
+        """Hand the frame to the server, waiting up to ROOM_TIME for it to take it; then TransportError (CO110)."""
+        check_frame(frame)
+        line = encode(frame)
+        async with self._send_lock:
+            self._check_open()
+            try:
+                with trio.move_on_after(ROOM_TIME) as limit:
+                    sent = await self._socket.send(line)  # cancelled, it has sent nothing
+                if limit.cancelled_caught:
+                    raise self._stuck(frame)
+                if sent < len(line):
+                    await self._finish(frame, line[sent:])
+            except trio.ClosedResourceError:
+                raise self._end() from None
+            except OSError as error:
+                raise self._lose("send", str(error), _SERVER_GONE) from error
+
+    async def receive(self) -> Received:
+        """The next frame of another member. Raises ReceiveOverrun where the server had to drop frames for us."""
+        await trio.lowlevel.checkpoint()
+        while not self._waiting:
+            self._check_open()
+            try:
+                chunk = await self._socket.recv(READ_SIZE)
+            except trio.ClosedResourceError:
+                raise self._end() from None
+            except OSError as error:
+                raise self._lose("receive", str(error), _SERVER_GONE) from error
+            if not chunk:
+                raise self._lose("receive", "the connection was closed", _SERVER_GONE)
+            self._waiting.extend(self._lines.feed(chunk))
+        self._check_open()
+        return self._next()
+
+    async def aclose(self) -> None:
+        """Leave the bus."""
+        if not self._closed:
+            self._closed = True
+            self._socket.close()
+        await trio.lowlevel.checkpoint()
+
+    def _next(self) -> Received:
+        try:
+            item = decode(self._waiting.popleft())
+        except FramingError as error:
+            raise self._lose("receive", str(error), "what listens there is no bus server of this version") from error
+        if isinstance(item, Frame):
+            return item, None
+        if isinstance(item, Lost):
+            raise ReceiveOverrun(self.locator, item.frames, "the bus server's queue for us was full")
+        raise self._lose("receive", f"the bus server says: {item.reason}", "")
+
+    async def _finish(self, frame: Frame, rest: bytes) -> None:
+        """Send the rest of a line. What was begun has to be ended, or the server could make nothing of what comes next."""
+        with trio.CancelScope(shield=True, deadline=trio.current_time() + ROOM_TIME) as limit:
+            while rest:
+                rest = rest[await self._socket.send(rest) :]
+        if limit.cancelled_caught:
+            raise self._lose(f"send {frame}", "the bus server took only a part of the frame", "it is stopped, or overloaded")
+
+    def _stuck(self, frame: Frame) -> TransportError:
+        return TransportError(
+            NOT_ACKNOWLEDGED,
+            self.locator,
+            f"cannot send {frame} on {self.locator}",
+            seen=f"the bus server has taken nothing for {ROOM_TIME:g} s",
+            cause="it is stopped (Ctrl-Z, a debugger), or the network is overloaded",
+            tries=("look at the terminal with `canopen bus serve`",),
+        )
+
+    def _check_open(self) -> None:
+        if self._closed or self._failure is not None:
+            raise self._end()
+
+    def _end(self) -> Exception:
+        """Why there is nothing more to do: we closed, or the connection was lost."""
+        if self._closed or self._failure is None:
+            return trio.ClosedResourceError(f"{self.locator} was closed")
+        return self._failure
+
+    def _lose(self, doing: str, seen: str, cause: str) -> Exception:
+        """The connection is of no use any more. A server that is about to end waits for us to close it."""
+        if self._failure is None:
+            self._failure = connection_lost(self.locator, doing, seen, cause)
+        self._socket.close()
+        return self._end()
+
+
+async def open_tcp(locator: str, channel: str) -> TcpTransport:
+    """Join the bus of a bus server. Raises TransportError: CO100, CO101. Cancelled, it leaves nothing open."""
+    host, port = parse_address(locator, channel)
+    try:
+        with trio.fail_after(CONNECT_TIME):
+            stream = await trio.open_tcp_stream(host, port)
+    except trio.TooSlowError:
+        raise cannot_connect(locator, host, port, TimeoutError()) from None
+    except OSError as error:
+        raise cannot_connect(locator, host, port, error) from error
+    sock = stream.socket
+    try:
+        keep_alive(sock)
+        lines = LineSplitter()
+        received = await _greet(sock, lines)
+        first, *rest = received or [b""]
+        if first != HELLO:
+            raise no_bus_server(locator, host, port, _greeting_seen(first))
+    except BaseException:
+        sock.close()
+        raise
+    return TcpTransport(locator, sock, lines, rest)
+
+
+async def _greet(sock: trio.socket.SocketType, lines: LineSplitter) -> list[bytes]:
+    """Say hello; the first lines that come back, none if nothing does."""
+    received: list[bytes] = []
+    with trio.move_on_after(HELLO_TIME):
+        try:
+            await sock.send(HELLO + b"\n")
+            while not received:
+                chunk = await sock.recv(READ_SIZE)
+                if not chunk:
+                    break
+                received = lines.feed(chunk)
+        except OSError:  # closed on us, which says enough
+            pass
+    return received
+
+
+def _greeting_seen(first: bytes) -> str:
+    try:
+        item = decode(first)
+    except FramingError:
+        item = None
+    if isinstance(item, Bye):
+        return f"the bus server says: {item.reason}"
+    return f"what listens there says {shown(first)}, not hello" if first else "what listens there says nothing"
+
+
+def keep_alive(sock: trio.socket.SocketType) -> None:
+    """Have the system notice when the other computer is gone."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in KEEP_ALIVE:
+        if hasattr(socket, name):
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

@@ -1,0 +1,234 @@
+"""The bus server of `canopen bus serve`: what one member sends goes to all the others, in one order for all.
+
+It trusts nobody. A connection becomes a member by its hello (see `framing`), which has to come within HELLO_TIME. Then:
+
+- What is no frame ends a connection, and so does a line that is begun and not ended within HALF_LINE_TIME.
+- A member that takes its frames too slowly loses some, and is told how many and where (`lost`). One that takes none for
+  STALL_TIME is cut off.
+- Who is cut off is told why (`bye`), if it takes that within FAREWELL_TIME.
+- At most MAX_CONNECTIONS at a time, each with a bounded queue.
+
+What it leaves out: names and passwords (it serves loopback, unless somebody decides otherwise), bit rate and arbitration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_transports.tcp.address import address_text, cannot_listen
+from canopen_transports.tcp.client import keep_alive
+from canopen_transports.tcp.framing import HELLO, FramingError, LineSplitter, checked, decode, shown
+from canopen_transports.tcp.outgoing import QUEUE_SIZE, Outgoing
+
+MAX_CONNECTIONS: Final = 64
+"""More processes than anybody runs on one bus; with full queues they take some 16 MB."""
+HELLO_TIME: Final = 20.0
+"""Seconds. A program says hello at once, a person with `nc` types it."""
+HALF_LINE_TIME: Final = 5.0
+"""Seconds. A terminal sends whole lines."""
+STALL_TIME: Final = 5.0
+"""Seconds in which a member takes nothing at all, though the system's buffers are full."""
+FAREWELL_TIME: Final = 3.0
+"""Seconds for the reason to arrive."""
+READ_SIZE: Final = 4096
+"""Bytes: at most some 800 frames, after which the others have their turn."""
+
+Tell = Callable[[str], object]
+
+
+class _Member:
+    def __init__(self, name: str, queue_size: int) -> None:
+        self.name = name
+        self.out = Outgoing(queue_size)
+        self.work = trio.lowlevel.ParkingLot()
+        self.scope = trio.CancelScope()  # of all it has
+        self.reading = trio.CancelScope()
+        self.deadline = math.inf  # of its hello, or of the line that it has begun
+        self.writing_since = math.inf
+        self.reason = ""
+        """Why it is cut off; "" as long as it is not."""
+
+    def put(self, line: bytes) -> None:
+        self.out.put(line)
+        self.work.unpark_all()
+
+    def cut_off(self, reason: str) -> None:
+        """Nothing more to it but the reason, nothing more from it."""
+        if not self.reason:
+            self.reason = reason
+            self.out.end(reason)
+            self.work.unpark_all()
+            self.reading.cancel()
+            self.scope.deadline = trio.current_time() + FAREWELL_TIME
+
+
+class BusServer:
+    """One bus. tell: called with what happens, for people. on_frame: called with each frame. queue_size: lines for a member."""
+
+    def __init__(
+        self, tell: Tell = lambda text: None, on_frame: Callable[[Frame], object] | None = None, *, queue_size: int = QUEUE_SIZE
+    ) -> None:
+        self._tell = tell
+        self._on_frame = on_frame
+        self._queue_size = queue_size
+        self._connections: set[_Member] = set()
+        self._members: dict[_Member, None] = {}  # in the order in which they came
+
+    @property
+    def members(self) -> int:
+        """How many are on the bus."""
+        return len(self._members)
+
+    async def watch(self) -> None:
+        """Look after members that stall. To be run beside `serve`; never returns."""
+        while True:
+            await trio.sleep(1.0)
+            now = trio.current_time()
+            for member in self._connections:
+                if now >= member.writing_since + STALL_TIME:
+                    member.cut_off(f"you have taken no frame for {STALL_TIME:g} s, though many wait for you")
+                elif now >= member.deadline:
+                    what = "the line that you began has no end" if member in self._members else _expected(None)
+                    member.cut_off(what)
+
+    async def serve(self, stream: trio.abc.HalfCloseableStream, name: str) -> None:
+        """Serve one connection until it ends. name: what to call it."""
+        member = _Member(name, self._queue_size)
+        member.deadline = trio.current_time() + HELLO_TIME
+        if len(self._connections) >= MAX_CONNECTIONS:
+            member.cut_off(f"the bus server has {MAX_CONNECTIONS} connections already")
+        self._connections.add(member)
+        try:
+            with member.scope:
+                async with stream, trio.open_nursery() as nursery:
+                    nursery.start_soon(self._write, member, stream)
+                    await self._read(member, stream)
+                    if not member.reason:  # it left
+                        nursery.cancel_scope.cancel()
+        finally:
+            self._connections.discard(member)
+            self._leave(member)
+
+    def end(self, reason: str) -> None:
+        """Cut all off. Their connections end within FAREWELL_TIME."""
+        for member in self._connections:
+            member.cut_off(reason)
+
+    def _leave(self, member: _Member) -> None:
+        if member in self._members:
+            del self._members[member]
+            self._tell(f"{member.name} left" + (f", cut off: {member.reason}" if member.reason else ""))
+        elif member.reason:
+            self._tell(f"{member.name} turned away: {member.reason}")
+
+    async def _read(self, member: _Member, stream: trio.abc.HalfCloseableStream) -> None:
+        lines = LineSplitter()
+        with member.reading:
+            while not member.reason:
+                try:
+                    chunk = await stream.receive_some(READ_SIZE)
+                except trio.BrokenResourceError:
+                    return
+                if not chunk:
+                    return
+                self._take(member, lines.feed(bytes(chunk)))
+                if member in self._members:
+                    if not lines.pending:
+                        member.deadline = math.inf
+                    elif b"\n" in chunk or member.deadline == math.inf:
+                        member.deadline = trio.current_time() + HALF_LINE_TIME
+
+    def _take(self, member: _Member, lines: list[bytes]) -> None:
+        for line in lines:
+            if member not in self._members:
+                if line != HELLO:
+                    member.cut_off(_expected(line))
+                    return
+                self._members[member] = None
+                member.put(HELLO + b"\n")
+                self._tell(f"{member.name} joined: {len(self._members)} on the bus")
+                continue
+            try:
+                good = checked(line)
+            except FramingError as error:
+                member.cut_off(str(error))
+                return
+            for other in self._members:
+                if other is not member and not other.reason:
+                    other.put(good)
+            if self._on_frame is not None:
+                frame = decode(good[:-1])
+                assert isinstance(frame, Frame)
+                self._on_frame(frame)
+
+    async def _write(self, member: _Member, stream: trio.abc.HalfCloseableStream) -> None:
+        try:
+            while True:
+                while not member.out:
+                    if member.reason:
+                        await self._see_off(stream)
+                        return
+                    await member.work.park()
+                member.writing_since = trio.current_time()
+                await stream.send_all(member.out.take())
+                member.writing_since = math.inf
+        except trio.BrokenResourceError:
+            member.reading.cancel()
+
+    async def _see_off(self, stream: trio.abc.HalfCloseableStream) -> None:
+        """Read on to the end: a connection that is closed with unread bytes would take the reason back."""
+        await stream.send_eof()
+        while await stream.receive_some(READ_SIZE):
+            pass
+
+
+def _expected(line: bytes | None) -> str:
+    seen = "nothing" if line is None else f"the line {shown(line)}"
+    return f"this is a CAN bus: expected {HELLO.decode()!r} first, got {seen}"
+
+
+async def serve_bus(
+    host: str,
+    port: int,
+    server: BusServer,
+    task_status: trio.TaskStatus[list[str]] = trio.TASK_STATUS_IGNORED,
+) -> None:
+    """Listen until cancelled; then the members are told. Started in a nursery it gives the locators, of port 0 with the port that
+    the system chose. Raises TransportError (CO101, CO102)."""
+    try:
+        listeners = await trio.open_tcp_listeners(port, host=host)
+    except OSError as error:
+        raise cannot_listen(host, port, error) from error
+
+    async def handle(stream: trio.SocketStream) -> None:
+        try:
+            keep_alive(stream.socket)
+            peer = stream.socket.getpeername()
+        except OSError:  # it has gone again already
+            await stream.aclose()
+            return
+        await server.serve(stream, address_text(peer[0], peer[1]))
+
+    over = trio.Event()
+    async with trio.open_nursery() as nursery:
+        connections: trio.Nursery = await nursery.start(_hold, over)
+        nursery.start_soon(server.watch)
+        try:
+            task_status.started([f"tcp:{address_text(*each.socket.getsockname()[:2])}" for each in listeners])
+            await trio.serve_listeners(handle, listeners, handler_nursery=connections)
+        finally:
+            server.end("the bus server was ended")
+            over.set()
+
+
+async def _hold(over: trio.Event, task_status: trio.TaskStatus[trio.Nursery]) -> None:
+    """A place for connections that outlives a cancel until their members were told of it; `cut_off` sets them a limit."""
+    with trio.CancelScope(shield=True):
+        async with trio.open_nursery() as connections:
+            task_status.started(connections)
+            await over.wait()
