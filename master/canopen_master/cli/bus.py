@@ -1,0 +1,86 @@
+"""`canopen bus serve`: a bus between the terminals of one computer, without hardware and without kernel modules."""
+
+from __future__ import annotations
+
+import math
+
+import click
+import trio
+from rich.markup import escape
+
+from canopen_master.cli.nmt import confirm
+from canopen_master.cli.options import Settings, common
+from canopen_master.cli.problem import ExitCode, Problem
+from canopen_master.cli.running import run
+from canopen_transports.tcp import BusServer, serve_bus
+from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopback
+
+
+@click.group()
+def bus() -> None:
+    """A bus of our own: for several terminals, or for several programs."""
+
+
+@bus.command()
+@click.option(
+    "--bind", default=DEFAULT_HOST, metavar="HOST", show_default=True, help="Where to listen: an address of this computer."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0 for any free one.")
+@click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
+@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@common
+@click.pass_obj
+def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:
+    """Be a CAN bus until Ctrl-C: what one program says, all others hear.
+
+    Only programs of this computer can join, unless --bind says otherwise. There is no password: whoever can reach the port
+    hears all, and can move the drives.
+
+    \b
+    canopen bus serve                  the first terminal
+    canopen sim -b tcp                 the second: drives
+    canopen scan -b tcp                the third
+
+    \b
+    canopen bus serve --bind 0.0.0.0 --yes      other computers join by -b tcp:THIS-COMPUTER
+
+    What travels is text: after the line "canopen-bus 1", `nc localhost 20301` shows each frame as candump would.
+    """
+    screen = settings.screen()
+    local = is_loopback(bind)
+    confirm(screen, f"whoever reaches port {port} of {bind} will hear this bus and can move its drives", yes, needed=not local)
+    if not local:
+        screen.say(
+            f"[yellow]Open to the network:[/] no password guards this bus; whoever reaches port {port} can move its drives."
+        )
+
+    def tell(text: str) -> None:
+        screen.say(f"[dim]{escape(text)}[/]")
+
+    async def be_a_bus() -> None:
+        async with trio.open_nursery() as nursery:
+            for locator in await nursery.start(serve_bus, bind, port, BusServer(tell)):
+                screen.say(f"[bold]a bus on {locator}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+                screen.say(f"Join it in other terminals: [bold]canopen sim -b {locator}[/], [bold]canopen scan -b {locator}[/]")
+            await trio.sleep(math.inf if seconds is None else seconds)
+            nursery.cancel_scope.cancel()
+
+    async def serve_unwrapped() -> None:
+        try:
+            await be_a_bus()
+        except ExceptionGroup as group:
+            raise _first(group) from None
+
+    try:
+        run(settings, screen, serve_unwrapped)
+    except Problem as ended:
+        if ended.exit_code is not ExitCode.INTERRUPTED:
+            raise
+        screen.say("ended")  # as it was to end
+
+
+def _first(error: Exception) -> Exception:
+    """The error in a group that a nursery made of it."""
+    while isinstance(error, ExceptionGroup):
+        error = error.exceptions[0]
+    return error
