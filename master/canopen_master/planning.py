@@ -1,0 +1,256 @@
+"""Does a network fit on its bus? Answered before it is bought, by the worst-case analysis and by letting the bus machine run.
+
+Theory of operation
+-------------------
+One bus, one master, one device for each joint. Per cycle the master sends SYNC and right behind it one RPDO for each joint; each
+device answers the SYNC by its TPDO. Besides there are heartbeats, one SDO transfer in the background, and EMCYs. Each of these is
+a `Stream` with its identifier, size and period:
+
+- The SYNC's deadline is its period, that of an RPDO the next SYNC (it acts there), and that of a TPDO too. A TPDO may be late by
+  what its SYNC was late: that is its jitter, besides the time that the device takes.
+- SDO: the client waits for each answer, so there is one request and one answer per `sdo` time, taken as those of the highest
+  node-ID. EMCY: a device may send one per EMCY_INTERVAL. Both have their period for a deadline, as a heartbeat has.
+
+`plan` bounds each stream's latency (canopen_transports.wire.response_time) with all stuff bits that there can be, and runs the
+bus machine for some cycles with random phases of all that is not cyclic. What the machine shows is never above the bound, and
+says how far from it an ordinary day is. Latency is from the queue (of a TPDO: from the SYNC being queued) to the intermission's
+end.
+
+Left out: NMT and TIME (rare), LSS, guarding, what a master says to devices that are no joints.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from canopen_proto.frame import EMCY, ERROR_CONTROL, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, Frame
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError, Time
+from canopen_transports.wire import Message, QueueOrder, ResponseTime, Wire, WireMember, WireSettings, response_times, worst_bits
+from canopen_transports.wire.response_time import utilisation
+
+EMCY_INTERVAL: Final = 100 * MILLISECOND
+"""A device's EMCYs come no closer than this: drives have an inhibit time, or few errors."""
+SDO_DEADLINE: Final = 100 * MILLISECOND
+"""For one frame; clients wait 300 ms or more for an answer."""
+SIMULATED_CYCLES: Final = 200
+"""0.8 seconds at 4 ms, in which a heartbeat and an EMCY of each device come too."""
+CYCLES: Final = tuple(
+    round(ms * MILLISECOND)
+    for ms in (0.25, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 100, 200, 500)
+)
+"""Cycle times that people set."""
+MASTER: Final = "master"
+STUFFING: Final = 0x3C
+"""A byte of many stuff bits: what the machine sends is nearly as long as it can be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A frame that is sent again and again. kind: "SYNC", "RPDO", "TPDO", "heartbeat", "EMCY" or "SDO". node_id: 0 for SYNC.
+
+    name: for people. size: bytes. period, deadline: ns. reaction: of a TPDO, what the device takes to answer SYNC.
+    """
+
+    kind: str
+    name: str
+    node_id: int
+    can_id: int
+    size: int
+    period: Time
+    deadline: Time
+    reaction: Time = 0
+
+    @property
+    def is_from_master(self) -> bool:
+        """Who sends it: the master, or its node."""
+        return self.kind in ("SYNC", "RPDO") or (self.kind == "SDO" and self.can_id >= SDO_CLIENT_TO_SERVER)
+
+    @property
+    def answers_sync(self) -> bool:
+        """Whether a SYNC is what makes it go out."""
+        return self.kind == "TPDO"
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPlan:
+    """What is to be expected of a stream. worst: the bound, ns, or NEVER. simulated: the longest that the machine showed."""
+
+    stream: Stream
+    worst: Time
+    simulated: Time
+
+    @property
+    def fits(self) -> bool:
+        """Whether it is always there in time."""
+        return self.worst <= self.stream.deadline
+
+    @property
+    def margin(self) -> Time:
+        """What is left until its deadline, ns; below 0 where it does not fit."""
+        return self.stream.deadline - self.worst
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkPlan:
+    """What is to be expected of one bus. load: which part of it is needed at worst; simulated_load: by the machine.
+
+    shortest_cycle: of CYCLES, the shortest one that fits; None where none does.
+    """
+
+    bus: str
+    bitrate: int
+    cycle: Time
+    streams: tuple[StreamPlan, ...]
+    load: float
+    simulated_load: float
+    shortest_cycle: Time | None
+
+    @property
+    def fits(self) -> bool:
+        """Whether all of it is always there in time."""
+        return all(each.fits for each in self.streams)
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """What is exchanged with one joint in each cycle. rpdo, tpdo: (CAN-ID, bytes)."""
+
+    name: str
+    node_id: int
+    rpdo: tuple[tuple[int, int], ...]
+    tpdo: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Background:
+    """What goes on besides. heartbeat: period of each device; sdo: time between two requests; each 0 for none. reaction: what a
+    device takes to answer a SYNC. order: of the transmit queues."""
+
+    heartbeat: Time = 500 * MILLISECOND
+    sdo: Time = 10 * MILLISECOND
+    emcy: Time = EMCY_INTERVAL
+    reaction: Time = 100 * MICROSECOND
+    order: QueueOrder = QueueOrder.PRIORITY
+
+
+def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) -> tuple[Stream, ...]:
+    """All that is said on a bus with these joints. LocalProtocolError where two of it have one identifier."""
+    streams = [Stream("SYNC", "SYNC", 0, SYNC, 0, cycle, cycle)]
+    for joint in joints:
+        for kind, pdos in (("RPDO", joint.rpdo), ("TPDO", joint.tpdo)):
+            reaction = background.reaction if kind == "TPDO" else 0
+            for can_id, size in pdos:
+                streams.append(Stream(kind, f"{kind} {joint.name}", joint.node_id, can_id, size, cycle, cycle, reaction))
+        rare = (("heartbeat", ERROR_CONTROL, 1, background.heartbeat), ("EMCY", EMCY, 8, background.emcy))
+        for kind, base, size, period in rare:
+            if period:
+                name = f"{kind} {joint.name}"
+                streams.append(Stream(kind, name, joint.node_id, base + joint.node_id, size, period, period))
+    if background.sdo and joints:
+        node_id = max(joint.node_id for joint in joints)
+        for name, base in (("SDO request", SDO_CLIENT_TO_SERVER), ("SDO answer", SDO_SERVER_TO_CLIENT)):
+            streams.append(Stream("SDO", name, node_id, base + node_id, 8, background.sdo, SDO_DEADLINE))
+    by_id: dict[int, Stream] = {}
+    for stream in streams:
+        other = by_id.setdefault(stream.can_id, stream)
+        if other is not stream:
+            raise LocalProtocolError(f"{other.name} and {stream.name} both have the CAN-ID 0x{stream.can_id:X}")
+    return tuple(streams)
+
+
+def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder) -> list[ResponseTime]:
+    """The worst-case response time of each stream."""
+    messages = [_message(stream, bitrate, order) for stream in streams]
+    # A TPDO comes when its SYNC has come: as late as that, and after the device's own time.
+    late = response_times(messages, bitrate)[0].worst
+    if late >= NEVER:
+        return [ResponseTime(message, NEVER, 0, 0, 0) for message in messages]
+    messages = [
+        replace(message, jitter=late + stream.reaction) if stream.answers_sync else message
+        for stream, message in zip(streams, messages, strict=True)
+    ]
+    return response_times(messages, bitrate)
+
+
+def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
+    time = Wire(WireSettings(bitrate=bitrate)).time_of(worst_bits(stream.size))
+    sender = MASTER if stream.is_from_master else str(stream.node_id)
+    queue = sender if order is QueueOrder.FIFO else None
+    return Message(stream.name, stream.can_id, time, stream.period, deadline=stream.deadline, queue=queue)
+
+
+def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()) -> NetworkPlan:
+    """Whether a bus with these joints fits, and what is to be expected. cycle: ns. bitrate: bit/s."""
+    streams = streams_of(joints, cycle, background)
+    found = bounds(streams, bitrate, background.order)
+    worst, load = simulate(streams, bitrate, background.order)
+    plans = tuple(StreamPlan(stream, each.worst, worst[stream.can_id]) for stream, each in zip(streams, found, strict=True))
+    return NetworkPlan(
+        bus,
+        bitrate,
+        cycle,
+        plans,
+        utilisation([each.message for each in found]),
+        load,
+        next((other for other in CYCLES if _fits(joints, other, bitrate, background)), None),
+    )
+
+
+def _fits(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background) -> bool:
+    return all(each.fits for each in bounds(streams_of(joints, cycle, background), bitrate, background.order))
+
+
+def simulate(
+    streams: Sequence[Stream], bitrate: int, order: QueueOrder, cycles: int = SIMULATED_CYCLES, seed: int = 0
+) -> tuple[dict[int, Time], float]:
+    """Let the bus machine run: the longest latency by CAN-ID, and the load. What finds no room in its queue is left out."""
+    wire = Wire(WireSettings(bitrate=bitrate))
+    members: dict[int, WireMember] = {0: wire.join(0, order=order)}
+    for stream in streams:
+        if stream.node_id not in members:
+            members[stream.node_id] = wire.join(0, order=order)
+    wire.join(0)  # somebody to acknowledge what the last one says
+    frames = {stream.can_id: Frame(stream.can_id, bytes((STUFFING,)) * stream.size) for stream in streams}
+    phases = random.Random(seed)
+    end = cycles * streams[0].period
+    # What is to be queued, and when: (time, place in the list of streams), so that a SYNC goes before its RPDOs.
+    due = [
+        (0 if stream.kind in ("SYNC", "RPDO") else phases.randrange(stream.period), place)
+        for place, stream in enumerate(streams)
+        if not stream.answers_sync
+    ]
+    heapq.heapify(due)
+    worst = dict.fromkeys(frames, 0)
+    answers = {stream.can_id: place for place, stream in enumerate(streams) if stream.answers_sync}
+    while due and due[0][0] < end:
+        time, place = due[0]
+        ready = wire.next_deadline()
+        if ready < time:
+            wire.handle_timeout(ready)
+            for delivery in wire.drain()[0]:
+                can_id = delivery.frame.can_id
+                since = delivery.queued
+                if can_id == SYNC:
+                    for number in answers.values():
+                        heapq.heappush(due, (delivery.at + streams[number].reaction, number))
+                elif can_id in answers:
+                    since -= since % streams[0].period  # from the SYNC on
+                worst[can_id] = max(worst[can_id], delivery.at + wire.time_of(3) - since)
+            continue
+        stream = streams[place]
+        heapq.heappop(due)
+        if not stream.answers_sync:
+            heapq.heappush(due, (time + stream.period, place))
+        member = members[0 if stream.is_from_master else stream.node_id]
+        if member.has_room:
+            wire.send(member, frames[stream.can_id], time)
+    return worst, wire.load(end)
+
+
+def milliseconds(time: Time) -> str:
+    """A time for people: "0.27 ms"."""
+    return "no bound" if time >= NEVER else f"{time / MILLISECOND:.2f} ms"
