@@ -173,15 +173,10 @@ class ObjectDictionary:
         by_index = {each.index: each for each in objects}
         self._pseudo = by_index.pop(PSEUDO_INDEX, None)
         self.objects: Mapping[int, Object] = MappingProxyType(dict(sorted(by_index.items())))
-        self._by_mux: dict[int, Variable] = {}
-        for each in self.objects.values():
-            if len(each.variables) == 1:
-                (variable,) = each.variables.values()
-                self._by_mux[variable.mux] = variable
-            else:
-                for subindex in sorted(each.variables):
-                    variable = each.variables[subindex]
-                    self._by_mux[variable.mux] = variable
+        by_mux = {variable.mux: variable for each in self.objects.values() for variable in each.variables.values()}
+        if (keys := list(by_mux)) != (ordered := sorted(keys)):  # they are in order in most files, and sorted soon then
+            by_mux = {key: by_mux[key] for key in ordered}
+        self._by_mux: dict[int, Variable] = by_mux
         self._names: _Names | None = None
         self._constants = {key: tuple(each) for key, each in (constants or {}).items()}
         self.pdos: tuple[PdoDescription, ...] = tuple(pdos)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.description import DeviceInfo
@@ -71,23 +71,9 @@ class Compact:
         like = self._variables.read(section, index, 1)
         first = Variable(index, 0, _COUNT, DataType.UNSIGNED8, Access.RO, default=count)
         names, values, denotations = (self._document.lists.get((index, kind)) for kind in ("name", "value", "denotation"))
-        variables = {0: own.get(0, first)}
-        for subindex in range(1, count + 1):
-            variables[subindex] = own.get(subindex) or self._entry(like, subindex, names, values, denotations)
-        return variables | own
-
-    def _entry(
-        self, like: Variable, subindex: int, names: Section | None, values: Section | None, denotations: Section | None
-    ) -> Variable:
-        key = str(subindex)
-        configured, adds_node_id = like.configured, like.configured_adds_node_id
-        if values is not None and (text := values.get(key)):
-            configured, adds_node_id = self._variables.value(values, key, text, like.data_type)
-            self._variables.has_configured |= configured is not None
-        return Variable(
-            like.index,
-            subindex,
-            (names.get(key) if names is not None else "") or f"{like.name}{subindex}",
+        called = {} if names is None else names.values
+        denoted = {} if denotations is None else denotations.values
+        before: tuple[Any, ...] = (
             like.data_type,
             like.access,
             like.default,
@@ -96,14 +82,21 @@ class Compact:
             like.pdo_mappable,
             (),
             like.adds_node_id,
-            configured,
-            adds_node_id,
-            like.object_flags,
-            like.unit,
-            like.factor,
-            like.description,
-            (denotations.get(key) if denotations is not None else "") or "",
         )
+        behind: tuple[Any, ...] = like.object_flags, like.unit, like.factor, like.description
+        variables = {0: own.get(0, first)}
+        for subindex in range(1, count + 1):
+            if subindex in own:
+                variables[subindex] = own[subindex]
+                continue
+            key = str(subindex)
+            configured = like.configured, like.configured_adds_node_id
+            if values is not None and (text := values.get(key)):
+                configured = self._variables.value(values, key, text, like.data_type)
+                self._variables.has_configured |= configured[0] is not None
+            name = called.get(key) or f"{like.name}{key}"
+            variables[subindex] = Variable(index, subindex, name, *before, *configured, *behind, denoted.get(key, ""))
+        return variables | own
 
     def pdos(self, info: DeviceInfo, known: dict[int, Object]) -> Iterator[Object]:
         """The PDO parameters that CompactPDO stands for, without those that the file has."""

@@ -84,7 +84,8 @@ class Fields:
 
     def numbered(self, count_key: str) -> list[tuple[int, str]]:
         """A list: its entries with their numbers, in the order of the numbers. A count that is wrong is a warning."""
-        found = sorted((int(key), text) for key, text in self.values.items() if _NUMBERED.fullmatch(key))
+        found = [(int(key), text) for key, text in self.values.items() if _NUMBERED.fullmatch(key)]
+        found.sort()
         self._check(count_key, len(found))
         return found
 
@@ -188,7 +189,7 @@ def dummies(document: EdsDocument, findings: Findings) -> MappingProxyType[int, 
     if section is None:
         return None
     fields = Fields(section, findings)
-    usable = {int(found[1], 16): fields.flag(key) for key in reversed(section.values) if (found := _DUMMY.fullmatch(key))}
+    usable = {int(found[1], 16): fields.flag(key) for key in reversed(list(section.values)) if (found := _DUMMY.fullmatch(key))}
     return MappingProxyType(usable)
 
 

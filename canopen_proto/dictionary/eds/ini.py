@@ -15,15 +15,16 @@ bracket of a section is left out, and a line that is none of these is a warning.
 Bytes become text as UTF-8 (with or without a byte order mark), or UTF-16 with its mark; what is neither is Windows-1252, or
 Latin-1 where a byte has no meaning there. Every byte has a character then: nothing is refused.
 
-Speed: most lines of a file are repetitions (`ObjectType=0x7`). So each distinct line is taken apart once (`_Lines`), and a
-section is a dict that is made of its lines in one call. Keys as they are spelt, and columns, are found when somebody asks.
+Speed: most of a file is repetition. From half to nine tenths of the sections of a maker's file say what another one says, but for
+their names; so all that stands behind a first line `ParameterName=` is taken apart once (`Body`), and of the rest each distinct
+line (`_Lines`). Keys as they are spelt, and columns, are found when somebody asks.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from typing import Final, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 from canopen_proto.dictionary.findings import Finding, Severity
 
@@ -48,9 +49,13 @@ _OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
 
 _ODD: Final = "\n"
 """The key of lines that make no sense; no line has a line feed in it."""
+_TITLE: Final = "parametername"
 _NOTHING: Final = ("", "")
 _JUNK: Final = (_ODD, "")
-_SUBINDICES: Final = {text: number for number in range(256) for text in (f"{number:x}", f"{number:02x}")}
+_SUB: Final = frozenset(("sub", "Sub", "SUB"))
+_SUBINDICES: Final = {
+    text: number for number in range(256) for text in (f"{number:x}", f"{number:X}", f"{number:02x}", f"{number:02X}")
+}
 
 
 class Findings:
@@ -92,25 +97,44 @@ class Entry(NamedTuple):
     column: int
 
 
+class Body:
+    """What sections say that differ in their names only. values: by key in small letters; the last key comes first.
+
+    made: what was made of it, for whoever reads many sections; None = nothing.
+    """
+
+    __slots__ = ("made", "values")
+
+    def __init__(self, values: dict[str, str]) -> None:
+        self.values = values
+        self.made: tuple[Any, ...] | None = None
+
+
 class Section:
     """One section. name: as it is spelt, without blanks around it. line: of the name, from 1.
 
-    values: by key in small letters, without blanks around; the first of two equal keys. The last key comes first.
+    title: its ParameterName, where that is the first key; body: all other keys. `values` has all of them.
     """
 
-    __slots__ = ("_body", "line", "name", "values")
+    __slots__ = ("_text", "body", "line", "name", "title")
 
-    def __init__(self, name: str, line: int, body: str, values: dict[str, str]) -> None:
+    def __init__(self, name: str, line: int, text: str, body: Body, title: str | None) -> None:
         self.name = name
         self.line = line
-        self.values = values
-        self._body = body  # from the name to the line before the next section
+        self.body = body
+        self.title = title
+        self._text = text  # from the name to the line before the next section
+
+    @property
+    def values(self) -> Mapping[str, str]:
+        """By key in small letters, without blanks around; the first of two equal keys. The last key comes first."""
+        return self.body.values if self.title is None else {**self.body.values, _TITLE: self.title}
 
     @property
     def entries(self) -> Iterator[Entry]:
         """All entries in the order of the file, those that do not count included."""
         known = _Lines()
-        for number, line in enumerate(self._body.split("\n")[1:], start=self.line + 1):
+        for number, line in enumerate(self._text.split("\n")[1:], start=self.line + 1):
             folded, value = known[line]
             if folded not in ("", _ODD):
                 key, _, behind = line.partition("=")
@@ -123,10 +147,11 @@ class Section:
     def place_of(self, key: str) -> tuple[int, int]:
         """Line and column of a value; of the section's name where there is no such key."""
         folded = key.lower()
-        if folded in self.values:
-            for entry in self.entries:
-                if entry.key.lower() == folded:
-                    return entry.line, entry.column
+        if folded:
+            for number, line in enumerate(self._text.split("\n")[1:], start=self.line + 1):
+                spelt, equals, value = line.partition("=")
+                if equals and spelt.strip().lower() == folded:
+                    return number, len(line) - len(value.lstrip()) + 1
         return self.line, 1
 
 
@@ -191,7 +216,7 @@ class EdsDocument:
     def _read(self, text: str, findings: Findings) -> None:
         """Take the text apart. Lines before the first section belong to none."""
         known = _Lines()
-        take_apart = known.__getitem__
+        bodies: dict[str, Body] = {}
         indices: dict[str, int] = {}
         text = "\n" + text
         head, *parts = _SECTION.split(text, MAX_SECTIONS + 1)
@@ -199,24 +224,27 @@ class EdsDocument:
         _report(head.split("\n")[1:], 1, known, findings, "")
         for part in parts[:MAX_SECTIONS]:
             line += 1
-            lines = part.split("\n")
-            header = lines.pop(0)
-            name, bracket, rest = header.partition("]")
-            if rest or not bracket:
-                name = _odd_header(name, bracket, rest, line, findings)
+            pieces = part.split("\n", 2)
+            header = pieces[0]
+            first, tail = pieces[1:] if len(pieces) == 3 else ("".join(pieces[1:]), "")
+            name, bracket, behind = header.partition("]")
+            if behind or not bracket:
+                name = _odd_header(name, bracket, behind, line, findings)
             name = name.strip()
-            values = dict(map(take_apart, reversed(lines)))  # reversed: the first of two equal keys is to stay
-            values.pop("", None)
-            if _ODD in values or (len(values) != len(lines) - lines.count("") and _repeats(lines, known)):
-                values.pop(_ODD, None)
-                _report(lines, line + 1, known, findings, name)
-            section = Section(name, line, part, values)
+            title = first[14:].strip() if first[:14] == "ParameterName=" else None  # the usual spelling, shortly
+            body = bodies.get(tail) if title is not None else None
+            if body is None:
+                if title is None:
+                    key, value = known[first]
+                    title = value if key == _TITLE else None
+                body = _body(title, first, tail, name, line, known, bodies, findings)
+            section = Section(name, line, part, body, title)
             self.sections.append(section)
             first = self._place(section, indices)
             if first is not section and not findings.full(Severity.ERROR):
                 message = f"[{quoted(name)}] is in line {first.line} already; this one was left out"
                 findings.add(Severity.ERROR, "section-twice", message, line, 1)
-            line += len(lines)
+            line += part.count("\n")
         if len(parts) > MAX_SECTIONS:
             message = f"there are more than {MAX_SECTIONS} sections; the rest was not read"
             findings.add(Severity.ERROR, "too-long", message, line + 1, 1)
@@ -225,14 +253,17 @@ class EdsDocument:
 
     def _place(self, section: Section, indices: dict[str, int]) -> Section:
         """Note a section by what it is about. The section that counts: this one, or an earlier one. indices: what was read."""
-        name = section.name.lower()
+        name = section.name
         digits = name[:4]
         index = indices.get(digits)
-        if index is not None and name[4:7] == "sub" and (subindex := _SUBINDICES.get(name[7:])) is not None:
+        if index is not None and name[4:7] in _SUB and (subindex := _SUBINDICES.get(name[7:])) is not None:
             subs = self.subs.get(index)
             if subs is None:
                 subs = self.subs[index] = {}
             return subs.setdefault(subindex, section)
+        if index is not None and len(name) == 4:
+            return self.objects.setdefault(index, section)
+        name = name.lower()
         found = _OBJECT.fullmatch(name)
         if found is None:
             return self.named.setdefault(_OTHER_SPELLING.get(name, name), section)
@@ -268,10 +299,43 @@ class _Lines(dict[str, tuple[str, str]]):
         return pair
 
 
-def _repeats(lines: Iterable[str], known: _Lines) -> bool:
-    """Whether there is a key twice. Lines of blanks and comments may be there as often as they like."""
-    keys = [key for key, _ in map(known.__getitem__, lines) if key]
-    return len(keys) != len(set(keys))
+def _body(
+    title: str | None,
+    first: str,
+    tail: str,
+    name: str,
+    line: int,
+    known: _Lines,
+    bodies: dict[str, Body],
+    findings: Findings,
+) -> Body:
+    """The body of a section. first: its first line, with its title if it has one; tail: what follows.
+
+    bodies: by tail, those that are without a fault and of which a title was taken off.
+    """
+    if title is not None and (body := bodies.get(tail)) is not None:
+        return body
+    lines = tail.split("\n")
+    if title is None:
+        lines.insert(0, first)
+    values = dict(map(known.__getitem__, reversed(lines)))  # reversed: the first of two equal keys is to stay
+    values.pop("", None)
+    body = Body(values)
+    shorter = len(values) != len(lines) - lines.count("")
+    if _ODD in values or (title is not None and _TITLE in values) or (shorter and _repeats(lines, values, known)):
+        values.pop(_ODD, None)
+        if title is not None:
+            values.pop(_TITLE, None)
+            lines.insert(0, first)
+        _report(lines, line + 1, known, findings, name)
+    elif title is not None:
+        bodies[tail] = body
+    return body
+
+
+def _repeats(lines: list[str], values: dict[str, str], known: _Lines) -> bool:
+    """Whether there is a key twice. Comments may be there as often as they like."""
+    return len(values) != sum(1 for key, _ in map(known.__getitem__, lines) if key)
 
 
 def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings, section: str) -> None:

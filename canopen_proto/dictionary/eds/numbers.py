@@ -39,6 +39,7 @@ _BITS: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
 _OCTETS: Final = re.compile(r"(?:0[xX])?((?:[0-9A-Fa-f]{2}\s*)*)", re.ASCII)
 _COMMENT: Final = re.compile(r"[#;]")
 
+_LIMITS: Final = {data_type: range_of(data_type) for data_type in DataType}
 _TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 _REALS: Final = {DataType.REAL32: struct.Struct(">f"), DataType.REAL64: struct.Struct(">d")}
 _TIMES: Final = (DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)
@@ -84,11 +85,11 @@ def read_value(text: str, data_type: DataType) -> Reading:
     """A default or configured value of that type. An empty text is nothing."""
     if not text:
         return NOTHING
-    if data_type in _TEXTS:
-        return text, False, "", False
-    limits = range_of(data_type)
+    limits = _LIMITS[data_type]
     if limits is not None:
         return _integer(text, data_type, *limits)
+    if data_type in _TEXTS:
+        return text, False, "", False
     if data_type in _REALS:
         return _real(text, data_type)
     if data_type in _TIMES and (time := _time(text, data_type)) is not None:

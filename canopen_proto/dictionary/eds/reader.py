@@ -114,7 +114,7 @@ class _Objects:
         subs_of = self._document.subs
         for index, section in self._document.objects.items():
             subs = subs_of.get(index, _NO_SUBS)
-            values = section.values
+            values = section.body.values
             object_type = _OBJECT_TYPES.get(values.get("objecttype"))
             if not index:
                 self._refuse(section)
@@ -132,9 +132,9 @@ class _Objects:
 
     def _object(self, section: Section, index: int, subs: dict[int, Section], object_type: ObjectType) -> Object:
         """An object that is no plain VAR."""
-        values = section.values
+        values = section.body.values
         is_compact = values.get("compactsubobj", "0") not in ("0", "", "0x0")
-        name = values.get("parametername", "")
+        name = section.title if section.title is not None else values.get("parametername", "")
         if subs and object_type not in _WITH_SUBS and (object_type is not ObjectType.VAR or set(subs) - {0, 0xFF}):
             message = f"a {object_type.name} has no sub-objects; taken as RECORD"
             self._variables.warn(section, "ObjectType", "object-type", message)
@@ -163,8 +163,8 @@ class _Objects:
         code: int | None,
     ) -> Object:
         self._variables.foreign(section)
-        flags = self._variables.number(section, "ObjFlags", OBJECT_FLAGS) if "objflags" in section.values else 0
-        denotation = section.values.get("denotation", "")
+        flags = self._variables.number(section, "ObjFlags", OBJECT_FLAGS) if "objflags" in section.body.values else 0
+        denotation = section.body.values.get("denotation", "")
         return Object(index, name, object_type, MappingProxyType(variables), code, flags, denotation)
 
     def _subs(self, index: int, subs: dict[int, Section], likely: DataType | None) -> dict[int, Variable]:
@@ -194,8 +194,8 @@ class _Objects:
 
     def _object_type(self, section: Section, has_subs: bool) -> ObjectType:
         """The object type where its text is none that the table has."""
-        text = section.values.get("objecttype", "")
-        is_compact = "compactsubobj" in section.values
+        text = section.body.values.get("objecttype", "")
+        is_compact = "compactsubobj" in section.body.values
         likely = ObjectType.ARRAY if is_compact else ObjectType.RECORD if has_subs else ObjectType.VAR
         if not text:
             if likely is not ObjectType.VAR:
@@ -213,7 +213,7 @@ class _Objects:
 
     def _check_count(self, section: Section, object_type: ObjectType, found: dict[int, Variable]) -> None:
         """SubNumber: how many sub-objects there are, without 255, which tells the structure."""
-        text = section.values.get("subnumber", "")
+        text = section.body.values.get("subnumber", "")
         if not text:
             if object_type in _WITH_SUBS:
                 self._variables.warn(section, "SubNumber", "sub-number", "SubNumber is missing")

@@ -13,8 +13,8 @@ or makes no sense is made good, each with a finding:
 
 The first three are warnings, a value that is lost is an error. A name that is missing is the linter's business.
 
-Speed: the texts repeat from object to object, so each is looked up in a table that was filled when it first occurred. Keys that
-nearly every section has are looked at one by one, the others only where there are any.
+Speed: most sections say what another one says, but for their names (ini.py), and what they come to is made once, unless there was
+a finding, which has its own place each time. Texts repeat too: what each means is looked up in a table that fills as they occur.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from canopen_proto.datatypes import DataType, Value, is_number, range_of
 from canopen_proto.dictionary.eds.ini import EdsDocument, Findings, Section, quoted
@@ -58,9 +58,14 @@ _FOREIGN: Final = "_"
 """A key that begins so, or with a semicolon, is a maker's own by custom."""
 _ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
 _FLAGS: Final[dict[str | None, bool]] = {"0": False, "0x0": False, "": False, None: False, "1": True, "0x1": True}
+_NUMBERS: Final = {
+    each: (is_number(each), limits[1] if (limits := range_of(each)) is not None and each is not DataType.BOOLEAN else -1)
+    for each in DataType
+}
+"""Whether a type has limits, and the greatest whole number of it."""
 _DECIMAL: Final = re.compile(r"[1-9][0-9]{0,18}", re.ASCII)
 _TYPES: Final = {int(each): each for each in DataType}
-_TEXTS_OF_TYPES: Final[Mapping[str | None, DataType]] = {
+_TEXTS_OF_TYPES: Final[Mapping[str, DataType]] = {
     text: each for each in DataType for text in (f"0x{each:04X}", f"0x{each:X}", f"0x{each:04x}", str(int(each)))
 }
 
@@ -71,9 +76,7 @@ class _Readings(dict[str, Reading]):
     def __init__(self, data_type: DataType) -> None:
         super().__init__()
         self.data_type = data_type
-        self.has_limits = is_number(data_type)
-        limits = range_of(data_type)
-        self._highest = -1 if limits is None or data_type is DataType.BOOLEAN else limits[1]
+        self.has_limits, self._highest = _NUMBERS[data_type]
 
     def __missing__(self, text: str) -> Reading:
         if _DECIMAL.fullmatch(text) and (number := int(text)) <= self._highest:  # the usual case, shortly
@@ -90,22 +93,34 @@ class Variables:
     def __init__(self, document: EdsDocument, findings: Findings) -> None:
         self.has_configured = False
         self._document = document
+        self._told = 0  # findings; what is made without one can be made again
         self._findings = findings
-        self._readings = {data_type: _Readings(data_type) for data_type in DataType}
-        self._by_text: dict[str | None, _Readings] = {
-            text: self._readings[data_type] for text, data_type in _TEXTS_OF_TYPES.items()
-        }
+        self._readings: dict[DataType, _Readings] = {}
+        self._by_text: dict[str, _Readings] = {}
 
     def read(
         self, section: Section, index: int, subindex: int, likely: DataType | None = None, *, in_array: bool = False
     ) -> Variable:
         """The variable of a section. likely: its type where the section has none. in_array: subindex 0 counts the others."""
-        values = section.values
+        body = section.body
+        name = section.title
+        told = self._told
+        if body.made is not None:
+            return Variable(index, subindex, name or "", *body.made)
+        values = body.values
         get = values.get
-        readings = self._by_text.get(get("datatype"))
+        if name is None:
+            name = get("parametername", "")
+        type_text = get("datatype", "")
+        readings = self._by_text.get(type_text)
+        if readings is None and (data_type := _TEXTS_OF_TYPES.get(type_text)) is not None:
+            readings = self._by_text[type_text] = self._readings_of(data_type)
+        access = _ACCESSES.get(get("accesstype", ""))
+        is_plain = readings is not None and access is not None
         if readings is None:
-            readings = self._readings[self._odd_type(section, index, subindex, likely, in_array)]
-        access = _ACCESSES.get(get("accesstype", "")) or self._odd_access(section, index, subindex, in_array)
+            readings = self._readings_of(self._odd_type(section, index, subindex, likely, in_array))
+        if access is None:
+            access = self._odd_access(section, index, subindex, in_array)
         mappable = _FLAGS.get(get("pdomapping"))
         if mappable is None:
             mappable = bool(self.number(section, "PDOMapping", 1))
@@ -117,29 +132,30 @@ class Variables:
                 self._remark(section, "DefaultValue", remark, lost)
         low = self._limit(section, "LowLimit", text, readings) if (text := get("lowlimit")) else None
         high = self._limit(section, "HighLimit", text, readings) if (text := get("highlimit")) else None
-        name = get("parametername", "")
-        keys = values.keys()
-        if keys <= _COMMON:
-            return Variable(index, subindex, name, readings.data_type, access, default, low, high, mappable, (), adds_node_id)
+        made: tuple[Any, ...] = (readings.data_type, access, default, low, high, mappable, (), adds_node_id)
+        if not values.keys() <= _COMMON:
+            made += self._rest(section, readings.data_type)
+        if is_plain and self._told == told:
+            body.made = made
+        return Variable(index, subindex, name, *made)
+
+    def _readings_of(self, data_type: DataType) -> _Readings:
+        readings = self._readings.get(data_type)
+        if readings is None:
+            readings = self._readings[data_type] = _Readings(data_type)
+        return readings
+
+    def _rest(self, section: Section, data_type: DataType) -> tuple[Any, ...]:
+        """The fields of a variable that few sections have."""
+        get = section.body.values.get
         self.foreign(section)
         configured: Value | None = None
         configured_adds = False
         if text := get("parametervalue"):
-            configured, configured_adds = self.value(section, "ParameterValue", text, readings.data_type)
+            configured, configured_adds = self.value(section, "ParameterValue", text, data_type)
             self.has_configured = True
         flags = _FLAGS.get(get("objflags"))
-        return Variable(
-            index,
-            subindex,
-            name,
-            readings.data_type,
-            access,
-            default,
-            low,
-            high,
-            mappable,
-            (),
-            adds_node_id,
+        return (
             configured,
             configured_adds,
             self.number(section, "ObjFlags", OBJECT_FLAGS) if flags is None else int(flags),
@@ -153,14 +169,14 @@ class Variables:
 
     def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
         """A value that stands somewhere in a section, and whether the node-ID is added to it."""
-        value, adds_node_id, remark, lost = self._readings[data_type][text]
+        value, adds_node_id, remark, lost = self._readings_of(data_type)[text]
         if remark:
             self._remark(section, key, remark, lost)
         return value, adds_node_id
 
     def number(self, section: Section, key: str, most: int) -> int:
         """A whole number 0..most; 0, and a warning, where it cannot be read."""
-        text = section.values.get(key.lower(), "")
+        text = section.body.values.get(key.lower(), "")
         if not text:
             return 0
         number, remark = read_number(text)
@@ -172,9 +188,11 @@ class Variables:
 
     def foreign(self, section: Section) -> None:
         """A notice of keys that CiA 306 does not have: one of them may be a misspelt one."""
-        if section.values.keys() <= _KNOWN:
+        values = section.body.values
+        if values.keys() <= _KNOWN:
             return
-        keys = [key for key in reversed(section.values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
+        self._told += 1
+        keys = [key for key in reversed(values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
         if keys and not self._findings.full(Severity.NOTICE):
             names = ", ".join(quoted(key) for key in keys[:5])
             message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
@@ -182,6 +200,7 @@ class Variables:
 
     def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
         """A finding about a key of a section."""
+        self._told += 1
         if not self._findings.full(severity):
             line, column = section.place_of(key)
             self._findings.add(severity, code, f"in [{quoted(section.name)}]: {message}", line, column)
@@ -208,7 +227,7 @@ class Variables:
         return number
 
     def _factor(self, section: Section) -> float:
-        text = section.values["factor"]
+        text = section.body.values["factor"]
         try:
             factor = float(text)
         except ValueError:
@@ -220,7 +239,7 @@ class Variables:
 
     def _odd_type(self, section: Section, index: int, subindex: int, likely: DataType | None, in_array: bool) -> DataType:
         """The type where the text is none that the table has."""
-        text = section.values.get("datatype", "")
+        text = section.body.values.get("datatype", "")
         number, remark = read_number(text) if text else (None, "")
         if number in _TYPES:
             if remark:
@@ -233,7 +252,7 @@ class Variables:
             guess: DataType = DataType.UNSIGNED8
         elif likely is not None:
             guess = likely
-        elif not text and read_number(section.values.get("objecttype", ""))[0] == ObjectType.DOMAIN:
+        elif not text and read_number(section.body.values.get("objecttype", ""))[0] == ObjectType.DOMAIN:
             return DataType.DOMAIN
         else:
             known = find_standard(index, subindex) if index < PROFILES else None
@@ -253,7 +272,7 @@ class Variables:
         return None if number is None else _TYPES.get(number)
 
     def _odd_access(self, section: Section, index: int, subindex: int, in_array: bool) -> Access:
-        text = section.values.get("accesstype", "")
+        text = section.body.values.get("accesstype", "")
         bare = text.partition("#")[0].partition(";")[0].strip().lower()
         access = _ACCESSES.get(bare)
         if access is not None:
