@@ -69,10 +69,10 @@ class ObjectType(IntEnum):
 class Variable:
     """What stands at one index and subindex.
 
-    default: what it holds after start-up; None = the type's zero. adds_node_id: the device's node-ID is added to the default
-    ("$NODEID+0x80" of an EDS). low_limit, high_limit: what a write may not pass, None = the type's own limits. pdo_mappable: a
-    PDO may carry it, in the direction that its access allows. mux, size (bytes by SDO, None = any) and bit_length (in a PDO,
-    None = cannot be mapped), label (name and place, for people) follow from the rest.
+    default: what it holds after start-up; None = the type's zero, or the limit next to it. adds_node_id: the device's node-ID is
+    added to the default ("$NODEID+0x80" of an EDS). low_limit, high_limit: what a write may not pass, None = the type's own
+    limits. pdo_mappable: a PDO may carry it, in the direction that its access allows. mux, size (bytes by SDO, None = any) and
+    bit_length (in a PDO, None = cannot be mapped), label (name and place, for people) follow from the rest.
 
     configured, configured_adds_node_id: what a DCF sets it to (ParameterValue), None = nothing; see `initial_of`. object_flags:
     bit 0, not to be written by a download of the whole dictionary; bit 1, not to be read by an upload of it (ObjFlags). unit,
@@ -139,8 +139,18 @@ class Variable:
 
     def default_of(self, node_id: int) -> Value:
         """What it holds in the device of that node-ID by default."""
-        value = zero_of(self.data_type) if self.default is None else self.default
+        value = self._zero() if self.default is None else self.default
         return value + node_id if self.adds_node_id and isinstance(value, int) else value
+
+    def _zero(self) -> Value:
+        """The type's zero, or what is next to it within the limits."""
+        zero = zero_of(self.data_type)
+        if isinstance(zero, int | float):
+            if self.low_limit is not None and zero < self.low_limit:
+                return self.low_limit
+            if self.high_limit is not None and zero > self.high_limit:
+                return self.high_limit
+        return zero
 
     def encode(self, value: Value) -> bytes:
         """The value's bytes as SDO carries them. Raises ValueRangeError that names this object. Limits: `check_limits`."""

@@ -39,6 +39,20 @@ def test_it_starts_with_the_defaults_of_its_node() -> None:
     assert Values(DICTIONARY).read("cob_id_emergency") == 0x80
 
 
+def test_what_has_no_default_begins_within_its_limits() -> None:
+    """Many an EDS has limits and no default; a device that refuses the value that it has itself would be odd."""
+    silent = [
+        Variable(0x2000, 0, "above", DataType.UNSIGNED8, low_limit=2, high_limit=10),
+        Variable(0x2001, 0, "below", DataType.INTEGER16, low_limit=-10, high_limit=-2),
+        Variable(0x2002, 0, "around", DataType.REAL32, low_limit=-0.5, high_limit=0.5),
+        Variable(0x2003, 0, "said", DataType.UNSIGNED8, default=0, low_limit=2),
+        Variable(0x2004, 0, "beyond its type", DataType.UNSIGNED8, low_limit=300),
+        Variable(0x2005, 0, "text", DataType.VISIBLE_STRING, low_limit=2),
+    ]
+    values = Values(ObjectDictionary([Object.of(each.name, [each]) for each in silent]))
+    assert list(values.store.values()) == [2, -2, 0.0, 0, 0, ""]
+
+
 def test_six_drives_of_one_description_share_nothing() -> None:
     drives = [Values(DICTIONARY, node_id) for node_id in range(3, 9)]
     drives[0].write("target_position", 5)
