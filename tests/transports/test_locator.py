@@ -38,6 +38,7 @@ from canopen_transports.locator import bitrate_text
         ("pythoncan:socketcan:can0", "socketcan", "can0", None, {}),
         ("tcp", "tcp", "", None, {}),
         ("tcp:localhost:20301", "tcp", "localhost:20301", None, {}),
+        ("file:a@b:c.log?speed=max", "file", "a@b:c.log", None, {"speed": "max"}),
         (" virtual:demo ", "virtual", "demo", None, {}),
         ("pcan:PCAN_USBBUS1?fd=false", "pcan", "PCAN_USBBUS1", None, {"fd": False}),
     ],
@@ -46,7 +47,7 @@ def test_parts(text: str, interface: str, channel: str, bitrate: int | None, opt
     locator = parse_locator(text)
     assert (locator.interface, locator.channel, locator.bitrate, locator.options) == (interface, channel, bitrate, options)
     assert locator.text == text
-    assert locator.own == (interface in ("virtual", "socketcan", "tcp") and not text.startswith("pythoncan:"))
+    assert locator.own == (interface in ("virtual", "socketcan", "tcp", "file") and not text.startswith("pythoncan:"))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_parts(text: str, interface: str, channel: str, bitrate: int | None, opt
         ("pcann:PCAN_USBBUS1@500k", "no interface 'pcann'", "pcan:PCAN_USBBUS1@500k"),
         ("Virtual:demo", "no interface 'Virtual'", "virtual:demo"),
         ("pythoncan:kvasr:0", "no interface 'kvasr'", "pythoncan:kvaser:0"),
-        ("xyzzy:0", "known are virtual, tcp, pythoncan, canalystii", "a locator such as virtual:demo"),
+        ("xyzzy:0", "known are virtual, tcp, file, pythoncan, canalystii", "a locator such as virtual:demo"),
         ("", "names no interface", "a locator such as virtual:demo"),
         ("pythoncan:", "names no interface", "a locator such as"),
         (":can0", "names no interface", "a locator such as"),

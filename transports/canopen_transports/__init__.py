@@ -4,6 +4,7 @@ from canopen_transports.errors import BusState, BusStateChanged, FrameNotSent, R
 from canopen_transports.locator import Locator, parse_bitrate, parse_locator
 from canopen_transports.opening import OpenTransport, open_transport
 from canopen_transports.python_can import PythonCanTransport
+from canopen_transports.replay import ReplayTransport
 from canopen_transports.tcp import TcpTransport
 from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport, Received, Transport, check_frame
 from canopen_transports.virtual import VirtualTransport
@@ -20,6 +21,7 @@ __all__ = [
     "PythonCanTransport",
     "ReceiveOverrun",
     "Received",
+    "ReplayTransport",
     "TcpTransport",
     "Transport",
     "TransportError",

@@ -10,6 +10,7 @@
     slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
     pcan:PCAN_USBBUS1@500k?listen_only=true     without a word of ours on the bus, not even an acknowledge (see `listen_only`)
     tcp  tcp:localhost:20301            the bus of `canopen bus serve`, for several terminals of one computer, or of several
+    file:trace.log?speed=max            a log file, said again: .log, .asc, .blf, .trc (see `replay`)
     udp_multicast                       two terminals of one computer, without a server
     udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
     kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it
@@ -41,7 +42,7 @@ DEFAULT_BUS_NAME: Final = "default"
 MANUAL_BITRATE: Final = 500_000
 """For /dev/pcan32, which the manual opens without naming a bit rate."""
 
-OUR_INTERFACES: Final = ("virtual", "tcp", "pythoncan")
+OUR_INTERFACES: Final = ("virtual", "tcp", "file", "pythoncan")
 _EXAMPLES: Final = ("virtual:demo", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "slcan:/dev/ttyACM0@250k", "udp_multicast")
 
 _BITRATE: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([kM]?)")
@@ -76,6 +77,8 @@ def parse_locator(text: str) -> Locator:
     """A locator's parts. Raises TransportError (CO100) that says which part is wrong and what was perhaps meant."""
     address, _, query = text.strip().partition("?")
     options = dict(_options(text, query))
+    if address.startswith("file:"):  # a path may have any sign in it
+        return Locator(text, True, "file", address.removeprefix("file:"), None, options)
     address, bitrate = _split_bitrate(text, address)
     interface, colon, channel = address.partition(":")
     if interface.startswith("/dev/pcan") and not colon:

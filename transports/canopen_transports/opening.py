@@ -17,14 +17,18 @@ from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
+from canopen_transports.replay import ReplayTransport, open_replay
 from canopen_transports.tcp import TcpTransport, open_tcp
+from canopen_transports.tracing import TracingTransport, traced
 from canopen_transports.virtual import VirtualTransport, open_virtual
 from canopen_transports.virtual_wire import WireTransport
 
 if TYPE_CHECKING:
     from canopen_transports.socketcan import SocketCanTransport
 
-OpenTransport: TypeAlias = "VirtualTransport | WireTransport | SocketCanTransport | TcpTransport | PythonCanTransport"
+OpenTransport: TypeAlias = (
+    "VirtualTransport | WireTransport | SocketCanTransport | TcpTransport | ReplayTransport | PythonCanTransport"
+)
 
 MULTICAST_GROUP: Final = "239.74.163.2"
 """python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
@@ -36,18 +40,23 @@ MULTICAST_HOP_LIMIT: Final = 0
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
-async def open_transport(locator: str) -> OpenTransport:
+async def open_transport(locator: str) -> OpenTransport | TracingTransport:
     """An open transport for a locator such as "virtual:demo" or "socketcan:can0"; the module `locator` lists them all.
 
     Must run in trio. The transport is a trio AsyncResource: `async with await open_transport("virtual:demo") as bus: ...` closes
     it. Cancelled, it leaves nothing open. Raises TransportError: CO100 for a locator that makes no sense, CO101 and CO102 for a
     bus that cannot be opened.
     """
-    parsed = parse_locator(locator)
+    return traced(await _open(parse_locator(locator)))
+
+
+async def _open(parsed: Locator) -> OpenTransport:
     if parsed.own:
         await trio.lowlevel.checkpoint()
         if parsed.interface == "virtual":
             return open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
+        if parsed.interface == "file":
+            return open_replay(parsed.text, parsed.channel, parsed.options)
         if parsed.interface == "tcp":
             return await open_tcp(parsed.text, parsed.channel)
         return _open_socketcan(parsed)

@@ -1,0 +1,180 @@
+"""Log files: what each kind keeps, and what it loses."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import can
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canopen_proto.frame import REMOTE, Frame
+from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, Record, kind_of, log_writer
+from tests.transports.conformance import EVERY_KIND
+from tests.transports.test_tcp_framing import frames
+
+NOW = 1_795_225_377_712_132_000
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
+
+
+def written(path: Path, records: list[Record]) -> list[Record]:
+    writer = log_writer(path)
+    for record in records:
+        writer.write(record)
+    writer.close()
+    assert writer.left_out == len(records) - len(list(LogReader(path)))
+    return list(LogReader(path))
+
+
+RECORDS = [
+    Record(NOW + number * 1_234_567_000, f"can{number % 2}", frame, number % 3 == 0) for number, frame in enumerate(EVERY_KIND)
+]
+
+
+@pytest.mark.parametrize("kind", LOSSES)
+def test_what_comes_back(kind: str, tmp_path: Path) -> None:
+    back = written(tmp_path / f"a{kind}", RECORDS)
+    expected = [record for record in RECORDS if kind != ".trc" or not record.frame.flags & REMOTE]
+    assert ("remote frames are left out" in LOSSES[kind]) == (kind == ".trc")
+    assert [record.frame for record in back] == [record.frame for record in expected]
+    assert [record.sent for record in back] == [record.sent for record in expected]
+    cut = NOW % 1_000_000 if kind == ".asc" else 0  # the date is kept to the millisecond
+    assert [record.time + cut for record in back] == [record.time for record in expected]
+
+
+@pytest.mark.parametrize("kind", LOSSES)
+def test_names_of_buses_become_numbers(kind: str, tmp_path: Path) -> None:
+    records = [Record(NOW, "vcan7", EVERY_KIND[3]), Record(NOW, "lab", EVERY_KIND[4]), Record(NOW, "vcan7", EVERY_KIND[5])]
+    names = [record.channel for record in written(tmp_path / f"a{kind}", records)]
+    if kind == ".log":
+        assert names == ["vcan7", "lab", "vcan7"]
+    else:
+        assert "names of buses become numbers" in LOSSES[kind]
+        assert names == (["can1", "can2", "can1"] if kind == ".trc" else ["can0", "can1", "can0"])
+
+
+@given(st.lists(st.tuples(st.integers(0, 4 * 10**18), st.sampled_from(["", "can0", "tcp0"]), frames, st.booleans()), max_size=9))
+@settings(max_examples=40)
+def test_a_log_of_ours_keeps_all(entries: list[tuple[int, str, Frame, bool]]) -> None:
+    path = Path(os.environ["PYTEST_LOG_FILE"])
+    records = [Record(time // 1000 * 1000, channel, frame, sent) for time, channel, frame, sent in entries]
+    assert written(path, records) == [each._replace(channel=each.channel or "can0") for each in records]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_file(tmp_path_factory: pytest.TempPathFactory) -> None:
+    os.environ["PYTEST_LOG_FILE"] = str(tmp_path_factory.mktemp("logs") / "any.log")
+
+
+def test_what_candump_and_python_can_write_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_text(
+        "(1436509053.850870) vcan0 601#40\n\n"
+        "(1436509053.850871) vcan0 18FF0001#R3 T\n"
+        "(0.000000001) can1 123#1122334455667788_E R\n"
+        "(1.5) can1 20000080#0000000000000000\n"
+        "(1.5) can1 123##1AABB\n"
+    )
+    reader = LogReader(path)
+    assert list(reader) == [
+        Record(1436509053_850870_000, "vcan0", Frame.parse("601#40")),
+        Record(1436509053_850871_000, "vcan0", Frame.parse("18FF0001#R3"), True),
+        Record(1, "can1", Frame.parse("123#1122334455667788")),
+    ]
+    assert (reader.skipped, reader.last_skip) == (2, "a CAN FD frame")
+
+
+def test_python_can_reads_ours(tmp_path: Path) -> None:
+    written(tmp_path / "a.log", RECORDS)
+    messages = list(can.CanutilsLogReader(str(tmp_path / "a.log")))
+    assert [message.dlc for message in messages] == [record.frame.dlc for record in RECORDS]
+    assert [message.is_remote_frame for message in messages] == [bool(record.frame.flags & REMOTE) for record in RECORDS]
+    assert [message.is_rx for message in messages] == [not record.sent for record in RECORDS]
+
+
+def test_python_can_would_lose_a_remote_frames_length(tmp_path: Path) -> None:
+    writer = can.CanutilsLogWriter(str(tmp_path / "a.log"))
+    writer.on_message_received(can.Message(arbitration_id=0x701, is_extended_id=False, is_remote_frame=True, dlc=1))
+    writer.stop()
+    assert "701#R R" in (tmp_path / "a.log").read_text()  # which is why we write these files ourselves
+
+
+def test_what_is_no_frame_of_ours_is_counted(tmp_path: Path) -> None:
+    writer = can.BLFWriter(str(tmp_path / "a.blf"))
+    writer.on_message_received(can.Message(arbitration_id=1, is_error_frame=True, timestamp=1.0))
+    writer.on_message_received(can.Message(arbitration_id=1, is_fd=True, data=bytes(12), timestamp=1.0))
+    writer.on_message_received(can.Message(arbitration_id=1, is_extended_id=False, data=b"\1", timestamp=1.0))
+    writer.stop()
+    reader = LogReader(tmp_path / "a.blf")
+    assert [str(record.frame) for record in reader] == ["001#01"]
+    assert reader.skipped == 2
+    assert "CAN FD" in reader.last_skip
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "seen"),
+    [
+        ("a.log", b"(1.5) can0 601#40\nhello\n", "'hello' is no line of candump's"),
+        ("b.log", b"(1.5) can0 9FF#40\n", "identifier out of range"),
+        ("c.log", b"\xff\xfe\x00", "it is no text"),
+        ("d.blf", b"LOGG nonsense", "unpack requires"),
+        ("e.blf", b"", "unpack requires"),
+        ("f.trc", b";$FILEVERSION=2.1\n;$STARTTIME=x\n", "could not convert"),
+    ],
+)
+def test_files_that_are_none(name: str, content: bytes, seen: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(LogFileError) as caught:
+        list(LogReader(path))
+    assert seen in caught.value.seen
+    assert str(path) in caught.value.failed
+    assert caught.value.line == {"a.log": 2, "b.log": 1}.get(name, 0)
+
+
+@given(st.binary(max_size=300))
+@settings(max_examples=60)
+def test_any_bytes_are_a_log_or_a_clear_error(content: bytes) -> None:
+    for kind in LOSSES:
+        path = Path(os.environ["PYTEST_LOG_FILE"]).with_suffix(kind)
+        path.write_bytes(content)
+        try:
+            list(LogReader(path))
+        except LogFileError as error:
+            assert error.seen
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    for kind in LOSSES:
+        with pytest.raises(LogFileError, match="No such file"):
+            list(LogReader(tmp_path / f"a{kind}"))
+        with pytest.raises(LogFileError, match="No such file"):
+            log_writer(tmp_path / "nowhere" / f"a{kind}")
+
+
+def test_kinds() -> None:
+    assert kind_of(Path("A.LOG")) == ".log"
+    for name, seen in (("trace.txt", "it ends in '.txt'"), ("trace", "it has no ending")):
+        with pytest.raises(LogFileError) as caught:
+            kind_of(Path(name))
+        assert caught.value.seen == seen
+        assert caught.value.tries == ("one of .log, .asc, .blf, .trc, such as trace.log",)
+
+
+def test_each_line_is_there_at_once(tmp_path: Path) -> None:
+    writer = log_writer(tmp_path / "a.log")
+    assert isinstance(writer, CandumpWriter)
+    writer.write(RECORDS[0])
+    assert list(LogReader(tmp_path / "a.log")) == RECORDS[:1]
+    writer.close()
+
+
+def test_recorded_sessions_are_read() -> None:
+    if not LOGS.is_dir():
+        pytest.skip("the recorded sessions are not here")
+    for path in sorted(LOGS.glob("*.log")):
+        reader = LogReader(path)
+        assert len(list(reader)) == len(path.read_text().split("\n")) - 1
+        assert not reader.skipped

@@ -1,0 +1,175 @@
+"""`file:trace.log`: a log file as a bus. What was said then is said again; nobody listens.
+
+    file:trace.log                  as fast as it was said
+    file:trace.log?speed=10         ten times as fast; 0.1 is ten times slower
+    file:trace.log?speed=max        at once, as fast as it is taken
+    file:trace.log?speed=step       frame by frame, each when `step` is called: for programs and tests
+    file:trace.log?send=refuse      what we send is an error (CO111); by default it is swallowed, as the past cannot be changed
+
+Time is trio's, so that a recorded hour takes no time under a virtual clock. Time stamps are those of the file, in ns since 1970
+if it has dates. When all has been said, `receive` reports it once (BusStateChanged, DOWN), and then waits: a bus that is silent.
+
+Frames of all buses in the file come, and those that the recorder sent too: who replays is a listener.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, TransportError
+from canopen_transports.locator import Option
+from canopen_transports.log_files import LogFileError, LogReader, Record
+from canopen_transports.transport import Received, check_frame
+
+MAX: Final = math.inf
+STEP: Final = 0.0
+_OPTIONS: Final = ("speed", "send")
+_SENDS: Final = ("swallow", "refuse")
+
+
+class ReplayTransport(trio.abc.AsyncResource):
+    """A member of a bus that is long gone. speed: how many times as fast as then; MAX: without waiting; STEP: by `step` only.
+
+    refuses: whether `send` raises. swallowed: how many frames it took without that. skipped: entries of the file that are no
+    frames of classical CAN, so far. Must be made inside a `trio.run`, where its time begins.
+    """
+
+    def __init__(self, locator: str, path: Path, speed: float = 1.0, *, refuses: bool = False) -> None:
+        self.locator = locator
+        self.swallowed = 0
+        self._refuses = refuses
+        self._speed = speed
+        self._first: int | None = None
+        try:
+            self._reader = LogReader(path)
+        except LogFileError as error:
+            raise self._not_understood(error) from error
+        self._records: Iterator[Record] = iter(self._reader)
+        self._start = trio.current_time()
+        self._next: Record | None = None
+        self._granted = 0
+        self._ended = False
+        self._failure: TransportError | None = None
+        self._closed = trio.Event()
+        self._stepped = trio.lowlevel.ParkingLot()
+        self._advance()  # a file that is none shall not be a bus
+
+    @property
+    def skipped(self) -> int:
+        """Entries of the file that were passed over so far."""
+        return self._reader.skipped
+
+    @property
+    def ended(self) -> bool:
+        """Whether all has been said."""
+        return self._next is None
+
+    def step(self, count: int = 1) -> None:
+        """With speed STEP: say so many frames more."""
+        self._granted += count
+        self._stepped.unpark_all()
+
+    async def send(self, frame: Frame) -> None:
+        """Swallow the frame, or raise TransportError (CO111)."""
+        check_frame(frame)
+        await trio.lowlevel.checkpoint_if_cancelled()
+        self._check_open()
+        if self._refuses:
+            raise TransportError(
+                BUS_LOST,
+                self.locator,
+                f"cannot send {frame} on {self.locator}",
+                seen="this bus is a recording",
+                tries=("without send=refuse what is sent is swallowed",),
+            )
+        self.swallowed += 1
+        await trio.lowlevel.cancel_shielded_checkpoint()
+
+    async def receive(self) -> Received:
+        """The next frame, when its time has come. Raises BusStateChanged once at the end, TransportError for a damaged file."""
+        await trio.lowlevel.checkpoint()
+        self._check_open()
+        while self._next is None:
+            if self._failure is not None:
+                raise self._failure
+            if not self._ended:
+                self._ended = True
+                raise BusStateChanged(self.locator, BusState.DOWN, "the recording has ended")
+            await self._wait(math.inf)
+        record = self._next
+        if self._speed == STEP:
+            while not self._granted:
+                await self._stepped.park()
+                self._check_open()
+            self._granted -= 1
+        elif self._speed != MAX:
+            assert self._first is not None
+            due = self._start + (record.time - self._first) / 1e9 / self._speed
+            while trio.current_time() < due:
+                await self._wait(due)
+        try:
+            self._advance()
+        except TransportError as error:  # it comes behind this frame
+            self._next, self._failure = None, error
+        return record.frame, record.time
+
+    async def aclose(self) -> None:
+        """Close the file."""
+        self._closed.set()
+        self._stepped.unpark_all()
+        await trio.lowlevel.checkpoint()
+
+    async def _wait(self, until: float) -> None:
+        with trio.move_on_at(until):
+            await self._closed.wait()
+        self._check_open()
+
+    def _check_open(self) -> None:
+        if self._closed.is_set():
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+
+    def _advance(self) -> None:
+        try:
+            self._next = next(self._records, None)
+        except LogFileError as error:
+            raise self._not_understood(error) from error
+        if self._first is None and self._next is not None:
+            self._first = self._next.time
+
+    def _not_understood(self, error: LogFileError) -> TransportError:
+        opening = self._first is None
+        return TransportError(
+            CANNOT_OPEN if opening else BUS_LOST,
+            self.locator,
+            f"cannot {'open' if opening else 'go on with'} {self.locator}",
+            seen=str(error),
+            tries=error.tries or ("canopen log stats FILE    (what is in a file)",),
+        )
+
+
+def open_replay(locator: str, channel: str, options: dict[str, Option]) -> ReplayTransport:
+    """The bus for a locator's parts. Raises TransportError: CO100, CO101."""
+    speed = options.get("speed", 1)
+    factor = {"max": MAX, "step": STEP}.get(speed) if isinstance(speed, str) else float(speed)
+    sends = options.get("send", _SENDS[0])
+    unknown = [name for name in options if name not in _OPTIONS]
+    if unknown:
+        raise _bad(locator, f"a log file has no option {unknown[0]!r}; it has {', '.join(_OPTIONS)}")
+    if factor is None or isinstance(speed, bool) or factor < 0 or not (factor or speed == "step") or math.isnan(factor):
+        raise _bad(locator, f"the speed {speed!r} is neither a positive number nor max nor step")
+    if sends not in _SENDS:
+        raise _bad(locator, f"send={sends} is neither swallow nor refuse")
+    if not channel:
+        raise _bad(locator, "it names no file")
+    return ReplayTransport(locator, Path(channel), factor, refuses=sends == "refuse")
+
+
+def _bad(locator: str, seen: str) -> TransportError:
+    tries = ("file:trace.log", "file:trace.log?speed=max&send=refuse")
+    return TransportError(BAD_LOCATOR, locator, f"the bus {locator!r} makes no sense", seen=seen, tries=tries)

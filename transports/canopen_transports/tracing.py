@@ -1,0 +1,194 @@
+"""Recording everything that is said on the buses that this process uses, as `--trace FILE` does.
+
+    with recording(log_writer(Path("trace.log"))) as trace:
+        ...                                         every transport that `open_transport` opens in here is recorded
+
+Each frame stands in the trace once: of several members of one bus in this process (the simulated drives of `-b demo`, and the
+master) only the first one records. Times are when this process saw or sent a frame, on one clock, trio's, for all buses; the
+kernel's time stamps, where there are such, come from another. A frame is recorded as sent once the bus has taken it, with the
+time at which it was given to the bus; answers that overtake that wait, so that they stand behind it.
+
+A trace that cannot be written (no room on the disk) ends, and says so at the end: the drives must not stop for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Final
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_transports.locator import parse_locator
+from canopen_transports.log_files import LogWriter, Record
+from canopen_transports.transport import CyclicTransport, Received
+
+if TYPE_CHECKING:
+    from canopen_transports.opening import OpenTransport
+
+_trace: Final[ContextVar[Trace | None]] = ContextVar("trace", default=None)
+_for_devices: Final[ContextVar[bool]] = ContextVar("for devices", default=False)
+
+
+class Trace:
+    """One recording. devices_are_ours: simulated devices are who records, so that what they send counts as sent.
+
+    failure: why it ended before its time, if it did. recorded: how many frames it holds.
+    """
+
+    def __init__(self, writer: LogWriter, *, devices_are_ours: bool = False) -> None:
+        self.failure: OSError | None = None
+        self.recorded = 0
+        self.devices_are_ours = devices_are_ours
+        self.left_out = 0
+        self._writer = writer
+        self._zero: int | None = None
+        self._taps: dict[str, list[TracingTransport]] = {}
+        self._names: dict[str, str] = {}
+
+    def now(self) -> int:
+        """ns since 1970, as trio's clock has gone on since the first call."""
+        now = round(trio.current_time() * 1e9)
+        if self._zero is None:
+            self._zero = time.time_ns() - now
+        return now + self._zero
+
+    def record(self, record: Record) -> None:
+        """Add a frame; raises nothing."""
+        if self.failure is None:
+            try:
+                self._writer.write(record)
+            except OSError as error:
+                self.failure = error
+            else:
+                self.recorded += 1
+
+    def close(self) -> None:
+        """End the file; raises nothing."""
+        self.left_out = self._writer.left_out
+        try:
+            self._writer.close()
+        except OSError as error:
+            self.failure = self.failure or error
+
+    def wrap(self, transport: OpenTransport) -> TracingTransport:
+        """The transport, recorded."""
+        cyclic = isinstance(transport, CyclicTransport) and transport.sends_sync
+        made = (_CyclicTracingTransport if cyclic else TracingTransport)(transport, self)
+        self._taps.setdefault(made.locator, []).append(made)
+        return made
+
+    def channel_of(self, locator: str) -> str:
+        """What a bus is called in the file: can0 is can0, of the others it is the interface with a number, such as virtual0."""
+        if locator not in self._names:
+            parsed = parse_locator(locator)
+            number = sum(name.startswith(parsed.interface) for name in self._names.values())
+            self._names[locator] = parsed.channel if parsed.interface == "socketcan" else f"{parsed.interface}{number}"
+        return self._names[locator]
+
+    def records(self, tap: TracingTransport) -> bool:
+        """Whether this member of its bus is the one that records."""
+        return self._taps[tap.locator][0] is tap
+
+    def leave(self, tap: TracingTransport) -> None:
+        """A member has left its bus."""
+        with suppress(ValueError):  # closed twice
+            self._taps[tap.locator].remove(tap)
+
+
+class TracingTransport(trio.abc.AsyncResource):
+    """A transport that tells a trace what goes through it. It hides that the one below could filter: all is to be recorded."""
+
+    def __init__(self, transport: OpenTransport, trace: Trace) -> None:
+        self.locator = transport.locator
+        self.transport = transport
+        self._trace = trace
+        self._channel = trace.channel_of(self.locator)
+        self._ours = trace.devices_are_ours or not _for_devices.get()
+        self._sending = 0
+        self._held: list[Record] = []
+
+    async def send(self, frame: Frame) -> None:
+        """As the transport below."""
+        record = Record(self._trace.now(), self._channel, frame, self._ours)
+        self._sending += 1
+        try:
+            await self.transport.send(frame)
+            self._record(record)
+        finally:
+            self._sending -= 1
+            if not self._sending:
+                for each in self._held:
+                    self._record(each)
+                self._held.clear()
+
+    async def receive(self) -> Received:
+        """As the transport below."""
+        received = await self.transport.receive()
+        record = Record(self._trace.now(), self._channel, received[0], not self._ours)
+        if self._sending:
+            self._held.append(record)
+        else:
+            self._record(record)
+        return received
+
+    async def aclose(self) -> None:
+        """As the transport below."""
+        try:
+            await self.transport.aclose()
+        finally:
+            self._trace.leave(self)
+
+    def _record(self, record: Record) -> None:
+        if self._trace.records(self):
+            self._trace.record(record)
+
+
+class _CyclicTracingTransport(TracingTransport):
+    """The same where the transport sends the SYNC by itself: what it sends comes back by `receive`."""
+
+    sends_sync = True
+
+    def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
+        assert isinstance(self.transport, CyclicTransport)
+        self.transport.start_cyclic(frames, period)
+
+    def stop_cyclic(self) -> None:
+        assert isinstance(self.transport, CyclicTransport)
+        self.transport.stop_cyclic()
+
+
+@contextmanager
+def recording(writer: LogWriter, *, devices_are_ours: bool = False) -> Iterator[Trace]:
+    """Record what is opened while the block runs, and close the file at its end, however it ends. See `Trace`."""
+    trace = Trace(writer, devices_are_ours=devices_are_ours)
+    token = _trace.set(trace)
+    try:
+        yield trace
+    finally:
+        _trace.reset(token)
+        trace.close()
+
+
+@contextmanager
+def for_devices() -> Iterator[None]:
+    """What is opened while the block runs is for simulated devices: the others, as far as a master's trace is concerned."""
+    token = _for_devices.set(True)
+    try:
+        yield
+    finally:
+        _for_devices.reset(token)
+
+
+def current_trace() -> Trace | None:
+    """The trace that is being recorded."""
+    return _trace.get()
+
+
+def traced(transport: OpenTransport) -> OpenTransport | TracingTransport:
+    """The transport, recorded if a trace is."""
+    trace = _trace.get()
+    return transport if trace is None else trace.wrap(transport)
