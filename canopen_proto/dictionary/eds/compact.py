@@ -73,7 +73,7 @@ class Compact:
         names, values, denotations = (self._document.lists.get((index, kind)) for kind in ("name", "value", "denotation"))
         called = {} if names is None else names.values
         denoted = {} if denotations is None else denotations.values
-        before: tuple[Any, ...] = (
+        before = (
             like.data_type,
             like.access,
             like.default,
@@ -83,7 +83,7 @@ class Compact:
             (),
             like.adds_node_id,
         )
-        behind: tuple[Any, ...] = like.object_flags, like.unit, like.factor, like.description
+        behind = like.object_flags, like.unit, like.factor, like.description
         variables = {0: own.get(0, first)}
         for subindex in range(1, count + 1):
             if subindex in own:
@@ -95,7 +95,8 @@ class Compact:
                 configured = self._variables.value(values, key, text, like.data_type)
                 self._variables.has_configured |= configured[0] is not None
             name = called.get(key) or f"{like.name}{key}"
-            variables[subindex] = Variable(index, subindex, name, *before, *configured, *behind, denoted.get(key, ""))
+            said: tuple[Any, ...] = (*before, *configured, *behind, denoted.get(key, ""))
+            variables[subindex] = Variable(index, subindex, name, *said)
         return variables | own
 
     def pdos(self, info: DeviceInfo, known: dict[int, Object]) -> Iterator[Object]:

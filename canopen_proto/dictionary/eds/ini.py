@@ -33,7 +33,7 @@ MAX_FILE_SIZE: Final = 16 * 1024 * 1024
 MAX_LINES: Final = 1_000_000
 """A file of MAX_FILE_SIZE with lines as short as those of an EDS (17 characters in the mean) has as many."""
 MAX_SECTIONS: Final = 100_000
-"""Of one file; the same number is the bound of its variables. A section takes some 700 bytes of memory."""
+"""Of one file, and so of the variables that have sections. A section takes up to 1500 bytes of memory with what is made of it."""
 MAX_FINDINGS: Final = 1000
 """Kept of one file; further ones are counted."""
 MAX_QUOTED: Final = 60

@@ -7,7 +7,7 @@ or makes no sense is made good, each with a finding:
 
 - DataType: of subindex 0 of an array or record UNSIGNED8; of an entry of an array that of the array; else the type that the
   standards give the object; else OCTET_STRING, which can hold whatever a device sends;
-- AccessType: that of the standards; of subindex 0 of an array or record `ro`; else `rw` (the device refuses what it must);
+- AccessType: that of the standards; else `rw` (the device refuses what it does not allow);
 - a value that cannot be read, or does not fit the type, is left out;
 - PDOMapping is 0.
 
@@ -120,7 +120,7 @@ class Variables:
         if readings is None:
             readings = self._readings_of(self._odd_type(section, index, subindex, likely, in_array))
         if access is None:
-            access = self._odd_access(section, index, subindex, in_array)
+            access = self._odd_access(section, index, subindex)
         mappable = _FLAGS.get(get("pdomapping"))
         if mappable is None:
             mappable = bool(self.number(section, "PDOMapping", 1))
@@ -271,7 +271,7 @@ class Variables:
         number = read_number(text)[0] if text else None
         return None if number is None else _TYPES.get(number)
 
-    def _odd_access(self, section: Section, index: int, subindex: int, in_array: bool) -> Access:
+    def _odd_access(self, section: Section, index: int, subindex: int) -> Access:
         text = section.body.values.get("accesstype", "")
         bare = text.partition("#")[0].partition(";")[0].strip().lower()
         access = _ACCESSES.get(bare)
@@ -280,7 +280,7 @@ class Variables:
                 self.warn(section, "AccessType", "access", "the comment behind AccessType was left out")
             return access
         known = find_standard(index, subindex) if index < PROFILES else None
-        access = known.access if known is not None else Access.RO if in_array and subindex == 0 else Access.RW
+        access = Access.RW if known is None else known.access
         reason = f"AccessType {quoted(text)!r} is none of {', '.join(Access)}" if text else "AccessType is missing"
         self.warn(section, "AccessType", "access", f"{reason}; taken as {access}")
         return access
