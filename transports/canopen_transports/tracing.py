@@ -44,6 +44,7 @@ class Trace:
         self.recorded = 0
         self.devices_are_ours = devices_are_ours
         self.left_out = 0
+        self._closed = False
         self._writer = writer
         self._zero: int | None = None
         self._taps: dict[str, list[TracingTransport]] = {}
@@ -67,7 +68,10 @@ class Trace:
                 self.recorded += 1
 
     def close(self) -> None:
-        """End the file; raises nothing."""
+        """End the file, once; raises nothing."""
+        if self._closed:
+            return
+        self._closed = True
         self.left_out = self._writer.left_out
         try:
             self._writer.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import click
 import trio
@@ -12,8 +13,11 @@ from canopen_master.cli.nmt import confirm
 from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
 from canopen_master.cli.running import run
+from canopen_proto.frame import Frame
+from canopen_transports.log_files import Record
 from canopen_transports.tcp import BusServer, serve_bus
 from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopback
+from canopen_transports.tracing import current_trace
 
 
 @click.group()
@@ -57,9 +61,13 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
     def tell(text: str) -> None:
         screen.say(f"[dim]{escape(text)}[/]")
 
+    def recorder() -> Callable[[Frame], None] | None:
+        trace = current_trace()
+        return None if trace is None else lambda frame: trace.record(Record(trace.now(), "tcp0", frame))
+
     async def be_a_bus() -> None:
         async with trio.open_nursery() as nursery:
-            for locator in await nursery.start(serve_bus, bind, port, BusServer(tell)):
+            for locator in await nursery.start(serve_bus, bind, port, BusServer(tell, recorder())):
                 screen.say(f"[bold]a bus on {locator}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
                 screen.say(f"Join it in other terminals: [bold]canopen sim -b {locator}[/], [bold]canopen scan -b {locator}[/]")
             await trio.sleep(math.inf if seconds is None else seconds)

@@ -25,6 +25,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Event
 from canopen_transports import Transport, open_transport
+from canopen_transports.tracing import for_devices
 
 DEMO_LOCATOR: Final = "virtual:demo"
 DEMO_NODES: Final = tuple(range(3, 9))
@@ -147,7 +148,8 @@ async def _serve(
     with scope:
         async with trio.open_nursery() as nursery:
             for locator, each in makers.items():
-                transport = await open_transport(locator)
+                with for_devices():
+                    transport = await open_transport(locator)
                 hosts.append(await nursery.start(_serve_on, transport, each, host_on))
             task_status.started(hosts)
 

@@ -1,7 +1,7 @@
 """The options and the kinds of argument that all commands share.
 
-`common` adds -b, -e, --overlay, --timeout, --json, -q, -v and --no-color to a command. They may also stand before the command's
-name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
+`common` adds -b, -e, --overlay, --timeout, --trace, --json, -q, -v and --no-color to a command. They may also stand before the
+command's name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
@@ -35,12 +36,13 @@ DEMO: Final = "demo"
 @dataclass
 class Settings:
     """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
-    overlays.py. clock: a test's virtual one."""
+    overlays.py. trace: where all that is said on the bus is recorded. clock: a test's virtual one."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
     overlays: tuple[str, ...] = ()
     timeout: Time | None = None
+    trace: Path | None = None
     json: bool = False
     verbosity: int = 0
     no_color: bool = False
@@ -167,6 +169,8 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
             settings.overlays += value
         case "timeout" if value is not None:
             settings.timeout = value
+        case "trace" if value is not None:
+            settings.trace = value
         case "json_output" if value:
             settings.json = True
         case "no_color" if value:
@@ -205,6 +209,12 @@ def common(command: F) -> F:
             help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
         ),
         _option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
+        _option(
+            "--trace",
+            type=click.Path(dir_okay=False, path_type=Path),
+            metavar="FILE",
+            help="Record all that is said on the bus meanwhile: .log (candump's), .asc, .blf, .trc.",
+        ),
         _option("--json", "json_output", is_flag=True, help="Results and errors as JSON."),
         _option("-q", "--quiet", is_flag=True, help="Only results and errors."),
         _option("-v", "--verbose", count=True, help="Tell more; -vv with tracebacks."),

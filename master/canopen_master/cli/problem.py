@@ -28,6 +28,7 @@ from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
+from canopen_transports.log_files import LogFileError
 
 
 class ExitCode(IntEnum):
@@ -212,6 +213,8 @@ def _of_expected(error: BaseException) -> Problem | None:
             return Problem(
                 ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
             )
+        case LogFileError():
+            return Problem(ExitCode.BAD_FILE, "CO342", error.failed, seen=error.seen, tries=error.tries)
         case PermissionError():
             return Problem(ExitCode.PERMISSION, "CO109", str(error))
         case click.UsageError():

@@ -3,19 +3,25 @@
 The first Ctrl-C (or SIGTERM) cancels the command. The master then halts what moves before it lets go of the bus, in at most
 SHUTDOWN_TIME; a second Ctrl-C meanwhile changes nothing, since drives must not be left running. Then comes a `Problem` with exit
 status 130, which tells what was done.
+
+With --trace all that is said on the buses meanwhile is recorded, to the last frame of that way out.
 """
 
 from __future__ import annotations
 
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 import trio
+from rich.markup import escape
 
 from canopen_master.cli.options import Settings
 from canopen_master.cli.problem import ExitCode, Problem, problem_of
 from canopen_master.cli.screen import Screen
+from canopen_transports.log_files import LOSSES, log_writer
+from canopen_transports.tracing import Trace, recording
 
 T = TypeVar("T")
 
@@ -25,12 +31,45 @@ Story: TypeAlias = Callable[[bool], list[str]]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def run(settings: Settings, screen: Screen, command: Callable[[], Awaitable[T]], *, story: Story = lambda confirmed: []) -> T:
-    """What `command` returns. story: told on interruption.
+def run(
+    settings: Settings,
+    screen: Screen,
+    command: Callable[[], Awaitable[T]],
+    *,
+    story: Story = lambda confirmed: [],
+    devices: bool = False,
+) -> T:
+    """What `command` returns. story: told on interruption. devices: the simulated devices are what this command is about.
 
-    Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises.
+    Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises; LogFileError, Problem where --trace fails.
     """
-    return trio.run(_run, screen, command, story, clock=settings.clock)
+    if settings.trace is None:
+        return trio.run(_run, screen, command, story, clock=settings.clock)
+    with recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
+        try:
+            result = trio.run(_run, screen, command, story, clock=settings.clock)
+        finally:
+            trace.close()
+            missing = _missing(settings.trace, trace)
+            if missing is None:
+                screen.say(f"[dim]{trace.recorded} frame{'s' * (trace.recorded != 1)} recorded: {escape(str(settings.trace))}[/]")
+            else:
+                screen.say(f"[yellow]{escape(missing.failed)}: {escape(missing.seen)}[/]")
+    if missing is not None:
+        raise missing
+    return result
+
+
+def _missing(path: Path, trace: Trace) -> Problem | None:
+    """What the trace lacks."""
+    if trace.failure is not None:
+        seen = f"{trace.failure.strerror} after {trace.recorded} frames"
+    elif trace.left_out:
+        seen = f"{trace.left_out} frames are not in it ({path.suffix}: {LOSSES[path.suffix.lower()]})"
+    else:
+        return None
+    tries = ("--trace FILE.log, where there is room",)
+    return Problem(ExitCode.BAD_FILE, "CO343", f"the trace {path} is not complete", seen=seen, tries=tries)
 
 
 async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story) -> T:

@@ -112,7 +112,7 @@ def sim(
             raise script_problem(_first(errors)) from None
 
     try:
-        run(settings, screen, serve)
+        run(settings, screen, serve, devices=True)
     except Problem as ended:
         if ended.exit_code is not ExitCode.INTERRUPTED:
             raise
