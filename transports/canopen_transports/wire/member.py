@@ -166,3 +166,12 @@ class WireMember:
         if worst >= PASSIVE_LIMIT:
             return BusState.PASSIVE
         return BusState.WARNING if worst >= WARNING_LIMIT else BusState.ACTIVE
+
+    def got_through(self, *, as_sender: bool) -> None:
+        """Count a frame that was sent, or received, without an error."""
+        if as_sender:
+            self.transmit_errors = max(self.transmit_errors - 1, 0)
+        elif self.receive_errors >= PASSIVE_LIMIT:
+            self.receive_errors = AFTER_PASSIVE
+        else:
+            self.receive_errors = max(self.receive_errors - 1, 0)

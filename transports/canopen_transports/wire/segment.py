@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, Time
 from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind
-from canopen_transports.wire.frame_bits import stuff_bits, stuffed_part
 from canopen_transports.wire.member import Waiting, WireMember
 
 
@@ -29,7 +27,7 @@ class Transmission:
 class Segment:
     """A piece of cable, and who is on it. unheard_since: since when `is_unheard` holds."""
 
-    __slots__ = ("begins", "current", "free_at", "members", "recovering", "unheard_since", "wanting")
+    __slots__ = ("_others", "begins", "current", "free_at", "members", "recovering", "unheard_since", "wanting")
 
     def __init__(self, members: Iterable[WireMember], free_at: Time) -> None:
         self.members = list(members)
@@ -39,19 +37,38 @@ class Segment:
         self.wanting = {member: None for member in self.members if member.queued and member.state is not BusState.BUS_OFF}
         self.recovering = [member for member in self.members if member.recovery]
         self.unheard_since: Time | None = None
+        self._others: dict[WireMember, tuple[tuple[WireMember, ...], tuple[WireMember, ...]]] = {}
+
+    def winners(self, now: Time) -> list[WireMember]:
+        """Who of those that want to send has the lowest arbitration field: as a rule one."""
+        best = -1
+        winners: list[WireMember] = []
+        for member in self.wanting:
+            head = member.head()
+            if head is None or member.suspended_until > now:
+                continue
+            if not winners or head.arbitration < best:
+                best, winners = head.arbitration, [member]
+            elif head.arbitration == best:
+                winners.append(member)
+        return winners
+
+    def others(self, senders: Sequence[WireMember]) -> tuple[tuple[WireMember, ...], tuple[WireMember, ...]]:
+        """Who acknowledges a frame of these, and who of them takes it: one that babbles does not listen."""
+        if len(senders) == 1 and (known := self._others.get(senders[0])) is not None:
+            return known
+        hearing = tuple([each for each in self.members if each not in senders and each.state is not BusState.BUS_OFF])
+        found = hearing, tuple([each for each in hearing if each.babbles_until is None])
+        if len(senders) == 1:
+            self._others[senders[0]] = found
+        return found
+
+    def changed(self) -> None:
+        """Somebody came, left, went bus-off or returned."""
+        self._others.clear()
 
     @property
     def is_unheard(self) -> bool:
         """Whether its one member that is not bus-off repeats a frame for nobody, and this changes its counters no more."""
         lone = [member for member in self.members if member.state is not BusState.BUS_OFF]
         return len(lone) == 1 and lone[0].unacknowledged and lone[0].state is BusState.PASSIVE
-
-
-def first_difference(one: Frame, other: Frame) -> int:
-    """At which bit on the wire two frames with one arbitration field begin to differ, from 1 on; stuff bits are counted."""
-    (first, first_count), (second, second_count) = stuffed_part(one), stuffed_part(other)
-    common = min(first_count, second_count)
-    first >>= first_count - common
-    second >>= second_count - common
-    place = common - (first ^ second).bit_length() + 1
-    return place + stuff_bits(first >> common - place + 1, place - 1)

@@ -39,19 +39,18 @@ from typing import Final
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_transports.errors import BusState
+from canopen_transports.wire.course import decide
 from canopen_transports.wire.faults import FaultKind, FaultRates
-from canopen_transports.wire.frame_bits import FRAME_TAIL, INTERMISSION, duration, frame_bits
+from canopen_transports.wire.frame_bits import INTERMISSION, duration
 from canopen_transports.wire.member import (
-    AFTER_PASSIVE,
     BUS_OFF_LIMIT,
-    PASSIVE_LIMIT,
     TRANSMIT_QUEUE_SIZE,
     QueueOrder,
     Waiting,
     WireMember,
 )
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
-from canopen_transports.wire.segment import Segment, Transmission, first_difference
+from canopen_transports.wire.segment import Segment, Transmission
 
 ERROR_FLAG: Final = 6
 ERROR_DELIMITER: Final = 8
@@ -144,6 +143,7 @@ class Wire:
         member = WireMember(self._joined, order, queue_size)
         self._joined += 1
         self._segments[0].members.append(member)
+        self._segments[0].changed()
         self._schedule(self._segments[0])
         return member
 
@@ -192,6 +192,7 @@ class Wire:
         """A member that has gone mad: it sends this frame again and again until then, and leaves. It hears nothing."""
         member = self.join(now, queue_size=1)
         member.babbles_until = until
+        self._segments[0].changed()
         self.send(member, frame, now)
         return member
 
@@ -228,6 +229,8 @@ class Wire:
     def next_deadline(self) -> Time:
         """When to call `handle_timeout`; NEVER if nothing goes on."""
         deadline = self._late[0][0] if self._late else NEVER
+        if deadline == NEVER and len(self._segments) == 1:
+            return self._due(self._segments[0])
         for segment in self._segments:
             due = self._due(segment)
             if due < deadline:
@@ -303,16 +306,7 @@ class Wire:
         segment.begins = begins if begins > self._now else self._now
 
     def _begin(self, segment: Segment, now: Time) -> None:
-        best = -1
-        senders: list[WireMember] = []
-        for member in segment.wanting:
-            head = member.head()
-            if head is None or member.suspended_until > now:
-                continue
-            if not senders or head.arbitration < best:
-                best, senders = head.arbitration, [member]
-            elif head.arbitration == best:
-                senders.append(member)
+        senders = segment.winners(now)
         if segment.recovering:
             self._settle_recoveries(segment, now)
         for member in senders:
@@ -321,45 +315,7 @@ class Wire:
         assert first is not None
         sending = segment.current = Transmission(now, first, senders)
         segment.begins = NEVER
-        sending.ends = now + self.time_of(self._course(segment, sending))
-
-    def _course(self, segment: Segment, sending: Transmission) -> int:
-        """Decide what becomes of a frame; the bits until that shows."""
-        frame, senders = sending.waiting.frame, sending.senders
-        bits = frame_bits(frame)
-        if len(senders) > 1:
-            others = [member.sending.frame for member in senders if member.sending is not None]
-            place = min((first_difference(frame, other) for other in others if other != frame), default=0)
-            if place:
-                sending.outcome = FaultKind.COLLISION
-                return place
-        hearing = [member for member in segment.members if member not in senders and member.state is not BusState.BUS_OFF]
-        if not hearing and self.settings.acknowledge:
-            sending.outcome = FaultKind.LOSS  # with nobody there: not acknowledged
-            sending.victim = senders[0]
-            return bits - FRAME_TAIL + 2
-        rates = self.rates
-        total = rates.total
-        if total and (draw := self._random.random()) < total:
-            return self._hit(sending, hearing, draw, bits)
-        return bits - INTERMISSION
-
-    def _hit(self, sending: Transmission, hearing: list[WireMember], draw: float, bits: int) -> int:
-        rates, choose = self.rates, self._random
-        if draw < rates.corruption:
-            victim = choose.choice([*sending.senders, *hearing])
-            if victim in hearing and victim.state is BusState.PASSIVE:
-                self._grow(victim, receive=1)  # its flag is recessive, and disturbs nobody
-                sending.outcome, sending.victim = FaultKind.LOSS, victim
-                return bits - INTERMISSION
-            sending.outcome, sending.victim = FaultKind.CORRUPTION, victim
-            return choose.randint(1, bits - INTERMISSION - 1)
-        if draw < rates.corruption + rates.repetition:
-            sending.outcome = FaultKind.REPETITION
-        elif hearing:
-            sending.outcome = FaultKind.LOSS if draw < rates.corruption + rates.repetition + rates.loss else FaultKind.DELAY
-            sending.victim = choose.choice(hearing)
-        return bits - INTERMISSION
+        sending.ends = now + self.time_of(decide(sending, segment, self.rates, self._random, self.settings.acknowledge))
 
     def _finish(self, segment: Segment, sending: Transmission) -> None:
         """What was decided at the beginning shows now."""
@@ -381,17 +337,13 @@ class Wire:
 
     def _deliver(self, segment: Segment, sending: Transmission, now: Time) -> None:
         waiting, senders, outcome, victim = sending.waiting, sending.senders, sending.outcome, sending.victim
-        receivers = tuple(
-            [
-                member
-                for member in segment.members
-                if member not in senders and member.state is not BusState.BUS_OFF and member.babbles_until is None
-            ]
-        )
+        receivers = segment.others(senders)[1]
         self.frames += 1
         segment.free_at = now + self._intermission
         if outcome is not None:
             self._events.append(FaultHappened(now, outcome, waiting.frame, victim))
+            if outcome is FaultKind.LOSS and victim.state is BusState.PASSIVE:
+                self._grow(victim, receive=1)
             if outcome is not FaultKind.REPETITION:
                 receivers = tuple(member for member in receivers if member is not victim)
             if outcome is FaultKind.DELAY and victim.babbles_until is None:
@@ -487,12 +439,7 @@ class Wire:
     def _recover_counters(self, segment: Segment, senders: list[WireMember], now: Time) -> None:
         """A frame got through."""
         for member in [each for each in self._disturbed if each in segment.members and each.state is not BusState.BUS_OFF]:
-            if member in senders:
-                member.transmit_errors = max(member.transmit_errors - 1, 0)
-            elif member.receive_errors >= PASSIVE_LIMIT:
-                member.receive_errors = AFTER_PASSIVE
-            else:
-                member.receive_errors = max(member.receive_errors - 1, 0)
+            member.got_through(as_sender=member in senders)
             self._recount(segment, member, now)
             if not (member.transmit_errors or member.receive_errors or member.suspended_until > now):
                 del self._disturbed[member]
@@ -503,6 +450,7 @@ class Wire:
         if state is member.state:
             return
         member.state = state
+        segment.changed()
         if state is BusState.BUS_OFF:
             dropped = member.clear()
             segment.wanting.pop(member, None)
@@ -543,6 +491,7 @@ class Wire:
             return
         member.clear()
         segment.members.remove(member)
+        segment.changed()
         segment.wanting.pop(member, None)
         self._disturbed.pop(member, None)
         if member in segment.recovering:
