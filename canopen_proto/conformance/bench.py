@@ -1,8 +1,11 @@
 """`Bench`: one device under test, and the tools with which cases ask it.
 
 The device is known by its node-ID and by its object dictionary, which says what it should have: everything that a case looks
-for is found there, so that the cases serve any device on any bus. The bench is a participant of its own: it asks by SDO
-(`read`, `write` ...), by NMT, and by frames made by hand (`send`, `ask`), which no well-behaved machine would send.
+for is found there, so that the cases serve any device on any bus. What an object holds after a reset is its default, and in a
+DCF what that has configured: an EDS describes a type of device, a DCF one device as it is commissioned.
+
+The bench is a participant of its own: it asks by SDO (`read`, `write` ...), by NMT, and by frames made by hand (`send`, `ask`),
+which no well-behaved machine would send.
 
 What a device does at its inputs no bus can bring about. Where a case needs that, it asks for `stimulus`, a function of whoever
 runs the test; without one, these cases check what is left.
@@ -17,13 +20,17 @@ from typing import Final, TypeAlias
 
 from canopen_proto.conformance.case import Violation, does_not_apply, expect, expect_equal
 from canopen_proto.conformance.probe import FrameHeard, RawProbe
+from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.frame import (
+    COB_ID_INVALID,
+    EMCY,
     ERROR_CONTROL,
     REMOTE,
     SDO_CLIENT_TO_SERVER,
     SDO_SERVER_TO_CLIENT,
+    SYNC,
     Frame,
     frame_for_key,
     key_of_cob_id,
@@ -92,19 +99,47 @@ class Bench:
 
     @property
     def emcy_key(self) -> int:
-        """The CAN-ID of its emergencies after a reset."""
-        return key_of_cob_id(self.default(0x1014))
+        """The CAN-ID of its emergencies after a reset; the predefined one where the dictionary does not tell."""
+        return key_of_cob_id(self.default(0x1014)) or EMCY + self.node_id
 
     @property
     def sync_key(self) -> int:
-        """The CAN-ID of SYNC after a reset."""
-        return key_of_cob_id(self.default(0x1005))
+        """The CAN-ID of SYNC after a reset; the predefined one where the dictionary does not tell."""
+        return key_of_cob_id(self.default(0x1005)) or SYNC
 
     def default(self, index: int, subindex: int = 0) -> int:
-        """The number that an object holds after a reset. 0 where the dictionary has none."""
+        """The unsigned number that an object holds after a reset. 0 where the dictionary does not tell."""
         variable = self.dictionary.get(index, subindex)
-        value = 0 if variable is None else variable.default_of(self.node_id)
-        return value if isinstance(value, int) else 0
+        value = 0 if variable is None else variable.initial_of(self.node_id)
+        return max(value, 0) if isinstance(value, int) else 0
+
+    def content_of(self, variable: Variable) -> bytes | None:
+        """The bytes that an object holds after a reset; None where the dictionary does not tell.
+
+        It does not where the object's type cannot hold what stands there, nor where a DCF gives another value than the default to
+        an object that no master can write: that is what somebody once read there.
+        """
+        value = variable.default if variable.configured is None else variable.configured
+        if value is None or (not variable.access.writable and value != variable.default):
+            return None
+        return _encoded(variable, variable.initial_of(self.node_id))
+
+    def restored_content_of(self, variable: Variable) -> bytes | None:
+        """The bytes that an object holds after its default was restored; None where the dictionary does not tell."""
+        return None if variable.default is None else _encoded(variable, variable.default_of(self.node_id))
+
+    def variable(self, index: int, subindex: int = 0) -> Variable:
+        """What the dictionary has there; the case does not apply where that is nothing."""
+        variable = self.dictionary.get(index, subindex)
+        if variable is None:
+            does_not_apply(f"the dictionary has no object 0x{index:04X}:{subindex:02X}")
+        return variable
+
+    def check_emergency(self) -> None:
+        """The case does not apply to a device that sends no emergency messages after a reset."""
+        cob_id = self.default(0x1014)
+        if cob_id & COB_ID_INVALID or not cob_id & 0x1FFF_FFFF:
+            does_not_apply("0x1014:00 has no valid COB-ID by default")
 
     # ---- NMT ----
 
@@ -205,9 +240,9 @@ class Bench:
 
     def encode(self, index: int, subindex: int, value: int) -> bytes:
         """An unsigned number as wide as the dictionary says of that object."""
-        variable = self.dictionary.variable((index, subindex))
-        if variable.size is None:
-            raise Violation(f"{variable.label} is a {variable.data_type.name}; a number was expected there")
+        variable = self.variable(index, subindex)
+        if variable.size is None or value.bit_length() > 8 * variable.size:
+            raise Violation(f"{variable.label} is a {variable.data_type.name}, which does not hold the number {value}")
         return value.to_bytes(variable.size, "little")
 
     def refusal_of_read(self, index: int, subindex: int) -> Procedure[int | None]:
@@ -235,6 +270,15 @@ class Bench:
         seen = yield from self.number(index, subindex)
         expect_equal(seen, expected, f"{when}, 0x{index:04X}:{subindex:02X}")
 
+    def expect_default(self, index: int, subindex: int, when: str) -> Procedure[None]:
+        """Look whether an object can be read, and holds its default where the dictionary tells it."""
+        content = yield from self.read(index, subindex)
+        variable = self.dictionary.get(index, subindex)
+        expected = None if variable is None else self.content_of(variable)
+        if expected is not None:
+            number = int.from_bytes(expected, "little")
+            expect_equal(int.from_bytes(content, "little"), number, f"{when}, 0x{index:04X}:{subindex:02X}")
+
     def stimulate(self, variable: Variable) -> Procedure[bool]:
         """Have an object of the process change, if there is somebody who can. Whether there was."""
         stimulus = self.stimulus
@@ -242,6 +286,13 @@ class Bench:
             return False
         yield from act(lambda now: stimulus(variable, now))
         return True
+
+
+def _encoded(variable: Variable, value: Value) -> bytes | None:
+    try:
+        return variable.encode(value)
+    except ValueRangeError:
+        return None
 
 
 def _code_of_peer(failed: SdoFailed) -> int:

@@ -15,7 +15,7 @@ from canopen_proto.conformance.raw_block import (
     receive_sub_block,
 )
 from canopen_proto.conformance.raw_sdo import abort_code_in, ask
-from canopen_proto.conformance.sdo_cases import ANY_TIME, DEVICE_TYPE, holds, long_object
+from canopen_proto.conformance.sdo_cases import ANY_TIME, DEVICE_TYPE, TIME_SIZE, holds, long_object
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.block import ACKNOWLEDGE, ACKNOWLEDGEMENT, MAX_BLOCK_SIZE, START_UPLOAD
@@ -35,7 +35,7 @@ def read_device_type(bench: Bench) -> Procedure[None]:
     """2.19: four bytes in one segment."""
     content, _ = yield from block_upload(bench, DEVICE_TYPE, 0, crc=False)
     expect_equal(len(content), 4, "the number of bytes of 0x1000:00")
-    holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, "by block transfer")
+    holds(bench, bench.variable(DEVICE_TYPE), content, "by block transfer")
 
 
 def read_long(crc: bool, bench: Bench) -> Procedure[str]:
@@ -50,6 +50,7 @@ def read_long(crc: bool, bench: Bench) -> Procedure[str]:
 def write_time(index: int, crc: bool, bench: Bench) -> Procedure[str]:
     """2.20, 2.21, 2.24, 2.25: two bytes in one segment."""
     written = bench.encode(index, 0, ANY_TIME)
+    expect_equal(len(written), TIME_SIZE, f"the number of bytes of 0x{index:04X}:00, by the dictionary,")
     with_crc = yield from block_download(bench, index, 0, written, crc=crc)
     expect_equal((yield from bench.read(index)), written, f"0x{index:04X}:00, read back,")
     return _remark(crc, with_crc)

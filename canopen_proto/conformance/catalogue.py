@@ -25,6 +25,7 @@ from canopen_proto.conformance.bench import Bench
 from canopen_proto.conformance.case import Case, Verdict
 from canopen_proto.procedures.steps import Procedure
 
+# Chapter 8 comes last: where it restores defaults, a device that was commissioned by a DCF is not what that says any more.
 CASES: Final[tuple[Case, ...]] = (
     *description_cases.CASES,
     *sdo_cases.CASES,
@@ -37,8 +38,8 @@ CASES: Final[tuple[Case, ...]] = (
     *sync_cases.CASES,
     *guarding_cases.CASES,
     *heartbeat_cases.CASES,
-    *storing_cases.CASES,
     *state_cases.CASES,
+    *storing_cases.CASES,
 )
 
 BY_NUMBER: Final[Mapping[str, Case]] = MappingProxyType({case.number: case for case in CASES})

@@ -10,7 +10,7 @@ from typing import Final
 
 from canopen_proto.conformance.bench import ANSWER_TIME, PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_proto.conformance.case import Case, expect, expect_equal
-from canopen_proto.conformance.heartbeat_cases import EMCY_CONNECTION_LOST
+from canopen_proto.conformance.heartbeat_cases import EMCY_CONNECTION_LOST, highest
 from canopen_proto.conformance.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
 from canopen_proto.guarding import TOGGLE
@@ -48,7 +48,7 @@ def _without_heartbeat(bench: Bench) -> Procedure[None]:
 def read_objects(bench: Bench) -> Procedure[None]:
     """7.1: both objects have their defaults."""
     for index in (GUARD_TIME, LIFE_TIME_FACTOR):
-        yield from bench.expect_number(index, 0, bench.default(index), "after a reset")
+        yield from bench.expect_default(index, 0, "after a reset")
 
 
 def answer(bench: Bench) -> Procedure[None]:
@@ -83,7 +83,8 @@ def other_ids(bench: Bench) -> Procedure[None]:
 
 def write_objects(bench: Bench) -> Procedure[None]:
     """7.5: both objects can be written."""
-    for period, factor in ((PERIOD, FACTOR), (0xFFFF * MILLISECOND, 0xFF), (0, 0)):
+    most = highest(bench, GUARD_TIME, 0xFFFF) * MILLISECOND, highest(bench, LIFE_TIME_FACTOR, 0xFF)
+    for period, factor in ((PERIOD, FACTOR), most, (0, 0)):
         yield from _configure(bench, period, factor)
         yield from bench.expect_number(GUARD_TIME, 0, period // MILLISECOND, "written")
         yield from bench.expect_number(LIFE_TIME_FACTOR, 0, factor, "written")
@@ -91,6 +92,7 @@ def write_objects(bench: Bench) -> Procedure[None]:
 
 def life_guarding(bench: Bench) -> Procedure[None]:
     """7.6: a device that is asked in time makes no error; when that ends, one emergency message after the node life time."""
+    bench.check_emergency()
     yield from _without_heartbeat(bench)
     yield from _configure(bench, PERIOD, FACTOR)
     for _ in range(10):
@@ -113,7 +115,7 @@ def life_guarding(bench: Bench) -> Procedure[None]:
 def one_of_both(bench: Bench) -> Procedure[None]:
     """7.201: the objects of error control have their defaults, and by these not both kinds are in use."""
     for index in (HEARTBEAT, GUARD_TIME, LIFE_TIME_FACTOR):
-        yield from bench.expect_number(index, 0, bench.default(index), "after a reset")
+        yield from bench.expect_default(index, 0, "after a reset")
     guarded = bench.default(GUARD_TIME) and bench.default(LIFE_TIME_FACTOR)
     expect(not (bench.default(HEARTBEAT) and guarded), "by default both heartbeat and guarding are in use")
 

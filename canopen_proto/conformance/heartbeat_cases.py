@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from canopen_proto.conformance.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
-from canopen_proto.conformance.case import Case, Violation, expect, expect_equal, expect_refusal
+from canopen_proto.conformance.case import Case, Violation, does_not_apply, expect, expect_equal, expect_refusal
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
@@ -25,9 +25,15 @@ EMCY_CONNECTION_LOST: Final = 0x8130
 TWICE: Final = (AbortCode.PARAMETER_INCOMPATIBLE, AbortCode.GENERAL_ERROR)
 
 
+def highest(bench: Bench, index: int, most: int) -> int:
+    """The highest number that an object takes, of a type that holds `most`."""
+    limit = bench.variable(index).high_limit
+    return most if limit is None else min(int(limit), most)
+
+
 def write_period(bench: Bench) -> Procedure[None]:
-    """7.101: the producer heartbeat time can be written, up to its last bit."""
-    for milliseconds in (100, 0xFFFF, 0):
+    """7.101: the producer heartbeat time can be written, up to its last bit, or its limit."""
+    for milliseconds in (100, highest(bench, PRODUCER, 0xFFFF), 0):
         yield from bench.write(PRODUCER, 0, milliseconds)
         yield from bench.expect_number(PRODUCER, 0, milliseconds, "written")
 
@@ -51,8 +57,11 @@ def stop_heartbeat(bench: Bench) -> Procedure[None]:
 
 
 def _entries(bench: Bench) -> list[int]:
-    """The subindices of the consumer heartbeat time."""
-    return [subindex for subindex in bench.dictionary.objects[CONSUMER].variables if subindex]
+    """The subindices of the consumer heartbeat time; the case does not apply where there are none."""
+    found = [subindex for subindex in bench.dictionary.objects[CONSUMER].variables if subindex]
+    if not found:
+        does_not_apply("0x1016 has no entry")
+    return found
 
 
 def _others(bench: Bench) -> Iterator[int]:
@@ -82,6 +91,7 @@ def _heartbeat(bench: Bench, node_id: int) -> Procedure[None]:
 
 def monitor_in_time(bench: Bench) -> Procedure[str]:
     """7.105: heartbeats that come in time make no error, in any entry."""
+    bench.check_emergency()
     monitored = list(zip(_entries(bench), _others(bench), strict=False))
     for subindex, node_id in monitored:
         yield from bench.write(CONSUMER, subindex, _entry(node_id, MONITORED))
@@ -109,6 +119,7 @@ def expect_lost(bench: Bench, node_id: int) -> Procedure[None]:
 
 def monitor_late(bench: Bench) -> Procedure[str]:
     """7.106: a heartbeat that does not come in time makes an error, in each entry; a node that was never heard makes none."""
+    bench.check_emergency()
     monitored = list(zip(_entries(bench), _others(bench), strict=False))
     for subindex, node_id in monitored:
         yield from bench.write(CONSUMER, subindex, _entry(node_id, MONITORED))
@@ -121,6 +132,7 @@ def monitor_late(bench: Bench) -> Procedure[str]:
 
 def monitor_after_reset(bench: Bench) -> Procedure[None]:
     """7.107: a reset ends the monitoring that is not the default; it can be set up again, with the device's own heartbeat."""
+    bench.check_emergency()
     first, node_id = _entries(bench)[0], next(_others(bench))
     yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))
     yield from _heartbeat(bench, node_id)

@@ -56,8 +56,7 @@ def scan(direction: Direction, bench: Bench) -> Procedure[str]:
     for pdo in pdos:
         fields = bench.dictionary.objects[pdo.communication].variables
         for subindex in fields:
-            expected = bench.default(pdo.communication, subindex)
-            yield from bench.expect_number(pdo.communication, subindex, expected, f"after a reset, {pdo}")
+            yield from bench.expect_default(pdo.communication, subindex, f"after a reset, {pdo}")
         cob_id = bench.default(pdo.communication, COB_ID)
         if not cob_id & COB_ID_INVALID:
             if not cob_id & COB_ID_EXTENDED:

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final
 
 from canopen_proto.conformance.bench import REACTION_TIME, Bench
-from canopen_proto.conformance.case import Case, Violation, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_proto.conformance.case import Case, Violation, does_not_apply, expect, expect_refusal
 from canopen_proto.conformance.pdo_tools import (
     INTO,
     Pdo,
@@ -57,8 +57,8 @@ def default_mappings(bench: Bench) -> Procedure[str]:
     count = 0
     for pdo in all_pdos(bench, *BOTH):
         expect(bench.dictionary.get(pdo.mapping) is not None, f"{pdo} has no mapping parameter")
+        yield from bench.expect_default(pdo.mapping, 0, f"after a reset, the number of objects in {pdo}")
         number = yield from bench.number(pdo.mapping)
-        expect_equal(number, bench.default(pdo.mapping), f"the number of objects in {pdo}")
         bits = 0
         for subindex in range(1, number + 1 if number <= MAX_ENTRIES else 1):
             entry = yield from bench.number(pdo.mapping, subindex)

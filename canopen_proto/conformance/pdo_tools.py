@@ -11,7 +11,7 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.pdo.mapping import MAX_ENTRIES
+from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import (
     COB_ID,
     EVENT_TIMER,
@@ -65,15 +65,20 @@ def all_pdos(bench: Bench, *directions: Direction) -> list[Pdo]:
 
 
 def usable(bench: Bench, *directions: Direction) -> list[Pdo]:
-    """Those that have a CAN-ID by default, be it one that is not valid yet, and carry something by default."""
+    """Those that have a CAN-ID by default, be it one that is not valid yet, carry something by default, and can be set up."""
     found = [
         pdo
         for pdo in all_pdos(bench, *directions)
-        if bench.default(pdo.communication, COB_ID) & _CAN_ID and 0 < bench.default(pdo.mapping) <= MAX_ENTRIES
+        if bench.default(pdo.communication, COB_ID) & _CAN_ID
+        and 0 < bench.default(pdo.mapping) <= MAX_ENTRIES
+        and 0 < length_of(bench, pdo) <= MAX_BITS // 8
     ]
     if not found:
         does_not_apply(f"no {' and no '.join(directions)} has a CAN-ID and a mapping by default")
-    return found
+    settable = [pdo for pdo in found if has(bench, pdo, COB_ID)]
+    if not settable:
+        does_not_apply(f"no {' and no '.join(directions)} has a COB-ID that can be written")
+    return settable
 
 
 def with_writable_mapping(bench: Bench, *directions: Direction) -> list[Pdo]:

@@ -48,7 +48,9 @@ NEVER_WRITTEN: Final = (0x1003, 0x1010, 0x1011)
 """Objects that do not hold what is written there: they do something."""
 
 ANY_TIME: Final = 0x0155
-"""A number of milliseconds (0.3 s) or of 100 us that any object which holds a time takes."""
+"""A number of milliseconds (0.3 s) or of 100 us that any object which holds a time takes, as it does the next one."""
+TIME_SIZE: Final = 2
+"""The bytes of such an object."""
 
 
 def settings(bench: Bench) -> Iterator[Variable]:
@@ -61,6 +63,9 @@ def settings(bench: Bench) -> Iterator[Variable]:
 
 def takes_any_time(variable: Variable) -> bool:
     """Whether it is a setting for which ANY_TIME is as good as any other value, at any moment."""
+    low, high = variable.low_limit or 0, variable.high_limit
+    if variable.size != TIME_SIZE or low > ANY_TIME or (high is not None and high <= ANY_TIME):
+        return False
     place = place_of(variable.index)
     is_event_timer = place is not None and not place.is_mapping and variable.subindex == EVENT_TIMER
     return is_event_timer or variable.index in (0x100C, 0x1015, 0x1017)
@@ -75,13 +80,14 @@ def long_object(bench: Bench) -> Variable:
 
 
 def _length(bench: Bench, variable: Variable) -> int:
-    return len(variable.encode(variable.default_of(bench.node_id)))
+    return len(bench.content_of(variable) or b"") if variable.size is None else variable.size
 
 
 def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
     """Look whether a device has sent what an object holds that nobody has written to."""
-    if variable.default is not None:
-        expect_equal(content, variable.encode(variable.default_of(bench.node_id)), f"{variable.label}, read {how},")
+    expected = bench.content_of(variable)
+    if expected is not None:
+        expect_equal(content, expected, f"{variable.label}, read {how},")
 
 
 # ---- expedited transfers, and refusals ----
@@ -93,7 +99,7 @@ def read_expedited(bench: Bench) -> Procedure[None]:
     if content is None:
         raise Violation("0x1000:00 came with a segmented transfer")
     expect_equal(len(content), 4, "the number of bytes of 0x1000:00")
-    holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, "expedited")
+    holds(bench, bench.variable(DEVICE_TYPE), content, "expedited")
 
 
 def read_and_write(bench: Bench) -> Procedure[str]:
@@ -102,6 +108,8 @@ def read_and_write(bench: Bench) -> Procedure[str]:
     for variable in settings(bench):
         place = variable.index, variable.subindex
         before = yield from bench.read(*place)
+        if variable.size is not None:
+            expect_equal(len(before), variable.size, f"the number of bytes of {variable.label}")
         other = ANY_TIME.to_bytes(len(before), "little") if takes_any_time(variable) else before
         for written in (other, before):
             refusal = yield from bench.refusal_of_write(*place, written)
@@ -175,8 +183,8 @@ def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
         if variable.access.writable and variable.index not in NEVER_WRITTEN and span is not None:
             least, most = span
             low, high = variable.low_limit, variable.high_limit
-            below = int(low) - 1 if low is not None and low > least else None
-            above = int(high) + 1 if high is not None and high < most else None
+            below = int(low) - 1 if low is not None and least < low <= most else None
+            above = int(high) + 1 if high is not None and least <= high < most else None
             if below is not None or above is not None:
                 found.append((variable, below, above))
     return found
@@ -224,13 +232,12 @@ def read_device_type_segmented(bench: Bench) -> Procedure[str]:
         expect_refusal(refusal, BAD_COMMAND, "a segment request behind an expedited upload")
         how = "expedited"
     expect_equal(len(content), 4, f"the number of bytes of 0x1000:00, read {how},")
-    holds(bench, bench.dictionary.variable(DEVICE_TYPE), content, how)
+    holds(bench, bench.variable(DEVICE_TYPE), content, how)
     return how
 
 
 def _write_segmented(bench: Bench, index: int) -> Procedure[None]:
-    before = yield from bench.read(index)
-    written = ANY_TIME.to_bytes(len(before), "little")
+    written = bench.encode(index, 0, ANY_TIME)
     yield from segmented_download(bench, index, 0, written)
     expect_equal((yield from bench.read(index)), written, f"0x{index:04X}:00, read back,")
 

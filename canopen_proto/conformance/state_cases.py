@@ -10,11 +10,10 @@ from typing import Final
 
 from canopen_proto.conformance.bench import REACTION_TIME, Bench
 from canopen_proto.conformance.case import Case, NotApplicable, expect, expect_equal
-from canopen_proto.conformance.dictionary_cases import change_settings, expect_defaults, with_default
+from canopen_proto.conformance.dictionary_cases import change_settings, expect_defaults, expect_put_back, with_default
 from canopen_proto.conformance.pdo_cases import EVENT_TIME, PROFILE_EVENTS
 from canopen_proto.conformance.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
 from canopen_proto.conformance.raw_sdo import initiate
-from canopen_proto.conformance.sdo_cases import settings, takes_any_time
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import MAX_NODE_ID, NMT
 from canopen_proto.machine import SECOND
@@ -83,6 +82,7 @@ def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
     variable = None if pdo is None else mapped_variable(bench, pdo)
     if pdo is not None and variable is not None:
         before = yield from bench.read(variable.index, variable.subindex)
+        expect_equal(len(before), variable.size, f"the number of bytes of {variable.label}")
         changed = bytes((before[0] ^ 1,)) + before[1:]
         yield from bench.send(key_of(bench, pdo), changed.ljust(length_of(bench, pdo), b"\x00"))
         yield from sleep(REACTION_TIME)
@@ -102,10 +102,10 @@ def expect_other_nodes_business(bench: Bench, state: NmtState) -> Procedure[None
 
 def boot_up(bench: Bench) -> Procedure[str]:
     """9.1: a reset brings one boot-up frame, and all parameters have their defaults."""
-    yield from change_settings(bench)
+    before = yield from change_settings(bench)
     yield from bench.reset()
     expect(not bench.probe.take_all(bench.error_control_key) or bench.default(0x1017) != 0, "more than one boot-up frame came")
-    yield from expect_defaults(bench, (variable for variable in settings(bench) if takes_any_time(variable)))
+    yield from expect_put_back(bench, before)
     return (yield from expect_defaults(bench, with_default(bench)))
 
 

@@ -14,7 +14,7 @@ from canopen_proto.conformance.pdo_tools import key_of, set_up, usable
 from canopen_proto.conformance.sdo_cases import TOO_HIGH, TOO_LOW
 from canopen_proto.conformance.storing_cases import keep, save
 from canopen_proto.dictionary import Direction
-from canopen_proto.frame import SYNC
+from canopen_proto.frame import SYNC, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
@@ -35,8 +35,9 @@ RESERVED_VALUE: Final = tuple(dict.fromkeys((*TOO_HIGH, *TOO_LOW)))
 
 def default_cob_id(bench: Bench) -> Procedure[None]:
     """6.1: the CAN-ID is 0x80, and the rest as described."""
-    yield from bench.expect_number(COB_ID_SYNC, 0, bench.default(COB_ID_SYNC), "after a reset")
-    expect_equal(bench.sync_key, SYNC, "the default CAN-ID of SYNC")
+    yield from bench.expect_default(COB_ID_SYNC, 0, "after a reset")
+    can_id = key_of_cob_id((yield from bench.number(COB_ID_SYNC)))
+    expect_equal(can_id, SYNC, "the default CAN-ID of SYNC")
 
 
 def produce(bench: Bench, overflow: int | None = None) -> Procedure[None]:

@@ -134,7 +134,7 @@ def test_no_answer_is_no_refusal() -> None:
 
 def test_a_dictionary_with_text_in_place_of_a_number() -> None:
     text = Object.of("period", [Variable(0x1017, 0, "period", DataType.VISIBLE_STRING)])
-    assert "a number was expected" in verdict_of("7.103", truth=full_device(text)).reason
+    assert "does not hold the number 100" in verdict_of("7.103", truth=full_device(text)).reason
 
 
 def test_codes_that_need_not_say_more() -> None:

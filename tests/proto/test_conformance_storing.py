@@ -28,7 +28,7 @@ FAULTS = [
     *[(number, ANOTHER_CODE, "0x06020000") for number in ("8.1", "8.3", "8.5", "8.7")],
     *[(number, KEEPS, "saved by 0x1010:0., after a reset") for number in ("8.2", "8.6")],
     *[(number, REFUSES_SAVE, "saving by 0x1010:0. was refused with 0x08000020") for number in ("8.2", "8.6", "8.9")],
-    *[(number, RESTORES, "restored by 0x1011:0., after a reset") for number in ("8.4", "8.8")],
+    *[(number, RESTORES, "restored by 0x1011:0., guard_time .* is 55 01, not 00 00") for number in ("8.4", "8.8")],
     *[(number, REFUSES_LOAD, "loading by 0x1011:0. was refused with 0x08000020") for number in ("8.4", "8.8")],
     ("8.9", KEEPS, "saved, after a reset"),
     ("8.10", Fault("takes any for SYNC", sent=[("585#80051000.*", "585#6005100000000000")]), "0x000 in cob_id_sync .* was not"),
