@@ -3,8 +3,8 @@
     python benchmarks/run.py                # all cases, about two minutes
     python benchmarks/run.py pdo --rounds 3 # those with "pdo" in their title
 
-What is compared, and what makes it fair, stands in each module (sdo_transfers, block_transfers, pdos, heartbeats); how it is
-measured, in measure.
+What is compared, and what makes it fair, stands in each module (sdo_transfers, block_transfers, pdos, heartbeats, eds_import);
+how it is measured, in measure.
 """
 
 from __future__ import annotations

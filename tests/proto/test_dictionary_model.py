@@ -273,6 +273,12 @@ def test_a_variable_is_a_value() -> None:
         STATUSWORD.lable  # type: ignore[attr-defined]  # noqa: B018
 
 
+def test_variables_come_in_order_whatever_order_they_were_given_in() -> None:
+    numbers = (2, 0, 1)
+    record = Object.of("r", [Variable(0x2000, subindex, str(subindex), DataType.UNSIGNED8) for subindex in numbers])
+    assert [each.subindex for each in ObjectDictionary([record])] == [0, 1, 2]
+
+
 # ---- names of fields ----
 
 

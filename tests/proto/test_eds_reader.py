@@ -76,6 +76,15 @@ def test_any_case_of_keys_and_blanks_anywhere() -> None:
     assert only(text) == Variable(0x2000, 0, "x", DataType.UNSIGNED32, Access.RW, 1, pdo_mappable=True)
 
 
+@pytest.mark.parametrize("key", ["ParameterName", "parametername", " PARAMETERNAME "])
+def test_sections_that_differ_in_their_names_only(key: str) -> None:
+    """They are read once; faults are told of each."""
+    rest = "DataType=5\nAccessType=ro\nDefaultValue={}\n\n"
+    text = "".join(f"[{0x2000 + number:04X}]\n{key}=n{number}\n" + rest for number in range(3))
+    assert [(each.name, each.default) for each in read_eds(text.format(1, 1, 1)).dictionary] == [("n0", 1), ("n1", 1), ("n2", 1)]
+    assert [each.line for each in read_eds(text.format(256, 256, 256)).findings] == [5, 11, 17]
+
+
 def test_no_default_is_none_and_the_node_id_may_be_unknown() -> None:
     assert only(VAR).default is only(VAR + "DefaultValue=\n").default is None
     relative = only(VAR + "DefaultValue=$NODEID+0x180\n")
