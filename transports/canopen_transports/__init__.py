@@ -8,6 +8,7 @@ from canopen_transports.replay import ReplayTransport
 from canopen_transports.tcp import TcpTransport
 from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport, Received, Transport, check_frame
 from canopen_transports.virtual import VirtualTransport
+from canopen_transports.virtual_wire import WireTransport
 
 __all__ = [
     "BusState",
@@ -26,6 +27,7 @@ __all__ = [
     "Transport",
     "TransportError",
     "VirtualTransport",
+    "WireTransport",
     "check_frame",
     "open_transport",
     "parse_bitrate",

@@ -45,6 +45,7 @@ from canopen_transports.wire import (
 from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE
 
 DEFAULT_BITRATE: Final = 1_000_000
+_ALONE: Final = ("open a second member of the bus", "the option ack=false: somebody unseen acknowledges")
 ROOM_TIME: Final = 1.0
 """Seconds that a sender waits for room in the transmit queue, as for a real adapter."""
 KEPT_FAULTS: Final = 1_000
@@ -229,7 +230,7 @@ class WireTransport(trio.abc.AsyncResource):
             f"{frame} was not sent on {self.locator}",
             seen=f"{full} for {ROOM_TIME:g} s; the controller is {self.member.state.value}",
             cause="nobody else is on the bus to acknowledge" if alone else "frames of lower identifiers take the whole bus",
-            tries=("open a second member", "ack=false") if alone else ("a higher bit rate", "fewer frames"),
+            tries=_ALONE if alone else ("a higher bit rate", "fewer frames"),
         )
 
 
@@ -318,7 +319,7 @@ def _flag(options: Mapping[str, object], name: str) -> bool:
 
 
 _CAUSES: Final = {
-    BusState.NO_ACKNOWLEDGE: ("nobody else is on the bus, or the cable is cut", ("open a second member", "ack=false")),
+    BusState.NO_ACKNOWLEDGE: ("nobody else is on the bus, or the cable is cut", _ALONE),
     BusState.BUS_OFF: ("its frames were disturbed again and again, or a test did it", ("wait for error-active",)),
 }
 

@@ -1,0 +1,60 @@
+"""A master and six simulated drives on a virtual bus with the physics of copper, with and without faults."""
+
+from __future__ import annotations
+
+import trio
+
+from canopen_master import open_master
+from canopen_master.simulation import powerballs, simulate
+from canopen_proto.heartbeat import HeartbeatLost
+from canopen_transports import open_transport
+from canopen_transports.virtual_wire import WireTransport
+from canopen_transports.wire import FaultKind
+from tests.transports.support import trio_test
+
+BOOT = 0.1
+"""Seconds: the drives' boot-ups get out only when the master is there to acknowledge them."""
+
+
+async def _opened(locator: str) -> WireTransport:
+    transport = await open_transport(locator)
+    assert isinstance(transport, WireTransport)
+    return transport
+
+
+@trio_test()
+async def test_values_are_read_over_a_disturbed_bus() -> None:
+    """Frames that are corrupted are sent again by the controllers: nobody above them notices."""
+    locator = "virtual:arm?bitrate=1M&corrupt=0.002&seed=3"
+    drives = await _opened(locator)
+    async with trio.open_nursery() as nursery:
+        await nursery.start(simulate, drives, powerballs(*range(1, 7)))
+        async with open_master(locator) as master:
+            await trio.sleep(BOOT)
+            for number in range(1, 7):
+                node = master.node(number)
+                position = await node.read("position_actual_value")
+                for _ in range(50):
+                    assert await node.read("position_actual_value") == position
+        nursery.cancel_scope.cancel()
+    assert drives.bus.counts[FaultKind.CORRUPTION] > 0
+    assert set(drives.bus.counts) == {FaultKind.CORRUPTION}
+
+
+@trio_test()
+async def test_a_cut_cable_is_a_lost_heartbeat() -> None:
+    drives = await _opened("virtual:arm?bitrate=500k")
+    async with trio.open_nursery() as nursery:
+        await nursery.start(simulate, drives, powerballs(1, 2))
+        async with open_master("virtual:arm", heartbeat_timeout=0.3) as master:
+            await trio.sleep(BOOT)
+            for number in (1, 2):
+                await master.node(number).write("0x1017", 100)
+            await trio.sleep(1)
+            async with master.events(HeartbeatLost) as lost:
+                drives.bus.cut([drives])
+                async for event in lost:
+                    assert event.node_id in (1, 2)
+                    break
+            drives.bus.mend()
+        nursery.cancel_scope.cancel()
