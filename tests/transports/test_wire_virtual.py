@@ -38,6 +38,17 @@ class TestConformance(TransportConformance):
     async def join(self) -> Transport:
         return await open_transport("virtual:conformance?bitrate=1M&ack=false&queue_size=32")
 
+    @scenario
+    async def test_one_member_alone_can_send(self) -> None:
+        """As the kit has it, but the frames take their time."""
+        (one,) = await self.members(1)
+        for number in range(3):
+            await one.send(numbered(number))
+        await trio.sleep(0.02)
+        (late,) = await self.members(1)
+        await one.send(END)
+        assert (await late.receive())[0] == END
+
 
 class TestLikeCopper(TestConformance):
     """With an acknowledge: what one member alone sends is repeated until somebody else is there."""
