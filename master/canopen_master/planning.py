@@ -9,7 +9,8 @@ a `Stream` with its identifier, size and period:
 - The SYNC's deadline is its period, that of an RPDO the next SYNC (it acts there), and that of a TPDO too. A TPDO may be late by
   what its SYNC was late: that is its jitter, besides the time that the device takes.
 - SDO: the client waits for each answer, so there is one request and one answer per `sdo` time, taken as those of the highest
-  node-ID. EMCY: a device may send one per EMCY_INTERVAL. Both have their period for a deadline, as a heartbeat has.
+  node-ID; each has SDO_DEADLINE. EMCY: a device may send one per EMCY_INTERVAL, and at worst all do at once; its period is its
+  deadline, as a heartbeat's is.
 
 `plan` bounds each stream's latency (canopen_transports.wire.response_time) with all stuff bits that there can be, and runs the
 bus machine for some cycles with random phases of all that is not cyclic. What the machine shows is never above the bound, and
