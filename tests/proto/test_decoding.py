@@ -1,0 +1,290 @@
+"""What frames mean, in words; SDO transfers overheard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canopen_proto.datatypes import DataType
+from canopen_proto.decoding import Decoder
+from canopen_proto.dictionary import Constant, ObjectDictionary, Variable
+from canopen_proto.dictionary.objects import Object, ObjectType
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.sdo.overheard import MAX_KEPT, OverheardChannel, bytes_text
+
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
+
+
+def obj(index: int, *values: tuple[DataType, int], name: str = "") -> Object:
+    """An object with these entries, or with one of that name."""
+    variables = [Variable(index, sub, name, kind, default=value) for sub, (kind, value) in enumerate(values)]
+    kind = ObjectType.VAR if name else ObjectType.RECORD
+    return Object(index, name, kind, {each.subindex: each for each in variables})
+
+
+U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
+DICTIONARY = ObjectDictionary(
+    [
+        Object(0x1008, "name", ObjectType.VAR, {0: Variable(0x1008, 0, "name", DataType.VISIBLE_STRING)}),
+        Object(0x2000, "blob", ObjectType.VAR, {0: Variable(0x2000, 0, "blob", DataType.DOMAIN)}),
+        obj(0x6041, (U16, 0), name="statusword"),
+        obj(0x6064, (DataType.INTEGER32, 0), name="position"),
+        obj(0x1800, (U8, 2), (U32, 0x185), (U8, 1)),
+        obj(0x1A00, (U8, 2), (U32, 0x6041_0010), (U32, 0x6064_0020)),
+        obj(0x1400, (U8, 2), (U32, 0x205), (U8, 1)),
+        obj(0x1600, (U8, 1), (U32, 0x6041_0010)),
+    ],
+    constants={0x604100: [Constant("ready", 0x6F, 0x6F)]},
+)
+
+
+def meanings(*frames: str, of: int | None = 5) -> list[str]:
+    decoder = Decoder(lambda node_id: DICTIONARY if node_id == of else None)
+    made = [decoder.decode(Frame.parse(frame)) for frame in frames]
+    return [f"{each.service} {each.node_id} {each.text}".rstrip() for each in made]
+
+
+@pytest.mark.parametrize(
+    ("frame", "meaning"),
+    [
+        ("000#0105", "NMT 5 start: node 5"),
+        ("000#8000", "NMT 0 enter pre-operational: all nodes"),
+        ("000#77FF", "NMT 0 unknown command 0x77: node 255"),
+        ("000#01", "NMT 0 too short: 01"),
+        ("080#", "SYNC 0"),
+        ("080#07", "SYNC 0 counter 7"),
+        ("085#3032054200000000", "EMCY 5 0x3230 "),
+        ("085#0000000000000000", "EMCY 5 0x0000 "),
+        ("085#00", "EMCY 5 too short: 00"),
+        ("100#000000000000", "TIME 0 1984-01-01 00:00:00+00:00"),
+        ("100#00", "TIME 0 no time: 00"),
+        ("705#00", "boot-up 5"),
+        ("705#05", "heartbeat 5 operational"),
+        ("705#85", "guarding 5 operational"),
+        ("705#42", "heartbeat 5 unknown state 0x42"),
+        ("705#", "heartbeat 5 of a strange length: no data"),
+        ("705#R1", "guarding 5 the master asks for the state"),
+        ("185#6F0039300000", "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039)"),
+        ("185#6F", "TPDO 1 5 shorter than it is mapped: 6f"),
+        ("185#R", "TPDO 1 5 requested by a remote frame"),
+        ("205#0000", "RPDO 1 5 statusword = 0"),
+        ("285#AABB", "TPDO 2 5 aa bb"),
+        ("506#AABB", "RPDO 4 6 aa bb"),
+        ("286#R", "TPDO 2 6 requested by a remote frame"),
+        ("606#R8", "? 0 a remote frame, 8 bytes"),
+        ("7E5#0401", "LSS 0 master: 04 01"),
+        ("7E4#0401", "LSS 0 slave: 04 01"),
+        ("7E0#0401", "? 0 04 01"),
+        ("780#", "? 0 nothing"),
+        ("18FF0001#00", "? 0 29-bit identifier, which no file here assigns"),
+        ("605#", "SDO 5 too short for what it announces: no data"),
+        ("585#", "SDO 5 too short for what it announces: no data"),
+    ],
+)
+def test_each_service(frame: str, meaning: str) -> None:
+    (seen,) = meanings(frame)
+    assert seen == meaning or (meaning.endswith(" ") and seen.startswith(meaning) and "error register" in seen)
+
+
+def test_an_emergency_is_told_in_full() -> None:
+    (seen,) = meanings("085#1081014200000000")
+    assert seen.startswith("EMCY 5 0x8110 CAN overrun")
+    assert seen.endswith("error register 0x01 (generic), 42 00 00 00 00")
+
+
+def sdo(*frames: str) -> list[str]:
+    """Client's frames begin with >, server's with <."""
+    channel = OverheardChannel(DICTIONARY)
+    return [(channel.client if frame[0] == ">" else channel.server)(bytes.fromhex(frame[1:])) for frame in frames]
+
+
+def test_expedited_transfers() -> None:
+    assert sdo(">40 41 60 00 00 00 00 00", "<4B 41 60 00 6F 00 00 00") == [
+        "read 6041:00 statusword",
+        "read 6041:00 statusword = 111 (ready)",
+    ]
+    assert sdo(">23 64 60 00 FF FF FF FF", "<60 64 60 00 00 00 00 00") == [
+        "write 6064:00 position = -1",
+        "written 6064:00 position",
+    ]
+    assert sdo(">2F 41 60 00 01 00 00 00")[0].endswith("= 01 (not of its type, UNSIGNED16)")
+    assert sdo(">22 00 30 01 01 02 03 04")[0] == "write 3000:01 = 0x04030201"
+
+
+def test_segmented_transfers() -> None:
+    assert sdo(
+        ">40 08 10 00 00 00 00 00",
+        "<41 08 10 00 08 00 00 00",
+        ">60 00 00 00 00 00 00 00",
+        "<00 41 42 43 44 45 46 47",
+        ">70 00 00 00 00 00 00 00",
+        "<1D 48 00 00 00 00 00 00",
+    ) == [
+        "read 1008:00 name",
+        "read 1008:00 name: in segments, 8 bytes",
+        "read 1008:00 name: next segment",
+        "read 1008:00 name: segment, 7 bytes so far",
+        "read 1008:00 name: next segment",
+        "read 1008:00 name = 'ABCDEFGH'",
+    ]
+    assert sdo(
+        ">20 00 20 00 00 00 00 00",
+        "<60 00 20 00 00 00 00 00",
+        ">00 01 02 03 04 05 06 07",
+        "<20 00 00 00 00 00 00 00",
+        ">1D 08 00 00 00 00 00 00",
+        "<30 00 00 00 00 00 00 00",
+    ) == [
+        "write 2000:00 blob: in segments",
+        "write 2000:00 blob: go on",
+        "write 2000:00 blob: segment, 7 bytes so far",
+        "write 2000:00 blob: segment confirmed",
+        "write 2000:00 blob = 0x0807060504030201",
+        "written 2000:00 blob",
+    ]
+
+
+def test_block_upload_with_a_segment_lost() -> None:
+    assert sdo(
+        ">A0 08 10 00 7F 00 00 00",
+        "<C2 08 10 00 09 00 00 00",
+        ">A3 00 00 00 00 00 00 00",
+        "<01 41 42 43 44 45 46 47",
+        "<83 48 49 00 00 00 00 00",
+        ">A2 01 7F 00 00 00 00 00",
+        "<81 48 49 00 00 00 00 00",
+        ">A2 01 7F 00 00 00 00 00",
+        "<D5 00 00 00 00 00 00 00",
+        ">A1 00 00 00 00 00 00 00",
+    ) == [
+        "read 1008:00 name: in blocks of 127 segments",
+        "read 1008:00 name: in blocks, 9 bytes",
+        "read 1008:00 name: start",
+        "read 1008:00 name: block segment 1",
+        "read 1008:00 name: block segment 3, the last",
+        "read 1008:00 name: 1 segments taken, the others again",
+        "read 1008:00 name: block segment 1, the last",
+        "read 1008:00 name: 1 segments taken",
+        "read 1008:00 name = 'ABCDEFGHI'",
+        "read 1008:00 name: block transfer ended",
+    ]
+
+
+def test_block_download() -> None:
+    assert sdo(
+        ">C2 00 20 00 0A 00 00 00",
+        "<A0 00 20 00 01 00 00 00",
+        ">01 01 02 03 04 05 06 07",
+        "<A2 01 02 00 00 00 00 00",
+        ">81 08 09 0A 00 00 00 00",
+        "<A2 01 02 00 00 00 00 00",
+        ">D1 00 00 00 00 00 00 00",
+        "<A1 00 00 00 00 00 00 00",
+    ) == [
+        "write 2000:00 blob: in blocks, 10 bytes",
+        "write 2000:00 blob: go on, 1 segments a block",
+        "write 2000:00 blob: block segment 1",
+        "write 2000:00 blob: 1 segments taken",
+        "write 2000:00 blob: block segment 1, the last",
+        "write 2000:00 blob: 1 segments taken",
+        "write 2000:00 blob = 01 02 03 04 05 06 07 08 09 0a",
+        "written 2000:00 blob",
+    ]
+    again = sdo(
+        ">C0 00 20 00 00 00 00 00", "<A0 00 20 00 02 00 00 00", ">01" + " 00" * 7, ">82" + " 00" * 7, "<A2 01 02 00 00 00 00 00"
+    )
+    assert again[-1] == "write 2000:00 blob: 1 segments taken, the others again"
+
+
+def test_aborts() -> None:
+    assert sdo("<80 41 60 00 00 00 00 08", "<80 41 60 00 00 00 00 12")[1].endswith(
+        "statusword: error outside of CiA 301 (0x12000000)"
+    )
+    assert sdo("<80 41 60 00 11 00 09 06") == ["aborted by the server, 6041:00 statusword: subindex does not exist (0x06090011)"]
+    assert sdo(">80 41 60 00 00 00 04 05")[0].startswith("aborted by the client, 6041:00 statusword: ")
+    within = sdo(">A0 08 10 00 7F 00 00 00", "<C2 08 10 00 09 00 00 00", ">A3" + " 00" * 7, "<80 08 10 00 00 00 04 05")
+    assert within[-1].startswith("aborted by the sender, 1008:00 name")
+
+
+def test_what_begins_in_the_middle() -> None:
+    lone = "part of a transfer whose beginning was not heard: "
+    for frame in (">60", ">00", "<00", ">A3", ">D1", "<C1"):
+        assert sdo(frame + " 00" * 7)[0].startswith(lone)
+    assert sdo(">40 08 10 00 00 00 00 00", ">00" + " 00" * 7)[1].startswith(lone)
+    assert sdo(">20 08 10 00 00 00 00 00", "<00" + " 00" * 7)[1].startswith(lone)
+    assert sdo("<20" + " 00" * 7) == ["a segment is confirmed"]
+    assert sdo("<A1" + " 00" * 7) == ["a block transfer is confirmed"]
+    assert sdo("<60 41 60 00 00 00 00 00") == ["write 6041:00 statusword: go on"]
+    assert sdo("<4B 41 60 00 6F 00 00 00") == ["read 6041:00 statusword = 111 (ready)"]
+    assert sdo("<C0 08 10 00 00 00 00 00") == ["read 1008:00 name: in blocks"]
+
+
+def test_a_long_value_is_only_counted() -> None:
+    channel = OverheardChannel(DICTIONARY)
+    channel.client(bytes.fromhex("2000200000000000"))
+    for _ in range(MAX_KEPT // 7 + 2):
+        channel.client(bytes(8))
+    assert channel.client(b"\1" + bytes(7)) == f"write 2000:00 blob: {(MAX_KEPT // 7 + 3) * 7} bytes"
+
+
+def test_bytes() -> None:
+    assert [bytes_text(each) for each in (b"", b"\0", b"abc\0\0", b"\xff", bytes(40))] == [
+        "nothing",
+        "00",
+        "'abc'",
+        "ff",
+        "00 " * 31 + "00 ... (40 bytes)",
+    ]
+
+
+ids = st.sampled_from([0, 0x80, 0x85, 0x100, 0x185, 0x205, 0x285, 0x585, 0x605, 0x705, 0x7E5]) | st.integers(0, 0x7FF)
+sdo_bytes = st.builds(
+    lambda command, rest: bytes((command, *rest)),
+    st.integers(0, 255),
+    st.sampled_from([b"\x08\x10\0\1\0\0\0", b"\2\1\0\0\0\0\0"]),
+)
+any_frames = st.one_of(
+    st.builds(Frame, ids, st.binary(max_size=8)),
+    st.builds(Frame, st.sampled_from([0x585, 0x605]), sdo_bytes),
+    st.builds(lambda can_id, dlc: Frame(can_id, b"", REMOTE, dlc), ids, st.integers(0, 8)),
+    st.builds(lambda can_id, data: Frame(can_id, data, EXTENDED), ids, st.binary(max_size=8)),
+)
+
+
+@given(st.lists(any_frames, max_size=40))
+@settings(max_examples=150)
+def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
+    decoder = Decoder(lambda node_id: DICTIONARY if node_id == 5 else None)
+    for frame in frames:
+        meaning = decoder.decode(frame)
+        assert meaning.service
+        assert 0 <= meaning.node_id <= 127
+        assert len(meaning.text) < 300
+
+
+def test_recorded_transfers_come_out_whole() -> None:
+    if not LOGS.is_dir():
+        pytest.skip("the recorded sessions are not here")
+    seen = []
+    for path in sorted(LOGS.glob("*.log")):
+        decoder = Decoder()
+        seen += [decoder.decode(Frame.parse(line.split()[2])) for line in path.read_text().splitlines()]
+    texts = [meaning.text for meaning in seen]
+    assert "read 1008:00 = 'CANopenDemoLinux'" in texts
+    assert "write 2121:02 = 'ABCDEFGHIJKLMNOPQRSTUVWX'" in texts
+    assert any(text.startswith("write 2122:00 = ") and text.endswith("(3000 bytes)") for text in texts)
+    assert not any("not heard" in text for text in texts)
+    assert {meaning.service for meaning in seen} >= {
+        "NMT",
+        "SYNC",
+        "EMCY",
+        "TIME",
+        "SDO",
+        "LSS",
+        "boot-up",
+        "heartbeat",
+        "TPDO 1",
+    }
