@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from canopen_proto.dictionary.eds.reader import read_eds
 
 from canopen_master.cli import eds_html, eds_markdown, eds_page
 from canopen_proto.dictionary.concise import from_concise
 from canopen_proto.dictionary.description import FileKind
+from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.eds.writer import write_eds
 from tests.master.cli_support import Run, runner
 from tests.proto.checked_device import GAIN, clean, field, head, info, several, with_variable
