@@ -30,7 +30,7 @@ DEFAULT_CHANNEL: Final = "can0"
 LOSSES: Final = {
     ".log": "",
     ".asc": "names of buses become numbers; the date is kept to the millisecond, and without its time zone",
-    ".blf": "names of buses become numbers",
+    ".blf": "names of buses become numbers; times without a date (before 1990) are counted from the first frame",
     ".trc": "remote frames are left out; names of buses become numbers",
 }
 """What a kind of file cannot hold, for people. The keys are the kinds."""

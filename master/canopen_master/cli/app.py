@@ -35,7 +35,7 @@ class InOrder(click.Group):
     """Lists its commands in the order in which they were added: the first thing to try comes first. Those of LATE, which stand
     before `sim`, are read in only when they are called."""
 
-    LATE = ("backup", "restore", "compare", "dump", "bus")
+    LATE = ("backup", "restore", "compare", "dump", "bus", "log")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         names = list(self.commands)
@@ -94,6 +94,8 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         if group.subgroup(KeyboardInterrupt) is None:
             raise
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
+    if settings.late is not None:
+        return _show(settings, settings.late)
     return result if isinstance(result, int) else ExitCode.OK
 
 
@@ -111,6 +113,8 @@ def _put_to_rest(stream: IO[str]) -> None:
 
 
 def _show(settings: Settings, problem: Problem) -> int:
+    if settings.late is not None and settings.late is not problem:
+        problem.more.append(f"{settings.late.failed}: {settings.late.seen}")
     try:
         settings.screen().problem(problem.on_bus(settings.bus))
     except BrokenPipeError:  # perhaps that was the problem

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import click
 import trio
 
-from canopen_master.cli.problem import usage
+from canopen_master.cli.problem import Problem, usage
 from canopen_master.cli.screen import Screen
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, Time
@@ -36,7 +36,8 @@ DEMO: Final = "demo"
 @dataclass
 class Settings:
     """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
-    overlays.py. trace: where all that is said on the bus is recorded. clock: a test's virtual one."""
+    overlays.py. trace: where all that is said on the bus is recorded. clock: a test's virtual one.
+    late: what is to be said when the command has told its results."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
@@ -47,6 +48,7 @@ class Settings:
     verbosity: int = 0
     no_color: bool = False
     clock: trio.abc.Clock | None = None
+    late: Problem | None = None
 
     def screen(self) -> Screen:
         """Where the command writes."""

@@ -41,23 +41,18 @@ def run(
 ) -> T:
     """What `command` returns. story: told on interruption. devices: the simulated devices are what this command is about.
 
-    Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises; LogFileError, Problem where --trace fails.
+    Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises; LogFileError where --trace cannot begin.
     """
     if settings.trace is None:
         return trio.run(_run, screen, command, story, clock=settings.clock)
     with recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
         try:
-            result = trio.run(_run, screen, command, story, clock=settings.clock)
+            return trio.run(_run, screen, command, story, clock=settings.clock)
         finally:
             trace.close()
-            missing = _missing(settings.trace, trace)
-            if missing is None:
+            settings.late = _missing(settings.trace, trace)
+            if settings.late is None:
                 screen.say(f"[dim]{trace.recorded} frame{'s' * (trace.recorded != 1)} recorded: {escape(str(settings.trace))}[/]")
-            else:
-                screen.say(f"[yellow]{escape(missing.failed)}: {escape(missing.seen)}[/]")
-    if missing is not None:
-        raise missing
-    return result
 
 
 def _missing(path: Path, trace: Trace) -> Problem | None:

@@ -1,0 +1,215 @@
+"""`canopen log`, and --trace: in virtual time."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from canopen_proto.frame import REMOTE
+from canopen_transports.log_files import LogReader
+from tests.master.cli_support import Alarm, Run, runner, watched_fleets
+
+LOG = """\
+(1436509100.000000) can0 603#4041600000000000 T
+(1436509100.100000) can0 583#4B41600040020000 R
+(1436509101.000000) can0 703#R1 T
+(1436509102.000000) can0 703#05 R
+"""
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    own = tmp_path / "own"
+    own.mkdir()
+    monkeypatch.chdir(tmp_path)
+    return runner(capsys, monkeypatch, own)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    (tmp_path / "a.log").write_text(LOG)
+    return tmp_path / "a.log"
+
+
+def frames(path: str) -> list[str]:
+    return [f"{record.frame}{' T' if record.sent else ''}" for record in LogReader(Path(path))]
+
+
+# ---- --trace ----
+
+
+def test_a_command_is_recorded_with_its_simulated_drives(run: Run) -> None:
+    outcome = run("read", "3", "statusword", "-b", "demo", "--trace", "t.log")
+    assert outcome.status == 0
+    assert "8 frames recorded: t.log" in outcome.err
+    assert frames("t.log") == [*(f"70{node}#00" for node in range(3, 9)), "603#4041600000000000 T", "583#4B41600040020000"]
+    assert {record.channel for record in LogReader(Path("t.log"))} == {"virtual0"}
+
+
+def test_a_simulation_records_its_own_side(run: Run) -> None:
+    assert run("sim", "--id", "3", "-b", "virtual:x", "--seconds", "0.7", "--trace", "t.log").status == 0
+    assert frames("t.log") == ["703#00 T", "703#7F T"]
+
+
+def test_errors_do_not_cut_the_trace(run: Run) -> None:
+    outcome = run("read", "3", "0x5FFF", "--trace", "t.log", "-b", "demo")
+    assert outcome.status != 0
+    outcome = run("read", "99", "0x1000", "--trace", "t.log", "-b", "demo")
+    assert outcome.status == 5
+    assert any(frame.startswith("663#80001000") for frame in frames("t.log"))  # the abort of the time-out
+
+
+def test_ctrl_c_does_not_cut_it_either(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    alarm = Alarm()
+    watched_fleets(monkeypatch, alarm)
+    alarm.set((3.0, signal.SIGINT))
+    outcome = run("demo", "--trace", "t.log")
+    assert outcome.status == 130
+    said = frames("t.log")
+    assert len(said) > 1000
+    for node in range(3, 9):  # each drive was halted, and its answer recorded
+        assert any(frame.startswith(f"{0x180 + node:X}#") for frame in said[-200:])
+
+
+@pytest.mark.parametrize(("name", "seen"), [("t.txt", "it ends in '.txt'"), ("none/t.log", "No such file")])
+def test_a_trace_that_cannot_be_begun(run: Run, name: str, seen: str) -> None:
+    outcome = run("read", "3", "statusword", "-b", "demo", "--trace", name)
+    assert outcome.status == 6
+    assert "error CO342" in outcome.err
+    assert seen in outcome.err
+    assert not outcome.out
+
+
+def test_a_trace_that_lacks_something_says_so(run: Run, log: Path) -> None:
+    outcome = run("log", "replay", str(log), "-b", "virtual:x", "--trace", "t.trc")
+    assert outcome.status == 6
+    assert "1 frames are not in it (.trc: remote frames are left out" in outcome.err
+    assert "error CO343: the trace t.trc is not complete" in outcome.err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_does_not_stop_the_command(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "full.log").symlink_to("/dev/full")
+    outcome = run("read", "3", "statusword", "-b", "demo", "--trace", "full.log")
+    assert outcome.status == 6
+    assert "statusword" in outcome.out
+    assert "error CO343: the trace full.log is not complete" in outcome.err
+    assert f"{os.strerror(errno.ENOSPC)} after 0 frames" in outcome.err
+    outcome = run("read", "3", "0x5FFF", "-b", "demo", "--trace", "full.log")
+    assert outcome.status not in (0, 6)
+    assert "also:  the trace full.log is not complete" in outcome.err
+
+
+# ---- convert ----
+
+
+def test_convert(run: Run, log: Path) -> None:
+    outcome = run("log", "convert", str(log), "b.blf")
+    assert outcome.status == 0
+    assert "4 frames: b.blf" in outcome.err
+    assert "names of buses become numbers" in outcome.err
+    assert run("log", "convert", "b.blf", "c.log").status == 0
+    assert frames("c.log") == frames(str(log))
+    assert Path("c.log").read_text() == LOG
+
+
+def test_convert_says_what_it_leaves_out(run: Run, log: Path) -> None:
+    outcome = run("log", "convert", str(log), "b.trc")
+    assert outcome.status == 7
+    assert "1 remote frames are left out; .log holds them" in outcome.err
+    assert not any(record.frame.flags & REMOTE for record in LogReader(Path("b.trc")))
+    log.write_text(LOG + "(103.0) can0 123##1AA\n")
+    assert "1 entries passed over, the last: a CAN FD frame" in run("log", "convert", str(log), "b.log").err
+
+
+def test_convert_spoils_nothing(run: Run, log: Path) -> None:
+    assert run("log", "convert", str(log), str(log)).status == 2
+    outcome = run("log", "convert", "none.log", str(log))
+    assert outcome.status == 6
+    assert "cannot read none.log" in outcome.err
+    assert log.read_text() == LOG
+
+
+# ---- replay ----
+
+
+def test_replay(run: Run, log: Path) -> None:
+    outcome = run("log", "replay", str(log), "-b", "virtual:x", "--trace", "t.log")
+    assert outcome.status == 0
+    assert "4 frames sent on virtual:x" in outcome.err
+    sent = list(LogReader(Path("t.log")))
+    assert [str(record.frame) for record in sent] == [frame.removesuffix(" T") for frame in frames(str(log))]
+    assert (sent[-1].time - sent[0].time) / 1e9 == pytest.approx(2.0, abs=1e-3)
+    assert run("log", "replay", str(log), "-b", "virtual:x", "--trace", "t.log", "--speed", "max", "--only-sent").status == 0
+    assert frames("t.log") == ["603#4041600000000000 T", "703#R1 T"]
+
+
+def test_replay_wants_a_bus_and_a_speed(run: Run, log: Path) -> None:
+    assert "canopen bus serve" in run("log", "replay", str(log)).err
+    for speed in ("fast", "0", "-1", "nan"):
+        outcome = run("log", "replay", str(log), "-b", "virtual:x", "--speed", speed)
+        assert outcome.status == 2
+        assert "neither a positive number nor max" in outcome.err
+
+
+# ---- stats, decode ----
+
+
+def test_stats(run: Run, log: Path) -> None:
+    outcome = run("log", "stats", str(log), "--bitrate", "125k")
+    assert outcome.status == 0
+    assert "4 frames in 2 s, 2 a second, load 0.1" in outcome.out
+    found = run("log", "stats", str(log), "--json").json
+    assert (found["frames"], found["seconds"], found["bitrate"], found["skipped"]) == (4, 2.0, 500_000, 0)
+    assert [(each["can_id"], each["service"], each["node"], each["frames"]) for each in found["ids"]] == [
+        ("583", "SDO", 3, 1),
+        ("603", "SDO", 3, 1),
+        ("703", "heartbeat", 3, 1),
+        ("703", "guarding", 3, 1),
+    ]
+    assert found["load_percent"] == pytest.approx(sum(each["load_percent"] for each in found["ids"]))
+    log.write_text("")
+    assert "0 frames in 0 s" in run("log", "stats", str(log)).out
+    assert run("log", "stats", str(log), "--bitrate", "2M").status == 2
+
+
+def test_decode(run: Run, log: Path) -> None:
+    outcome = run("log", "decode", str(log))
+    assert outcome.status == 0
+    lines = outcome.out.splitlines()
+    assert lines[0] == "    0.000000 603#4041600000000000      SDO         3  read 6041:00 statusword"
+    assert lines[1].endswith("read 6041:00 statusword = 576 (0x240, switch_on_disabled, remote)")
+    assert lines[3].endswith("heartbeat   3  operational")
+    assert len(run("log", "decode", str(log), "--service", "sdo", "--node", "3").out.splitlines()) == 2
+    assert run("log", "decode", str(log), "--node", "4").out == ""
+    first = json.loads(run("log", "decode", str(log), "--json").out.splitlines()[0])
+    assert (first["frame"], first["service"], first["node"], first["sent"]) == ("603#4041600000000000", "SDO", 3, True)
+
+
+def test_decode_by_a_devices_file(run: Run, tmp_path: Path) -> None:
+    drive = Path(__file__).parents[2] / "data" / "canopen_data" / "samples" / "sample_io.xdd"
+    (tmp_path / "a.log").write_text("(1.0) can0 605#4000100000000000\n(1.1) can0 185#01020304\n(1.2) can0 123##1AA\n")
+    outcome = run("log", "decode", "a.log", "-e", f"5={drive}")
+    assert outcome.status == 0
+    assert "read 1000:00" in outcome.out
+    assert "TPDO 1" in outcome.out
+    assert "1 entries passed over" in outcome.err
+
+
+def test_decode_names_the_line_that_is_wrong(run: Run, log: Path) -> None:
+    log.write_text(LOG + "hello\n")
+    outcome = run("log", "decode", str(log))
+    assert outcome.status == 6
+    assert f"{log}:5 is not understood" in outcome.err
+    assert len(outcome.out.splitlines()) == 4
+
+
+def test_a_bus_server_records_too(run: Run) -> None:
+    outcome = run("bus", "serve", "--port", "0", "--seconds", "0", "--trace", "t.log")
+    assert outcome.status == 0
+    assert "0 frames recorded: t.log" in outcome.err
