@@ -173,6 +173,8 @@ def test_stats(run: Run, log: Path) -> None:
         ("703", "guarding", 3, 1),
     ]
     assert found["load_percent"] == pytest.approx(sum(each["load_percent"] for each in found["ids"]))
+    log.write_text("(1.0) can0 703#00\n")
+    assert run("log", "stats", str(log), "--json").json["ids"][0]["service"] == "heartbeat"
     log.write_text("")
     assert "0 frames in 0 s" in run("log", "stats", str(log)).out
     assert run("log", "stats", str(log), "--bitrate", "2M").status == 2

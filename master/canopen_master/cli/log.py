@@ -134,7 +134,8 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
         bits[frame.key] += frame_bits(frame)
         if frame.key not in what:
             meaning = decoder.decode(frame)
-            what[frame.key] = (str(frame).partition("#")[0], meaning.service, meaning.node_id)
+            service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first of them is the boot-up
+            what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
     seconds = 0.0 if first is None or last is None else (last - first) / SECOND
     rows = [(*what[key], frames[key], _per(frames[key], seconds), _per(bits[key] / rate * 100, seconds)) for key in sorted(what)]
     total = sum(frames.values())
