@@ -14,18 +14,10 @@ from canopen_proto.dictionary.roles import roles_in
 from canopen_proto.procedures.backup import same_value
 from tests.master.backup_world import NODE, lasting
 from tests.master.cli_support import runner
-from tests.vendor_files import path_of
+from tests.vendor_files import ALL_NAMES, path_of
 
-VENDORS = (
-    "canopen-sample.eds",  # all data types, some unknown
-    "faulhaber-605.3150.51-V.eds",  # Windows-1252
-    "cia-402.eds",
-    "oresat-battery.dcf",
-    "sample-node-1.xdd",
-)
-"""Some of them, for speed."""
-STRANGE_PDOS = ("canopen-sample.eds",)
-"""Its PDOs carry what it does not have: once off, they cannot be valid again."""
+STRANGE_PDOS = ("canopen-sample.eds", "cia-301.eds")
+"""Their PDOs carry what they do not have, or have the CAN-ID of NMT: once off, they cannot be valid again."""
 MAX_CHANGES = 25
 STORE = (0x1010, 0x1011)
 
@@ -54,11 +46,11 @@ def changes(dictionary: ObjectDictionary, values: dict[int, Value]) -> Iterator[
             yield variable, high if value != high else low
 
 
-@pytest.mark.parametrize("name", ["sample_io.xdd", *VENDORS])
+@pytest.mark.parametrize("name", ["sample_io.xdd", *ALL_NAMES])
 def test_a_device_is_backed_up_changed_and_restored(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    path = str(path_of(name).resolve()) if name in VENDORS else name
+    path = str(path_of(name).resolve()) if name in ALL_NAMES else name
     run = runner(capsys, monkeypatch, tmp_path)
     monkeypatch.chdir(tmp_path)
     dictionary = load_description(path).dictionary
