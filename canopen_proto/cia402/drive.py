@@ -188,9 +188,9 @@ class Drive(Machine):
         key = index << 8 | subindex
         if not isinstance(value, int):
             return None
-        if key == objects.MODES_OF_OPERATION:
-            return None if self._has_mode(value) else AbortCode.INVALID_VALUE
-        if key in ALLOWED_VALUES and value not in ALLOWED_VALUES[key]:
+        is_mode = key == objects.MODES_OF_OPERATION
+        has_value = self._has_mode(value) if is_mode else value in ALLOWED_VALUES.get(key, (value,))
+        if not has_value and value != self._servo.parameter(key):  # what a file gave it may be written back
             return AbortCode.INVALID_VALUE
         mode = self._mode
         if key == objects.INTERPOLATION_SET_POINT and isinstance(mode, InterpolatedPosition) and mode.is_full:

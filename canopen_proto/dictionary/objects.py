@@ -143,14 +143,14 @@ class Variable:
         return value + node_id if self.adds_node_id and isinstance(value, int) else value
 
     def _zero(self) -> Value:
-        """The type's zero, or what is next to it within the limits."""
+        """The type's zero, or what is next to it within the limits, where there is a value within them."""
         zero = zero_of(self.data_type)
-        if isinstance(zero, int | float):
-            if self.low_limit is not None and zero < self.low_limit:
-                return self.low_limit
-            if self.high_limit is not None and zero > self.high_limit:
-                return self.high_limit
-        return zero
+        low, high = self.low_limit, self.high_limit
+        if not isinstance(zero, int | float) or (low is not None and high is not None and low > high):
+            return zero
+        if low is not None and zero < low:
+            return low
+        return high if high is not None and zero > high else zero
 
     def encode(self, value: Value) -> bytes:
         """The value's bytes as SDO carries them. Raises ValueRangeError that names this object. Limits: `check_limits`."""

@@ -12,7 +12,11 @@ import pytest
 from canopen_proto.conformance.case import Result, Verdict
 from canopen_proto.conformance.catalogue import CASES, run_all
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, ObjectDictionary
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import Time
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.server import Pending
 from tests.proto.conformance_rig import Fault, Site, verdict_of
 from tests.proto.full_device import full_device
 
@@ -63,6 +67,38 @@ def test_limits_of_communication_objects_are_no_promise() -> None:
     """A number of mapped objects is refused while the PDO is valid, whatever the limits."""
     device = altered({(0x1600, 0): {"low_limit": 0, "high_limit": 8}, (0x1005, 0): {"low_limit": 1}})
     assert verdict_of("4.6", truth=device).result is Result.PASSED
+
+
+class Lacking(LocalNode):
+    """Has not every value within the limits of its objects. code: with which it says so."""
+
+    code = AbortCode.INVALID_VALUE
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        lacks = index in (OWN, OF_A_PROFILE) and data == b"\xf7"
+        return self.code if lacks else super().write(index, subindex, data, now)
+
+
+class Wrong(Lacking):
+    """Calls such a value too low."""
+
+    code = AbortCode.VALUE_TOO_LOW
+
+
+OWN, OF_A_PROFILE = 0x2000, 0x6060
+
+
+@pytest.mark.parametrize(
+    ("index", "node", "result"),
+    [
+        (OF_A_PROFILE, Lacking, Result.PASSED),  # a mode of operation that the drive does not have
+        (OF_A_PROFILE, Wrong, Result.FAILED),
+        (OWN, Lacking, Result.FAILED),
+    ],
+)
+def test_within_its_limits_an_object_of_a_profile_may_lack_values(index: int, node: type[LocalNode], result: Result) -> None:
+    mode = Variable(index, 0, "mode", DataType.INTEGER8, low_limit=-9, high_limit=10)
+    assert verdict_of("4.6", Fault("lacking", node=node), full_device(Object.of("mode", [mode]))).result is result
 
 
 def test_a_device_is_compared_with_what_its_dcf_has_configured() -> None:

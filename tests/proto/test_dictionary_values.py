@@ -48,9 +48,10 @@ def test_what_has_no_default_begins_within_its_limits() -> None:
         Variable(0x2003, 0, "said", DataType.UNSIGNED8, default=0, low_limit=2),
         Variable(0x2004, 0, "beyond its type", DataType.UNSIGNED8, low_limit=300),
         Variable(0x2005, 0, "text", DataType.VISIBLE_STRING, low_limit=2),
+        Variable(0x2006, 0, "none", DataType.UNSIGNED8, low_limit=9, high_limit=8),
     ]
     values = Values(ObjectDictionary([Object.of(each.name, [each]) for each in silent]))
-    assert list(values.store.values()) == [2, -2, 0.0, 0, 0, ""]
+    assert list(values.store.values()) == [2, -2, 0.0, 0, 0, "", 0]
 
 
 def test_six_drives_of_one_description_share_nothing() -> None:
