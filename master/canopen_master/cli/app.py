@@ -35,7 +35,7 @@ class InOrder(click.Group):
     """Lists its commands in the order in which they were added: the first thing to try comes first. Those of LATE, which stand
     before `sim`, are read in only when they are called."""
 
-    LATE = ("backup", "restore", "compare", "dump", "bus", "log")
+    LATE = ("backup", "restore", "compare", "dump", "check", "bus", "log")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         names = list(self.commands)

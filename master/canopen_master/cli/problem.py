@@ -238,7 +238,7 @@ def _of_bus(code: str) -> ExitCode:
     return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
 
 
-_ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim|backup|restore|dump|compare [0-9])\b")
+_ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim|backup|restore|dump|(?:check|compare) [0-9])\b")
 _BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # a remark behind the command, or what must stand last
 
 
