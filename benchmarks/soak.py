@@ -290,6 +290,7 @@ class Soak:
         self.stations: list[Station] = [self.master, *(Axis(self.wire, number, self.findings) for number in range(1, AXES + 1))]
         self._heap: list[tuple[Time, int]] = []
         self.now: Time = 0
+        self._hit_targets: dict[int, tuple[bytes, int]] = {}  # by node-ID: the last one, and how often it comes in all
         for station in self.stations:
             self._settle(station)
         for station in self.stations[1:]:
@@ -371,13 +372,31 @@ class Soak:
         elif service == TPDO1 and (step > 0 or who == 0):
             expected[node_id] += step
         if step > 0 or who == (node_id if service in (RPDO1, SDO_CLIENT_TO_SERVER) else 0):
-            tally[f"{kind.name} {service:X}"] += 1
+            if service == RPDO1:
+                self._on_target_hit(node_id, report.frame.data, step)
+            else:
+                tally[f"{kind.name} {service:X}"] += 1
+
+    def _on_target_hit(self, node_id: int, data: bytes, step: int) -> None:
+        """A target was lost, or came once more. What hits one target twice may cancel out: a copy that is lost is no fault."""
+        known, count = self._hit_targets.get(node_id, (b"", 1))
+        if known != data:
+            self._count_target(count)
+            count = 1
+        self._hit_targets[node_id] = data, count + step
+
+    def _count_target(self, count: int) -> None:
+        tally = self.findings.faults
+        tally[f"LOSS {RPDO1:X}"] += count <= 0
+        tally[f"REPETITION {RPDO1:X}"] += max(count - 1, 0)
 
     # ---- the report ----
 
     def check(self) -> None:
         """What has to hold in the end."""
         findings, tally = self.findings, self.findings.faults
+        for _, count in self._hit_targets.values():
+            self._count_target(count)
         for what, seen, expected in (
             ("targets missing", findings.gaps, tally[f"LOSS {RPDO1:X}"]),
             ("targets twice", findings.repeats, tally[f"REPETITION {RPDO1:X}"]),
