@@ -10,14 +10,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from rich.markup import escape
-
 from canopen_master.cli.options import node_id_of
-from canopen_master.cli.problem import ExitCode, Problem, usage
+from canopen_master.cli.problem import usage
 from canopen_master.cli.screen import Screen
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.description import DeviceDescription
-from canopen_proto.dictionary.findings import Severity
 
 _OF_NODE: Final = re.compile(r"(0[xX][0-9A-Fa-f]+|[0-9]+)=(.+)")
 
@@ -63,19 +60,8 @@ def _split(text: str) -> tuple[int | None, str]:
 
 
 def _read(path: str, screen: Screen) -> DeviceDescription:
-    from canopen_data.descriptions import load_description
+    from canopen_master.cli.eds_files import open_description, tell_faults
 
-    description = load_description(path)
-    errors = [each for each in description.findings if each.severity is Severity.ERROR]
-    if not description.dictionary.objects:
-        raise Problem(
-            ExitCode.BAD_FILE,
-            "CO301",
-            f"{path} describes no object",
-            seen=str(errors[0]) if errors else "",
-            cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
-        )
-    if errors:
-        count = "1 error" if len(errors) == 1 else f"{len(errors)} errors"
-        screen.say(f"[dim]{escape(path)}: {count} in it, the first: {escape(str(errors[0]))}[/]")
-    return description
+    file = open_description(path)
+    tell_faults(screen, file)
+    return file.description

@@ -26,7 +26,6 @@ from canopen_proto.dictionary import NotInDictionary, ObjectDictionary
 from canopen_proto.dictionary.configured import configure, without_configured_values
 from canopen_proto.dictionary.describing import identified
 from canopen_proto.dictionary.description import DeviceDescription
-from canopen_proto.dictionary.findings import Severity
 from canopen_proto.frame import MAX_NODE_ID
 
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
@@ -97,22 +96,12 @@ def models(entries: Iterable[DeviceEntry], screen: Screen) -> list[DeviceModel]:
 
 
 def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> DeviceDescription:
-    from canopen_data.descriptions import load_description, with_names  # the readers are read in only where there is a file
+    from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
+    from canopen_master.cli.eds_files import open_description, tell_faults
 
-    description = load_description(entry.file)
-    errors = [each for each in description.findings if each.severity is Severity.ERROR]
-    if not description.dictionary.objects:
-        raise Problem(
-            ExitCode.BAD_FILE,
-            "CO301",
-            f"{entry.file} describes no object",
-            seen=str(errors[0]) if errors else "",
-            cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
-        )
-    if errors:
-        count = "1 error" if len(errors) == 1 else f"{len(errors)} errors"
-        screen.say(f"[dim]{escape(entry.file)}: {count} in it; all of them: canopen eds lint {escape(entry.file)}[/]")
-    description = with_names(description, names)
+    file = open_description(entry.file)
+    tell_faults(screen, file)
+    description = with_names(file.description, names)
     dictionary = with_drive_names(identified(description))
     if entry.defaults:
         dictionary = without_configured_values(dictionary)
