@@ -194,9 +194,8 @@ def test_decode(run: Run, log: Path) -> None:
 
 
 def test_decode_by_a_devices_file(run: Run, tmp_path: Path) -> None:
-    drive = Path(__file__).parents[2] / "data" / "canopen_data" / "samples" / "sample_io.xdd"
     (tmp_path / "a.log").write_text("(1.0) can0 605#4000100000000000\n(1.1) can0 185#01020304\n(1.2) can0 123##1AA\n")
-    outcome = run("log", "decode", "a.log", "-e", f"5={drive}")
+    outcome = run("log", "decode", "a.log", "-e", "5=sample_io.xdd")
     assert outcome.status == 0
     assert "read 1000:00" in outcome.out
     assert "TPDO 1" in outcome.out

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from canopen_data.descriptions import read_file
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Values, Variable
 from canopen_proto.dictionary.checks import check
@@ -15,7 +16,6 @@ from canopen_proto.dictionary.findings import DictionaryError, Severity
 from tests.vendor_files import INI_NAMES, load
 
 DATA = Path(__file__).parents[1] / "data"
-SAMPLES = Path(__file__).parents[2] / "data" / "canopen_data" / "samples"
 
 VAR = "[2000]\nParameterName=x\nObjectType=7\nDataType=0x0007\nAccessType=rw\n"
 
@@ -362,7 +362,7 @@ def test_a_file_with_many_faults() -> None:
 
 @pytest.mark.parametrize("name", ["sample_io.eds", "sample_drive.eds"])
 def test_the_samples_have_no_fault(name: str) -> None:
-    description = read_eds((SAMPLES / name).read_bytes(), name, strict=True)
+    description = read_eds(read_file(name), name, strict=True)
     assert (description.findings, check(description)) == ((), [])
     assert not Values(description.dictionary, 5).unfit
 
@@ -370,8 +370,8 @@ def test_the_samples_have_no_fault(name: str) -> None:
 def test_both_samples_of_the_io_device_are_one_device() -> None:
     from canopen_proto.dictionary.xdd import read_xdd
 
-    ours = read_eds((SAMPLES / "sample_io.eds").read_bytes()).dictionary
-    other = read_xdd((SAMPLES / "sample_io.xdd").read_bytes()).dictionary
+    ours = read_eds(read_file("sample_io.eds")).dictionary
+    other = read_xdd(read_file("sample_io.xdd")).dictionary
     assert [(each.mux, each.name, each.data_type, each.default) for each in ours if each.mux != 0x640100] == [
         (each.mux, each.name, each.data_type, each.default) for each in other if each.mux != 0x640100
     ]
