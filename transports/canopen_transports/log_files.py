@@ -7,20 +7,24 @@ a line, and nothing that CANopen has is lost, except what is below a microsecond
 
 T or R at the end, as `candump -L -x` writes it: sent by whoever recorded, or received. Files without it are read too.
 
-What the others lose is in LOSSES, measured with python-can 4.6 (see the tests). Frames that CANopen has no use for (error frames,
-CAN FD) are passed over when a file is read, and counted.
+What the others lose is in LOSSES, measured with python-can 4.6 (see the tests). Entries that are no classical CAN frames (error
+frames, CAN FD, a measuring program's own events) are passed over when a file is read, and counted. What is no log of its kind, or
+ends in the middle, is an error, behind all frames that can be read.
 """
 
 from __future__ import annotations
 
+import codecs
+import os
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple, Protocol, TextIO
+from typing import IO, Any, BinaryIO, Final, NamedTuple, Protocol, TextIO
 
 import can
+from can.io.blf import BLFParseError
 
 from canopen_proto.frame import REMOTE, Frame
 from canopen_transports.messages import RefusedMessage, frame_of, message_of
@@ -29,8 +33,10 @@ DEFAULT_CHANNEL: Final = "can0"
 
 LOSSES: Final = {
     ".log": "",
-    ".asc": "names of buses become numbers; the date is kept to the millisecond, and without its time zone",
-    ".blf": "names of buses become numbers; times without a date (before 1990) are counted from the first frame",
+    ".asc": "names of buses become numbers; the date is kept to the millisecond, and without its time zone; what is earlier than "
+    "the first frame gets its time",
+    ".blf": "names of buses become numbers; times without a date (before 1990) are counted from the first frame's millisecond; "
+    "what is earlier than the first frame gets its time",
     ".trc": "remote frames are left out; names of buses become numbers",
 }
 """What a kind of file cannot hold, for people. The keys are the kinds."""
@@ -43,13 +49,31 @@ _READING_ERRORS: Final = (
     RuntimeError,  # NotImplementedError: versions of a format
     struct.error,
     zlib.error,
-    can.CanError,  # BLFParseError
+    BLFParseError,
 )
 """What python-can's readers raise over files that are none."""
 
 _LINE: Final = re.compile(r"\(([0-9]{1,11})\.([0-9]{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]+#\S*)(?:\s+([RT]))?\s*")
 _RAW_DLC: Final = re.compile(r"_[0-9A-Fa-f]$")  # candump's way to show a DLC of 9 to 15, which means 8 bytes
 _ERROR_FRAME: Final = 0x20000000
+_ENTRY: Final = {
+    ".asc": re.compile(r"\s*[0-9]+\.[0-9]+\s+(?!Start of measurement)"),
+    ".trc": re.compile(r"\s*[^\s;]"),
+}
+"""Lines that say what happened, as against headers and comments."""
+_HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
+_EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (what a line looks like; `candump -L` writes such)"
+_OTHER_KIND: Final = "is it really a log of this kind? (its name's ending says which)"
+_UTF16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def _old_code_page(error: UnicodeError) -> tuple[str, int]:
+    """Makers' tools write in the code page of their computer: a German March is "M\\xe4r" there."""
+    assert isinstance(error, UnicodeDecodeError)
+    return error.object[error.start : error.end].decode("latin-1"), error.end
+
+
+codecs.register_error("canopen-old-code-page", _old_code_page)
 
 
 class Record(NamedTuple):
@@ -99,28 +123,38 @@ class LogReader:
         self._kind = kind_of(path)
 
     def __iter__(self) -> Iterator[Record]:
+        # Opened here, as python-can's readers leave a file open when they raise.
         try:
-            if self._kind == ".log":
-                yield from self._candump_records()
+            if self._kind == ".blf":
+                with open(self.path, "rb") as file:
+                    yield from self._binary_records(file)
             else:
-                yield from self._foreign_records()
+                with open(self.path, encoding=_encoding_of(self.path), errors="canopen-old-code-page") as text:
+                    yield from self._candump_records(text) if self._kind == ".log" else self._text_records(text)
         except OSError as error:
             raise LogFileError(self.path, f"cannot read {self.path}", error.strerror or str(error)) from error
-        except UnicodeDecodeError as error:
-            raise LogFileError(self.path, f"cannot read {self.path}", "it is no text", tries=_CONVERT) from error
 
-    def _candump_records(self) -> Iterator[Record]:
-        with open(self.path, encoding="utf-8") as file:
-            for number, line in enumerate(file, 1):
-                if line.strip():
-                    record = self._record_of(number, line.strip())
-                    if record is not None:
-                        yield record
+    def _skip(self, reason: str) -> None:
+        self.skipped += 1
+        self.last_skip = reason
+
+    def _not_understood(self, seen: str, line: int = 0, *tries: str) -> LogFileError:
+        place = f"{self.path}:{line}" if line else str(self.path)
+        return LogFileError(self.path, f"{place} is not understood", seen, line=line, tries=tries or (_OTHER_KIND,))
+
+    # ---- .log ----
+
+    def _candump_records(self, file: TextIO) -> Iterator[Record]:
+        for number, line in enumerate(file, 1):
+            if line.strip():
+                record = self._record_of(number, line.strip())
+                if record is not None:
+                    yield record
 
     def _record_of(self, number: int, line: str) -> Record | None:
         match = _LINE.fullmatch(line)
         if match is None:
-            raise self._bad_line(number, f"{line[:60]!r} is no line of candump's")
+            raise self._not_understood(f"{line[:60]!r} is no line of candump's", number, _EXAMPLE)
         seconds, fraction, channel, text, direction = match.groups()
         identifier, _, data = text.partition("#")
         if data.startswith("#"):
@@ -132,33 +166,48 @@ class LogReader:
         try:
             frame = Frame.parse(_RAW_DLC.sub("", text))
         except ValueError as error:
-            raise self._bad_line(number, str(error)) from error
+            raise self._not_understood(str(error), number, _EXAMPLE) from error
         return Record(int(seconds) * 10**9 + int(fraction.ljust(9, "0")), channel, frame, direction == "T")
 
-    def _bad_line(self, number: int, seen: str) -> LogFileError:
-        tries = ("(1436509053.850870) can0 605#4041600000000000    (what a line looks like; `candump -L` writes such)",)
-        return LogFileError(self.path, f"{self.path}:{number} is not understood", seen, line=number, tries=tries)
+    # ---- the others, by python-can's readers ----
 
-    def _skip(self, reason: str) -> None:
-        self.skipped += 1
-        self.last_skip = reason
+    def _text_records(self, file: TextIO) -> Iterator[Record]:
+        lines = _Lines(file, _ENTRY[self._kind], self._skip)
+        reader = can.ASCReader(lines, relative_timestamp=False) if self._kind == ".asc" else can.TRCReader(lines)  # type: ignore[arg-type]
+        found = False
+        try:
+            for message in reader:
+                if isinstance(reader, can.ASCReader) and reader.timestamps_format == "relative":
+                    seen = "its times are counted from line to line (timestamps relative)"
+                    raise self._not_understood(seen, 0, "have the program that wrote it write absolute times")
+                found = True
+                lines.entry = ""
+                record = self._record_of_message(message)
+                if record is not None:
+                    yield record
+        except _READING_ERRORS as error:
+            raise self._not_understood(_reason(error), lines.number) from error
+        if lines.number and not (found or lines.has_header):
+            raise self._not_understood("it has neither a header nor frames")
 
-    def _foreign_records(self) -> Iterator[Record]:
-        # Opened here, as python-can's readers leave a file open when they raise. Makers' tools write in the code page of their
-        # computer; what CANopen needs is ASCII.
-        with self._opened() as file:
-            try:
-                for message in _READERS[self._kind](file):
-                    record = self._record_of_message(message)
-                    if record is not None:
-                        yield record
-            except _READING_ERRORS as error:
-                seen = " ".join(str(error).split()) or type(error).__name__
-                tries = ("is it really a log of this kind?",)
-                raise LogFileError(self.path, f"{self.path} is not understood", seen, tries=tries) from error
-
-    def _opened(self) -> IO[Any]:
-        return open(self.path, "rb") if self._kind == ".blf" else open(self.path, encoding="utf-8", errors="replace")
+    def _binary_records(self, file: BinaryIO) -> Iterator[Record]:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        said = size
+        try:
+            reader = can.BLFReader(file)
+            said = reader.file_size
+            for message in reader:
+                record = self._record_of_message(message)
+                if record is not None:
+                    yield record
+        except _READING_ERRORS as error:
+            if said <= size:
+                raise self._not_understood(_reason(error)) from error
+        if said > size:
+            raise self._not_understood(
+                f"it ends in the middle: {size} of {said} bytes are there", 0, "copy it again, once its recorder has ended it"
+            )
 
     def _record_of_message(self, message: can.Message) -> Record | None:
         if message.is_error_frame:
@@ -172,6 +221,49 @@ class LogReader:
         channel = "" if message.channel is None else str(message.channel)
         time = round(message.timestamp * 10**6) * 1000  # a float of today's date is no better than that
         return Record(time, f"can{channel}" if channel.isdecimal() else channel, frame, not message.is_rx)
+
+
+class _Lines:
+    """The lines of a text file, as python-can's readers take them, which are silent about what they cannot read.
+
+    number: of the line read last. entry: that line, if it says what happened; "" once a reader has made a message of it.
+    has_header: whether there were other lines, too.
+    """
+
+    def __init__(self, file: TextIO, entry: re.Pattern[str], skip: Callable[[str], None]) -> None:
+        self.number = 0
+        self.entry = ""
+        self.has_header = False
+        self._file = file
+        self._pattern = entry
+        self._skip = skip
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        if self.entry:
+            self._skip(f"{self.entry[:60]!r}")
+            self.entry = ""
+        line = next(self._file)
+        self.number += 1
+        if self._pattern.match(line):
+            self.entry = " ".join(line.split())
+        elif _HEADER.match(line):
+            self.has_header = True
+        return line
+
+    def close(self) -> None:
+        """A reader's, at its end; ours is who has opened it."""
+
+
+def _encoding_of(path: Path) -> str:
+    with open(path, "rb") as file:
+        return "utf-16" if file.read(2) in _UTF16_MARKS else "utf-8-sig"
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 class LogWriter(Protocol):
@@ -220,31 +312,38 @@ class _ForeignWriter:
     def __init__(self, path: Path, kind: str) -> None:
         self.left_out = 0
         self._holds_remote = kind != ".trc"
-        self._writer = _WRITERS[kind](str(path))
+        self._holds_earlier = kind == ".trc"
+        self._first: int | None = None
+        self._file = _opened_to_write(path, kind)
+        self._writer = _WRITERS[kind](self._file)
         self._channels: dict[str, int] = {}
 
     def write(self, record: Record) -> None:
         if record.frame.flags & REMOTE and not self._holds_remote:
             self.left_out += 1
             return
+        if self._first is None:
+            self._first = record.time
         message = message_of(record.frame)
-        message.timestamp = record.time / 10**9
+        message.timestamp = (record.time if self._holds_earlier else max(record.time, self._first)) / 10**9
         message.is_rx = not record.sent
         message.channel = self._channels.setdefault(record.channel, len(self._channels))
         self._writer.on_message_received(message)
 
     def close(self) -> None:
-        self._writer.stop()
+        try:
+            self._writer.stop()
+        finally:
+            self._file.close()
 
 
-def _read_asc(file: Any) -> can.ASCReader:
-    return can.ASCReader(file, relative_timestamp=False)
+def _opened_to_write(path: Path, kind: str) -> IO[Any]:
+    # Opened here, as python-can's writers leave a file open when they cannot end it. (The file's own name stands in a .trc.)
+    return open(path, "wb") if kind == ".blf" else open(path, "w", encoding="utf-8", errors="backslashreplace")
 
 
-_READERS: Final[dict[str, Callable[[Any], Iterable[can.Message]]]] = {
-    ".asc": _read_asc,
-    ".blf": can.BLFReader,
-    ".trc": can.TRCReader,
-}
-_WRITERS: Final[dict[str, Callable[[str], Any]]] = {".asc": can.ASCWriter, ".blf": can.BLFWriter, ".trc": can.TRCWriter}
-_CONVERT: Final = ("canopen log convert FILE OTHER.log",)
+class _AscWriter(can.ASCWriter):
+    FORMAT_DATE = "%a %b %d %H:%M:%S.{:03d} %Y"  # python-can writes 7 ms as ".7"
+
+
+_WRITERS: Final[dict[str, Callable[[Any], Any]]] = {".asc": _AscWriter, ".blf": can.BLFWriter, ".trc": can.TRCWriter}
