@@ -220,6 +220,36 @@ def test_other_ways_not_to_get_there(problem: OSError, seen: str) -> None:
     assert seen in cannot_connect("tcp:lab", "lab", DEFAULT_PORT, problem).seen
 
 
+@pytest.mark.parametrize("host", ["a..b", "a" * 64, "\N{SNOWMAN}" * 64])
+def test_names_that_no_computer_can_have(host: str) -> None:
+    @trio_test(real_time=True)
+    async def body() -> None:
+        with pytest.raises(TransportError, match="CO101: cannot open tcp:") as caught:
+            await open_transport(f"tcp:{host}")
+        assert f"the name {host!r} is not known: " in caught.value.seen
+        with pytest.raises(TransportError, match="CO101: cannot serve a bus on tcp:") as caught:
+            await serve_bus(host, 0, BusServer())
+        assert f"the name {host!r} is not known: " in caught.value.seen
+
+    body()
+
+
+@trio_test(real_time=True)
+async def test_a_computer_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "CONNECT_TIME", 0.02)
+    with socket.socket() as full, socket.socket() as guest, socket.socket() as second:
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        port = full.getsockname()[1]
+        for each in (guest, second):  # nobody takes them, and the queue is full: what comes next is dropped
+            each.setblocking(False)
+            each.connect_ex(("127.0.0.1", port))
+        with pytest.raises(TransportError, match="CO101") as caught:
+            await open_transport(f"tcp:127.0.0.1:{port}")
+    assert caught.value.seen == f"127.0.0.1 port {port} did not answer"
+    assert "firewall" in caught.value.cause
+
+
 @pytest.mark.parametrize(
     ("number", "code", "advice"),
     [

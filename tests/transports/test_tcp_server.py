@@ -209,6 +209,21 @@ async def test_connections_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @trio_test()
+async def test_of_a_flood_of_connections_few_are_told_and_none_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "MAX_CONNECTIONS", 2)
+    async with bench() as bus:
+        one, other = await bus.join(), await bus.join()
+        turned_away = [bus.connect(), bus.connect()]
+        await trio.testing.wait_all_tasks_blocked()
+        assert [await read_all(bus.connect()) for _ in range(100)] == [b""] * 100
+        assert len(bus.told) == 2
+        for guest in turned_away:
+            assert (await read_all(guest)).startswith(b"bye the bus server has 2 connections already")
+        await one.send_all(b"601#40\n")
+        assert await other.receive_some() == b"601#40\n"
+
+
+@trio_test()
 async def test_an_end_is_told_to_all() -> None:
     async with bench() as bus:
         one, guest = await bus.join(), bus.connect()

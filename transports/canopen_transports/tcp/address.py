@@ -53,13 +53,13 @@ def serve_command(host: str, port: int) -> str:
     return f"{command} --bind 0.0.0.0 --yes    (on {host}; whoever reaches it can move its drives)"
 
 
-def cannot_connect(locator: str, host: str, port: int, error: OSError) -> TransportError:
-    """Why there is no connection."""
+def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeError) -> TransportError:
+    """Why there is no connection. UnicodeError: the host is a name that none can have."""
     number = _error_number(error)
     tries: tuple[str, ...] = (serve_command(host, port),)
     cause = ""
-    if isinstance(error, socket.gaierror):
-        seen, tries = f"the name {host!r} is not known: {error.strerror}", (f"tcp:{DEFAULT_HOST}:{port}",)
+    if isinstance(error, socket.gaierror | UnicodeError):
+        seen, tries = _unknown_name(host, error), (f"tcp:{DEFAULT_HOST}:{port}",)
     elif isinstance(error, TimeoutError) or number == errno.ETIMEDOUT:
         seen, cause = f"{host} port {port} did not answer", "the computer is off, or a firewall is between"
     elif number == errno.ECONNREFUSED:
@@ -82,10 +82,11 @@ def connection_lost(locator: str, doing: str, seen: str, cause: str) -> Transpor
     return TransportError(BUS_LOST, locator, f"cannot {doing} on {locator}", seen=seen, cause=cause, tries=tries)
 
 
-def cannot_listen(host: str, port: int, error: OSError) -> TransportError:
-    """Why no server can be started there."""
+def cannot_listen(host: str, port: int, error: OSError | UnicodeError) -> TransportError:
+    """Why no server can be started there. UnicodeError: the host is a name that none can have."""
     where = f"tcp:{address_text(host, port)}"
     number, code = _error_number(error), CANNOT_OPEN
+    seen = _unknown_name(host, error) if isinstance(error, socket.gaierror | UnicodeError) else str(error)
     tries: tuple[str, ...] = (f"canopen bus serve --bind {DEFAULT_HOST}",)
     cause = "this computer has no such address"
     if number == errno.EADDRINUSE:
@@ -95,7 +96,11 @@ def cannot_listen(host: str, port: int, error: OSError) -> TransportError:
     elif number in (errno.EACCES, errno.EPERM):
         code, cause = NO_PERMISSION, "ports below 1024 are the administrator's"
         tries = (f"canopen bus serve --port {DEFAULT_PORT}",)
-    return TransportError(code, where, f"cannot serve a bus on {where}", seen=str(error), cause=cause, tries=tries)
+    return TransportError(code, where, f"cannot serve a bus on {where}", seen=seen, cause=cause, tries=tries)
+
+
+def _unknown_name(host: str, error: socket.gaierror | UnicodeError) -> str:
+    return f"the name {host!r} is not known: {error.strerror if isinstance(error, socket.gaierror) else error}"
 
 
 def _error_number(error: BaseException) -> int | None:

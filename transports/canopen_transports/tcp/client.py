@@ -141,7 +141,7 @@ async def open_tcp(locator: str, channel: str) -> TcpTransport:
             stream = await trio.open_tcp_stream(host, port)
     except trio.TooSlowError:
         raise cannot_connect(locator, host, port, TimeoutError()) from None
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise cannot_connect(locator, host, port, error) from error
     sock = stream.socket
     try:

@@ -6,7 +6,7 @@ It trusts nobody. A connection becomes a member by its hello (see `framing`), wh
 - A member that takes its frames too slowly loses some, and is told how many and where (`lost`). One that takes none for
   STALL_TIME is cut off.
 - Who is cut off is told why (`bye`), if it takes that within FAREWELL_TIME.
-- At most MAX_CONNECTIONS at a time, each with a bounded queue.
+- At most MAX_CONNECTIONS at a time, each with a bounded queue. As many more are told so; what comes on top is closed at once.
 
 What it leaves out: names and passwords (it serves loopback, unless somebody decides otherwise), bit rate and arbitration.
 """
@@ -98,6 +98,9 @@ class BusServer:
 
     async def serve(self, stream: trio.abc.HalfCloseableStream, name: str) -> None:
         """Serve one connection until it ends. name: what to call it."""
+        if len(self._connections) >= 2 * MAX_CONNECTIONS:
+            await trio.aclose_forcefully(stream)
+            return
         member = _Member(name, self._queue_size)
         member.deadline = trio.current_time() + HELLO_TIME
         if len(self._connections) >= MAX_CONNECTIONS:
@@ -202,7 +205,7 @@ async def serve_bus(
     the system chose. Raises TransportError (CO101, CO102)."""
     try:
         listeners = await trio.open_tcp_listeners(port, host=host)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise cannot_listen(host, port, error) from error
 
     async def handle(stream: trio.SocketStream) -> None:
