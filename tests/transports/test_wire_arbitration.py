@@ -53,6 +53,12 @@ def order(deliveries: list[Delivery]) -> list[str]:
     return [str(each.frame) for each in deliveries]
 
 
+def play_length(frame: Frame) -> Time:
+    wire, (one, _) = made(2)
+    wire.send(one, frame, 0)
+    return play(wire)[0][0].at + 3 * BIT
+
+
 def test_a_frame_takes_its_bits_and_is_there_before_the_intermission() -> None:
     wire, (one, two, three) = made(3)
     wire.send(one, PDO, 500)

@@ -1,8 +1,7 @@
-"""The bus machine with faults: what each of them does, error counters, bus-off, a babbling node, a cut cable."""
+"""The bus machine with faults: what each of them does, a babbling node, a cut cable."""
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 
 import pytest
@@ -10,10 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, LocalProtocolError
 from canopen_transports.errors import BusState
-from canopen_transports.wire import Delivery, FaultHappened, FaultKind, FaultRates, StateReported, Wire, WireEvent, WireSettings
-from tests.transports.test_wire_arbitration import BIT, PDO, SYNC, made, order, play
+from canopen_transports.wire import (
+    Delivery,
+    FaultHappened,
+    FaultKind,
+    FaultRates,
+    StateReported,
+    Wire,
+    WireEvent,
+    WireSettings,
+)
+from tests.transports.test_wire_arbitration import BIT, PDO, SYNC, made, order, play, play_length
 
 
 def kinds(events: list[WireEvent]) -> list[FaultKind]:
@@ -91,151 +99,6 @@ def test_with_nobody_to_hear_it_nothing_is_lost_or_late() -> None:
 def test_rates_make_sense(rates: dict[str, float]) -> None:
     with pytest.raises(LocalProtocolError):
         FaultRates(**rates)  # type: ignore[arg-type]
-
-
-# ---- error counters ----
-
-
-def test_a_bus_that_is_disturbed_all_the_time() -> None:
-    """The sender's counter rises by 8 each time: at 96 warning, at 128 passive, at 256 bus-off. The others are not to blame."""
-    wire, (one, two, three) = made(3, rates=FaultRates(corruption=1.0), seed=1)
-    wire.send(one, PDO, 0)
-    wire.send(one, SYNC, 0)
-    deliveries, events = play(wire, 10 * MILLISECOND)
-    assert deliveries == []
-    assert [state for number, state in states(events) if number == 0] == [
-        BusState.WARNING,
-        BusState.PASSIVE,
-        BusState.BUS_OFF,
-        BusState.ACTIVE,
-    ]
-    assert Counter(kinds(events)) == {FaultKind.CORRUPTION: 32, FaultKind.NOT_SENT: 2}
-    assert [str(each.frame) for each in events if isinstance(each, FaultHappened) and each.kind is FaultKind.NOT_SENT] == [
-        str(PDO),
-        "080#",
-    ]
-    assert max(two.receive_errors, three.receive_errors) > 96
-
-
-def test_an_error_passive_receiver_disturbs_nobody_but_misses_the_frame() -> None:
-    wire, members = made(8, rates=FaultRates(corruption=1.0), auto_recovery=False)
-    for member in members[:5]:  # one after the other goes bus-off, and the others count receive errors
-        wire.send(member, Frame(0x80 + member.number), 0)
-    _, events = play(wire)
-    assert {(5, BusState.PASSIVE), (6, BusState.PASSIVE)} & set(states(events))
-    for _ in range(10):
-        wire.send(members[5], PDO, SECOND)
-    deliveries, events = play(wire)
-    at = {each.at: each for each in deliveries}
-    missed = [each for each in events if isinstance(each, FaultHappened) and each.kind is FaultKind.LOSS]
-    assert len(missed) > 3
-    for each in missed:
-        assert each.member not in at[each.at].receivers
-        assert at[each.at].receivers
-
-
-def test_counters_return() -> None:
-    wire, (one, two, three) = made(3, rates=FaultRates(corruption=1.0), seed=1)
-    wire.send(one, PDO, 0)
-    play(wire, 2 * MILLISECOND)
-    assert one.state is BusState.PASSIVE
-    wire.rates = FaultRates()
-    for number in range(300):
-        wire.send(one, PDO, SECOND + number * MILLISECOND)
-    _, events = play(wire)
-    assert (one.transmit_errors, two.receive_errors, three.receive_errors) == (0, 0, 0)
-    assert [state for number, state in states(events) if number == 0] == [BusState.WARNING, BusState.ACTIVE]
-
-
-def test_an_error_passive_member_waits_8_bits_after_it_has_sent() -> None:
-    wire, (one, two) = made(2)
-    one.transmit_errors = 200
-    one.state = BusState.PASSIVE
-    wire.send(one, SYNC, 0)
-    wire.send(one, SYNC, 0)
-    wire.send(one, SYNC, 0)
-    wire._disturbed[one] = None
-    first, second, _ = play(wire)[0]
-    assert second.at - first.at == play_length(SYNC) + 8 * BIT
-    wire.send(one, Frame.parse("080#"), SECOND)
-    wire.send(one, Frame.parse("080#"), SECOND)
-    wire.send(two, Frame.parse("7FF#"), SECOND)
-    assert order(play(wire)[0]) == ["080#", "7FF#", "080#"]  # the other one uses the gap
-
-
-def play_length(frame: Frame) -> Time:
-    wire, (one, _) = made(2)
-    wire.send(one, frame, 0)
-    return play(wire)[0][0].at + 3 * BIT
-
-
-# ---- bus-off ----
-
-
-def test_bus_off_and_back_after_128_times_11_recessive_bits() -> None:
-    wire, (one, two, three) = made(3)
-    wire.send(one, PDO, 0)
-    wire.send(one, SYNC, 0)
-    wire.handle_timeout(0)
-    wire.bus_off(one, 10 * BIT)
-    assert one.state is BusState.BUS_OFF
-    with pytest.raises(LocalProtocolError, match="bus-off"):
-        wire.send(one, SYNC, 10 * BIT)
-    wire.send(two, SYNC, 10 * BIT)
-    deliveries, events = play(wire)
-    assert [each.receivers for each in deliveries] == [(three,)]
-    assert kinds(events) == [FaultKind.CORRUPTION, FaultKind.NOT_SENT, FaultKind.NOT_SENT]
-    reports = [each for each in events if isinstance(each, StateReported)]
-    assert [(each.member, each.state) for each in reports] == [(one, BusState.BUS_OFF), (one, BusState.ACTIVE)]
-    # The frame of `two` ends with 11 recessive bits; the other 127 times are waited for.
-    assert reports[1].at == deliveries[0].at + 3 * BIT + 127 * 11 * BIT
-    wire.send(one, SYNC, SECOND)
-    assert len(play(wire)[0]) == 1
-
-
-def test_on_a_bus_that_was_idle_for_long_recovery_takes_its_time_all_the_same() -> None:
-    wire, (one, two, _) = made(3)
-    wire.bus_off(one, SECOND)
-    wire.bus_off(two, SECOND + 64 * 11 * BIT)
-    reports = [each for each in play(wire)[1] if isinstance(each, StateReported)]
-    assert [(each.at - SECOND, each.member.number, each.state) for each in reports] == [
-        (0, 0, BusState.BUS_OFF),
-        (64 * 11 * BIT, 1, BusState.BUS_OFF),
-        (128 * 11 * BIT, 0, BusState.ACTIVE),
-        (192 * 11 * BIT, 1, BusState.ACTIVE),
-    ]
-
-
-def test_on_a_busy_bus_recovery_counts_frames() -> None:
-    wire, (one, two, _) = made(3)
-    wire.bus_off(one, 0)
-    frames = 0
-    for number in itertools.count():
-        if one.state is BusState.ACTIVE:
-            break
-        wire.send(two, SYNC, number * (play_length(SYNC) + 5 * BIT))
-        frames += len(play(wire, number * (play_length(SYNC) + 5 * BIT) + play_length(SYNC))[0])
-    assert frames in (128, 129)
-
-
-def test_recovery_may_be_left_to_the_host() -> None:
-    wire, (one, _) = made(2, auto_recovery=False)
-    wire.bus_off(one, 0)
-    assert wire.next_deadline() == NEVER
-    assert states(wire.drain()[1]) == [(0, BusState.BUS_OFF)]
-    wire.restart(one, SECOND)
-    wire.restart(one, SECOND)
-    (report,) = play(wire)[1]
-    assert report.at == SECOND + 128 * 11 * BIT
-    wire.restart(one, 2 * SECOND)  # of one that is not bus-off: nothing
-    assert wire.next_deadline() == NEVER
-
-
-def test_a_member_leaves_while_it_is_bus_off() -> None:
-    wire, (one, _) = made(2)
-    wire.bus_off(one, 0)
-    wire.leave(one, 1)
-    assert play(wire)[1][1:] == []
 
 
 # ---- babbling ----

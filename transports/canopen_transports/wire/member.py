@@ -1,4 +1,4 @@
-"""`WireMember`: one CAN controller on the wire, with its transmit queue and its error counters.
+"""`WireMember`: one CAN controller on the wire, with its transmit queue. (Its error counters: confinement.py.)
 
 **Transmit queue.** Which of the waiting frames takes part in the arbitration is the controller's and the driver's choice:
 
@@ -9,10 +9,6 @@
   with a queue instead of a FIFO) where the driver fills them that way. This is what the classic analysis presumes.
 
 A frame that is being sent is never overtaken: it stays at the head until it is out.
-
-**Error counters** (ISO 11898-1, fault confinement). Transmit errors add 8, a sent frame takes 1 away; receive errors add 1, and 8
-more for who saw the error first; a received frame takes 1 away. From 96 on: error warning; from 128 on: error-passive; a transmit
-error counter of 256: bus-off.
 """
 
 from __future__ import annotations
@@ -26,11 +22,6 @@ from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_transports.errors import BusState
 
-WARNING_LIMIT: Final = 96
-PASSIVE_LIMIT: Final = 128
-BUS_OFF_LIMIT: Final = 256
-AFTER_PASSIVE: Final = 119
-"""The receive error counter of an error-passive receiver that got a frame: the standard allows 119 to 127."""
 TRANSMIT_QUEUE_SIZE: Final = 64
 """Frames; 16 times what a small controller has, and about what a driver's queue holds."""
 
@@ -157,21 +148,3 @@ class WireMember:
         self._queue.clear()
         self._heap.clear()
         return dropped
-
-    def state_of_counters(self) -> BusState:
-        """The state that the error counters mean."""
-        if self.transmit_errors >= BUS_OFF_LIMIT:
-            return BusState.BUS_OFF
-        worst = max(self.transmit_errors, self.receive_errors)
-        if worst >= PASSIVE_LIMIT:
-            return BusState.PASSIVE
-        return BusState.WARNING if worst >= WARNING_LIMIT else BusState.ACTIVE
-
-    def got_through(self, *, as_sender: bool) -> None:
-        """Count a frame that was sent, or received, without an error."""
-        if as_sender:
-            self.transmit_errors = max(self.transmit_errors - 1, 0)
-        elif self.receive_errors >= PASSIVE_LIMIT:
-            self.receive_errors = AFTER_PASSIVE
-        else:
-            self.receive_errors = max(self.receive_errors - 1, 0)

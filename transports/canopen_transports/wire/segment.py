@@ -63,6 +63,14 @@ class Segment:
             self._others[senders[0]] = found
         return found
 
+    def remove(self, member: WireMember) -> None:
+        """Somebody is no longer here."""
+        self.members.remove(member)
+        self.wanting.pop(member, None)
+        if member in self.recovering:
+            self.recovering.remove(member)
+        self.changed()
+
     def changed(self) -> None:
         """Somebody came, left, went bus-off or returned."""
         self._others.clear()

@@ -39,16 +39,11 @@ from typing import Final
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_transports.errors import BusState
+from canopen_transports.wire.confinement import BUS_OFF_LIMIT, Confinement
 from canopen_transports.wire.course import decide
 from canopen_transports.wire.faults import FaultKind, FaultRates
 from canopen_transports.wire.frame_bits import INTERMISSION, duration
-from canopen_transports.wire.member import (
-    BUS_OFF_LIMIT,
-    TRANSMIT_QUEUE_SIZE,
-    QueueOrder,
-    Waiting,
-    WireMember,
-)
+from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE, QueueOrder, Waiting, WireMember
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
 from canopen_transports.wire.segment import Segment, Transmission
 
@@ -58,9 +53,6 @@ ERROR_FRAME: Final = 2 * ERROR_FLAG + ERROR_DELIMITER
 """Bits of an error that one member saw first: its flag, then those of the others, then the delimiter."""
 SUSPEND: Final = 8
 """Bits that an error-passive member waits after it has sent."""
-RECOVERY: Final = 128
-"""Times 11 recessive bits that a member which is bus-off has to see."""
-RECESSIVE: Final = 11
 MAX_STEPS: Final = 10_000
 """In one call of `handle_timeout`: a driver that comes hours late gets what happened in portions."""
 
@@ -92,11 +84,11 @@ class Wire:
         self._random = random.Random(settings.seed)
         self._segments = [Segment((), now)]
         self._joined = 0
-        self._disturbed: dict[WireMember, None] = {}  # whose counters are not 0
         self._late: list[tuple[Time, int, Delivery]] = []
         self._late_so_far = 0
         self._deliveries: list[Delivery] = []
         self._events: list[WireEvent] = []
+        self._confinement = Confinement(settings.bitrate, settings.auto_recovery, self._events)
         self._tails: dict[int, Time] = {}
         self._intermission = self.time_of(INTERMISSION)
 
@@ -175,18 +167,16 @@ class Wire:
         current = segment.current
         if current is not None and member in current.senders:
             self._destroy(segment, FaultKind.CORRUPTION)
-        member.transmit_errors = BUS_OFF_LIMIT
-        self._recount(segment, member, self._now)
+        self._confinement.count(segment, member, self._now, transmit=BUS_OFF_LIMIT - member.transmit_errors)
+        if not member.joined:
+            self._forget(segment, member)
         self._schedule(segment)
 
     def restart(self, member: WireMember, now: Time) -> None:
         """Begin the recovery of a member that is bus-off, as `auto_recovery` does: it takes 128 times 11 recessive bits."""
         self._advance(now)
         if member.state is BusState.BUS_OFF and not member.recovery:
-            segment = self._segment_of(member)
-            self._settle_recoveries(segment, self._now)
-            member.recovery = RECOVERY
-            segment.recovering.append(member)
+            self._confinement.recover(self._segment_of(member), member, self._now)
 
     def babble(self, frame: Frame, until: Time, now: Time) -> WireMember:
         """A member that has gone mad: it sends this frame again and again until then, and leaves. It hears nothing."""
@@ -203,7 +193,7 @@ class Wire:
             raise LocalProtocolError("the cable is cut already; mend it first")
         (whole,) = self._segments
         self._destroy(whole, FaultKind.CUT)
-        self._settle_recoveries(whole, self._now)
+        self._confinement.settle(whole, self._now)
         self._schedule(whole)
         here = set(half)
         parts = [member for member in whole.members if member in here], [each for each in whole.members if each not in here]
@@ -218,7 +208,7 @@ class Wire:
             return
         for segment in self._segments:
             self._destroy(segment, FaultKind.CUT)
-            self._settle_recoveries(segment, self._now)
+            self._confinement.settle(segment, self._now)
             self._schedule(segment)
         free_at = max(segment.free_at for segment in self._segments)
         self._segments = [Segment(sorted(self.members, key=lambda member: member.number), free_at)]
@@ -245,8 +235,9 @@ class Wire:
 
     def drain(self) -> tuple[list[Delivery], list[WireEvent]]:
         """What came out since the last drain, each in order."""
-        drained = self._deliveries, self._events
-        self._deliveries, self._events = [], []
+        drained = self._deliveries, self._events[:]
+        self._deliveries = []
+        self._events.clear()
         return drained
 
     def _advance(self, now: Time) -> None:
@@ -271,8 +262,7 @@ class Wire:
         if segment.current is not None:
             return segment.current.ends
         if segment.recovering:
-            bits = RECESSIVE * min(member.recovery for member in segment.recovering)
-            return min(segment.begins, segment.free_at + self.time_of(bits))
+            return min(segment.begins, self._confinement.next_recovery(segment))
         return segment.begins
 
     def _step(self, segment: Segment, now: Time) -> None:
@@ -281,7 +271,7 @@ class Wire:
         elif segment.begins <= now:
             self._begin(segment, now)
         else:
-            self._settle_recoveries(segment, now)
+            self._confinement.settle(segment, now)
             self._schedule(segment)
 
     # ---- a transmission ----
@@ -293,7 +283,7 @@ class Wire:
         if segment.unheard_since is not None:
             self._busy += max(self._now - segment.unheard_since, 0)
             segment.unheard_since = None
-        if self._disturbed and segment.is_unheard and segment.wanting and self.settings.acknowledge:
+        if self._confinement.disturbed and segment.is_unheard and segment.wanting and self.settings.acknowledge:
             segment.unheard_since = max(self._now, segment.free_at)
             segment.begins = NEVER
             return
@@ -301,14 +291,14 @@ class Wire:
             segment.begins = NEVER
             return
         begins = segment.free_at
-        if self._disturbed:
+        if self._confinement.disturbed:
             begins = max(begins, min(member.suspended_until for member in segment.wanting))
         segment.begins = begins if begins > self._now else self._now
 
     def _begin(self, segment: Segment, now: Time) -> None:
         senders = segment.winners(now)
         if segment.recovering:
-            self._settle_recoveries(segment, now)
+            self._confinement.settle(segment, now)
         for member in senders:
             member.begin()
         first = senders[0].sending
@@ -332,20 +322,21 @@ class Wire:
                 self._forget(segment, member)
         self._busy += segment.free_at - sending.begun
         if segment.recovering:
-            self._settle_recoveries(segment, segment.free_at, frames=1)
+            self._confinement.settle(segment, segment.free_at, frames=1)
         self._schedule(segment)
 
     def _deliver(self, segment: Segment, sending: Transmission, now: Time) -> None:
         waiting, senders, outcome, victim = sending.waiting, sending.senders, sending.outcome, sending.victim
-        receivers = segment.others(senders)[1]
+        takers = receivers = segment.others(senders)[1]
         self.frames += 1
         segment.free_at = now + self._intermission
         if outcome is not None:
             self._events.append(FaultHappened(now, outcome, waiting.frame, victim))
-            if outcome is FaultKind.LOSS and victim.state is BusState.PASSIVE:
-                self._grow(victim, receive=1)
             if outcome is not FaultKind.REPETITION:
                 receivers = tuple(member for member in receivers if member is not victim)
+            if outcome is FaultKind.LOSS and victim.state is BusState.PASSIVE:
+                takers = receivers
+                self._confinement.count(segment, victim, now, receive=1)
             if outcome is FaultKind.DELAY and victim.babbles_until is None:
                 late = now + self._random.randint(1, self.rates.delay_time)
                 victim.delayed_until = max(victim.delayed_until, late)
@@ -356,18 +347,14 @@ class Wire:
                     self._late_for(member, Delivery(now, waiting.frame, waiting.queued, tuple(senders), (member,)))
             receivers = tuple(member for member in receivers if member.delayed_until <= now)
         self._deliveries.append(Delivery(now, waiting.frame, waiting.queued, tuple(senders), receivers))
-        if outcome is FaultKind.REPETITION:
-            segment.free_at = now + self.time_of(ERROR_FRAME + INTERMISSION)
-            self.error_frames += 1
+        repeated = outcome is FaultKind.REPETITION
+        if self._confinement.disturbed:
+            self._confinement.got_through(segment, () if repeated else senders, takers, now)
+        if repeated:
+            self._end_in_error(segment, senders, ERROR_FRAME, now)
+        else:
             for member in senders:
-                self._grow(member, transmit=8)
-                member.failed()
-                self._recount(segment, member, now)
-            return
-        for member in senders:
-            self._sent(segment, member, waiting, now)
-        if self._disturbed:
-            self._recover_counters(segment, senders, now)
+                self._sent(segment, member, waiting, now)
 
     def _late_for(self, member: WireMember, delivery: Delivery) -> None:
         self._late_so_far += 1
@@ -384,39 +371,39 @@ class Wire:
                 member.joined = False
         elif not member.queued:
             segment.wanting.pop(member, None)
-        if member.state is BusState.PASSIVE:
-            member.suspended_until = segment.free_at + self.time_of(SUSPEND)
+        self._suspend(segment, member)
 
     def _fail(self, segment: Segment, sending: Transmission, outcome: FaultKind, now: Time) -> None:
         """An error frame follows."""
-        self.error_frames += 1
-        segment.free_at = now + self.time_of(ERROR_FRAME + INTERMISSION)
         self._events.append(FaultHappened(now, outcome, sending.waiting.frame, sending.senders[0]))
-        for member in list(segment.members):
-            if member.state is BusState.BUS_OFF:
-                continue
-            if member in sending.senders:
-                self._grow(member, transmit=8)
-                member.failed()
-                if member.state is BusState.PASSIVE:
-                    member.suspended_until = segment.free_at + self.time_of(SUSPEND)
-            else:
-                self._grow(member, receive=9 if member is sending.victim else 1)
-            self._recount(segment, member, now)
+        self._end_in_error(segment, sending.senders, ERROR_FRAME, now)
+        for member in segment.others(sending.senders)[0]:
+            self._confinement.count(segment, member, now, receive=9 if member is sending.victim else 1)
 
     def _not_acknowledged(self, segment: Segment, sending: Transmission, now: Time) -> None:
-        self.error_frames += 1
-        segment.free_at = now + self.time_of(ERROR_FLAG + ERROR_DELIMITER + INTERMISSION)
         for member in sending.senders:
-            member.failed()
             if not member.unacknowledged:
                 member.unacknowledged = True
                 self._events.append(StateReported(now, BusState.NO_ACKNOWLEDGE, member))
-            if member.state is BusState.PASSIVE:
-                member.suspended_until = segment.free_at + self.time_of(SUSPEND)
-            else:
-                self._grow(member, transmit=8)
-                self._recount(segment, member, now)
+        to_blame = [member for member in sending.senders if member.state is not BusState.PASSIVE]
+        self._end_in_error(segment, sending.senders, ERROR_FLAG + ERROR_DELIMITER, now, to_blame)
+
+    def _end_in_error(
+        self, segment: Segment, senders: list[WireMember], bits: int, now: Time, to_blame: list[WireMember] | None = None
+    ) -> None:
+        """An error frame of so many bits: the senders have their frame again."""
+        self.error_frames += 1
+        segment.free_at = now + self.time_of(bits + INTERMISSION)
+        for member in senders:
+            member.failed()
+            if to_blame is None or member in to_blame:
+                self._confinement.count(segment, member, now, transmit=8)
+            self._suspend(segment, member)
+
+    def _suspend(self, segment: Segment, member: WireMember) -> None:
+        """One that is error-passive waits after having sent, and lets others begin before it."""
+        if member.state is BusState.PASSIVE:
+            member.suspended_until = segment.free_at + self.time_of(SUSPEND)
 
     def _destroy(self, segment: Segment, outcome: FaultKind) -> None:
         """What is on the wire now is lost, and is sent again."""
@@ -429,55 +416,6 @@ class Wire:
                 if not member.joined:
                     self._forget(segment, member)
 
-    # ---- error counters ----
-
-    def _grow(self, member: WireMember, *, transmit: int = 0, receive: int = 0) -> None:
-        member.transmit_errors += transmit
-        member.receive_errors = min(member.receive_errors + receive, BUS_OFF_LIMIT - 1)
-        self._disturbed[member] = None
-
-    def _recover_counters(self, segment: Segment, senders: list[WireMember], now: Time) -> None:
-        """A frame got through."""
-        for member in [each for each in self._disturbed if each in segment.members and each.state is not BusState.BUS_OFF]:
-            member.got_through(as_sender=member in senders)
-            self._recount(segment, member, now)
-            if not (member.transmit_errors or member.receive_errors or member.suspended_until > now):
-                del self._disturbed[member]
-
-    def _recount(self, segment: Segment, member: WireMember, now: Time) -> None:
-        """The state follows the counters."""
-        state = member.state_of_counters()
-        if state is member.state:
-            return
-        member.state = state
-        segment.changed()
-        if state is BusState.BUS_OFF:
-            dropped = member.clear()
-            segment.wanting.pop(member, None)
-            self._events += [FaultHappened(now, FaultKind.NOT_SENT, each.frame, member) for each in dropped]
-            if member.babbles_until is not None:
-                member.joined = False
-                self._forget(segment, member)
-            elif self.settings.auto_recovery:
-                self._settle_recoveries(segment, now)
-                member.recovery = RECOVERY
-                segment.recovering.append(member)
-        self._events.append(StateReported(now, state, member))
-
-    def _settle_recoveries(self, segment: Segment, now: Time, frames: int = 0) -> None:
-        """Count the times 11 recessive bits since the bus became free, and one for each frame (ACK delimiter to intermission)."""
-        seen = frames
-        if not frames and segment.current is None and now > segment.free_at:
-            seen = (now - segment.free_at) // self.time_of(RECESSIVE)
-            segment.free_at = segment.free_at + seen * self.time_of(RECESSIVE) if segment.recovering else now
-        for member in list(segment.recovering):
-            member.recovery -= min(seen, member.recovery)
-            if not member.recovery:
-                segment.recovering.remove(member)
-                member.transmit_errors = member.receive_errors = 0
-                self._disturbed.pop(member, None)
-                self._recount(segment, member, now)
-
     # ---- members ----
 
     def _segment_of(self, member: WireMember) -> Segment:
@@ -487,13 +425,8 @@ class Wire:
         raise LocalProtocolError(f"{member!r} is not on this wire")
 
     def _forget(self, segment: Segment, member: WireMember) -> None:
-        if member not in segment.members:
-            return
-        member.clear()
-        segment.members.remove(member)
-        segment.changed()
-        segment.wanting.pop(member, None)
-        self._disturbed.pop(member, None)
-        if member in segment.recovering:
-            segment.recovering.remove(member)
-        self._schedule(segment)
+        if member in segment.members:
+            member.clear()
+            segment.remove(member)
+            self._confinement.disturbed.pop(member, None)
+            self._schedule(segment)

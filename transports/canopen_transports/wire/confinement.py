@@ -1,0 +1,124 @@
+"""`Confinement`: who is to blame for errors, and what becomes of him (ISO 11898-1; Bosch CAN specification, fault confinement).
+
+    a transmitter sees an error              TEC + 8
+    a receiver sees an error                 REC + 1; and 8 more who saw it first: the others' flags follow upon his own
+    a frame got out                          TEC - 1
+    a frame was taken                        REC - 1; from 128 on it becomes 119 (the standard allows 119 to 127)
+    TEC or REC 96                            error warning
+    TEC or REC 128                           error-passive: it disturbs nobody any more, and waits 8 bits after having sent
+    TEC 256                                  bus-off: its queue is lost; error-active again after 128 times 11 recessive bits
+    no acknowledge, of one error-passive     nothing: who is alone never becomes bus-off
+
+Rules that cannot apply here: bits that stay dominant behind an error flag (there are none), overload frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import Final
+
+from canopen_proto.machine import Time
+from canopen_transports.errors import BusState
+from canopen_transports.wire.faults import FaultKind
+from canopen_transports.wire.frame_bits import duration
+from canopen_transports.wire.member import WireMember
+from canopen_transports.wire.reports import FaultHappened, StateReported, WireEvent
+from canopen_transports.wire.segment import Segment
+
+WARNING_LIMIT: Final = 96
+PASSIVE_LIMIT: Final = 128
+BUS_OFF_LIMIT: Final = 256
+AFTER_PASSIVE: Final = 119
+RECOVERY: Final = 128
+"""Times 11 recessive bits that a member which is bus-off has to see."""
+RECESSIVE: Final = 11
+
+
+class Confinement:
+    """The error counters and states of a wire's members. events: where state changes and lost frames are reported.
+
+    disturbed: the members whose counters are not 0.
+    """
+
+    __slots__ = ("_auto_recovery", "_bitrate", "_events", "disturbed")
+
+    def __init__(self, bitrate: int, auto_recovery: bool, events: list[WireEvent]) -> None:
+        self.disturbed: dict[WireMember, None] = {}
+        self._bitrate = bitrate
+        self._auto_recovery = auto_recovery
+        self._events = events
+
+    def count(self, segment: Segment, member: WireMember, now: Time, *, transmit: int = 0, receive: int = 0) -> None:
+        """Count an error."""
+        member.transmit_errors += transmit
+        member.receive_errors = min(member.receive_errors + receive, BUS_OFF_LIMIT - 1)
+        self.disturbed[member] = None
+        self._recount(segment, member, now)
+
+    def got_through(self, segment: Segment, senders: Container[WireMember], takers: Container[WireMember], now: Time) -> None:
+        """Count a frame that these have sent and those have taken, without an error."""
+        for member in list(self.disturbed):
+            if member in senders:
+                member.transmit_errors = max(member.transmit_errors - 1, 0)
+            elif member in takers:
+                above = member.receive_errors >= PASSIVE_LIMIT
+                member.receive_errors = AFTER_PASSIVE if above else max(member.receive_errors - 1, 0)
+            else:
+                continue
+            self._recount(segment, member, now)
+            if not (member.transmit_errors or member.receive_errors):
+                del self.disturbed[member]
+
+    def recover(self, segment: Segment, member: WireMember, now: Time) -> None:
+        """Begin the way back from bus-off."""
+        self.settle(segment, now)
+        member.recovery = RECOVERY
+        segment.recovering.append(member)
+
+    def settle(self, segment: Segment, now: Time, frames: int = 0) -> None:
+        """Count the times 11 recessive bits since the bus became free, and one for each frame (ACK delimiter to intermission, or
+        error delimiter to intermission)."""
+        seen = frames
+        if not frames and segment.current is None and now > segment.free_at:
+            seen = (now - segment.free_at) // self._time_of(1)
+            segment.free_at = segment.free_at + seen * self._time_of(1) if segment.recovering else now
+        for member in list(segment.recovering):
+            member.recovery -= min(seen, member.recovery)
+            if not member.recovery:
+                segment.recovering.remove(member)
+                member.transmit_errors = member.receive_errors = 0
+                self.disturbed.pop(member, None)
+                self._recount(segment, member, now)
+
+    def next_recovery(self, segment: Segment) -> Time:
+        """When the first of those that recover is back, if nothing is sent meanwhile."""
+        return segment.free_at + self._time_of(min(member.recovery for member in segment.recovering))
+
+    def _time_of(self, times: int) -> Time:
+        return duration(RECESSIVE * times, self._bitrate)
+
+    def _recount(self, segment: Segment, member: WireMember, now: Time) -> None:
+        """The state follows the counters."""
+        state = _state_of(member)
+        if state is member.state:
+            return
+        member.state = state
+        segment.changed()
+        if state is BusState.BUS_OFF:
+            dropped = member.clear()
+            segment.wanting.pop(member, None)
+            self._events += [FaultHappened(now, FaultKind.NOT_SENT, each.frame, member) for each in dropped]
+            if member.babbles_until is not None:
+                member.joined = False
+            elif self._auto_recovery:
+                self.recover(segment, member, now)
+        self._events.append(StateReported(now, state, member))
+
+
+def _state_of(member: WireMember) -> BusState:
+    if member.transmit_errors >= BUS_OFF_LIMIT:
+        return BusState.BUS_OFF
+    worst = max(member.transmit_errors, member.receive_errors)
+    if worst >= PASSIVE_LIMIT:
+        return BusState.PASSIVE
+    return BusState.WARNING if worst >= WARNING_LIMIT else BusState.ACTIVE
