@@ -12,6 +12,7 @@ import pytest
 
 from canopen_proto.frame import REMOTE
 from canopen_transports.log_files import LogReader
+from canopen_transports.tracing import Trace
 from tests.master.cli_support import Alarm, Run, runner, watched_fleets
 
 LOG = """\
@@ -105,6 +106,50 @@ def test_a_full_disk_does_not_stop_the_command(run: Run, tmp_path: Path) -> None
     assert "also:  the trace full.log is not complete" in outcome.err
 
 
+def test_a_trace_never_replaces_what_is_being_read(run: Run, log: Path, tmp_path: Path) -> None:
+    os.link(log, "same.log")
+    for command in (
+        ("log", "replay", str(log), "-b", "virtual:x"),
+        ("scan", "-b", f"file:{log}"),
+        ("scan", "-b", f"file:{tmp_path}/../{tmp_path.name}/a.log?speed=max"),
+    ):
+        for trace in (str(log), "same.log"):
+            outcome = run(*command, "--trace", trace)
+            assert outcome.status == 2
+            assert "which is being read" in outcome.err
+            assert log.read_text() == LOG
+    run("scan", "-b", f"file:{log}", "--trace", "t.log")
+    heard = [frame for frame in frames("t.log") if not frame.endswith(" T")]
+    assert heard == [frame.removesuffix(" T") for frame in frames(str(log))]
+
+
+@pytest.mark.parametrize("kind", [".asc", ".blf", ".trc"])
+def test_a_trace_of_another_kind_is_whole_after_ctrl_c(run: Run, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    alarm = Alarm()
+    watched_fleets(monkeypatch, alarm)
+    alarm.set((0.5, signal.SIGINT))
+    assert run("demo", "--trace", f"t{kind}").status == 130
+    assert len(frames(f"t{kind}")) > 20
+    if Path("/dev/full").exists():
+        Path(f"full{kind}").symlink_to("/dev/full")
+        outcome = run("read", "3", "statusword", "-b", "demo", "--trace", f"full{kind}")
+        assert outcome.status == 6
+        assert f"error CO343: the trace full{kind} is not complete" in outcome.err
+
+
+def test_a_trace_that_missed_frames_says_so(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    closing = Trace.close
+
+    def lossy(trace: Trace) -> None:
+        trace.lost += 3  # as a tap counts them
+        closing(trace)
+
+    monkeypatch.setattr(Trace, "close", lossy)
+    outcome = run("read", "3", "statusword", "-b", "demo", "--trace", "t.log")
+    assert outcome.status == 6
+    assert "frames were lost before they could be recorded" in outcome.err
+
+
 # ---- convert ----
 
 
@@ -128,7 +173,9 @@ def test_convert_says_what_it_leaves_out(run: Run, log: Path) -> None:
 
 
 def test_convert_spoils_nothing(run: Run, log: Path) -> None:
-    assert run("log", "convert", str(log), str(log)).status == 2
+    os.link(log, "same.log")
+    for same in (str(log), "same.log"):
+        assert run("log", "convert", str(log), same).status == 2
     outcome = run("log", "convert", "none.log", str(log))
     assert outcome.status == 6
     assert "cannot read none.log" in outcome.err

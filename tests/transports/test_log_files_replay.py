@@ -9,10 +9,18 @@ import pytest
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports import BusState, BusStateChanged, ReplayTransport, TransportError, VirtualTransport, open_transport
+from canopen_transports import (
+    BusState,
+    BusStateChanged,
+    ReceiveOverrun,
+    ReplayTransport,
+    TransportError,
+    VirtualTransport,
+    open_transport,
+)
 from canopen_transports.log_files import LogReader, Record, log_writer
 from canopen_transports.tracing import Trace, TracingTransport, current_trace, for_devices, recording
-from canopen_transports.transport import CyclicTransport, FilteringTransport
+from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport
 from tests.transports.conformance import IMPOSSIBLE, numbered
 from tests.transports.support import run, trio_test
 
@@ -220,12 +228,23 @@ class Slow(VirtualTransport):
     filtered = True
     sends_sync = True
     failing = False
+    has_room = True
 
     async def send(self, frame: Frame) -> None:
         await super().send(frame)
         await trio.sleep(1)
         if self.failing:
             raise TransportError("CO111", self.locator, "gone")
+
+    def send_nowait(self, frame: Frame) -> bool:
+        if self.failing:
+            raise TransportError("CO111", self.locator, "gone")
+        if self.has_room:
+            for member in self._members:
+                if member is not self:
+                    member._queue.put((frame, None))
+                    member._queue.wake()
+        return self.has_room
 
     def set_filters(self, keys: object) -> bool:
         raise NotImplementedError
@@ -267,10 +286,23 @@ async def test_abilities_of_the_transport_below(tmp_path: Path) -> None:
         tap = trace.wrap(inner)
         assert isinstance(tap, CyclicTransport)
         assert not isinstance(tap, FilteringTransport)  # all is to be recorded
-        tap.start_cyclic([Frame(0x80)], 1000)
-        assert inner.period == 1000
-        tap.stop_cyclic()
-        assert inner.period == 0
+        assert isinstance(tap, EagerTransport)
+        async with VirtualTransport("a") as kernel:
+            tap.start_cyclic([Frame(0x80)], 1000)
+            assert inner.period == 1000
+            await kernel.send(Frame(0x80))
+            await kernel.send(Frame(0x81))
+            for _ in range(2):
+                await tap.receive()
+            tap.stop_cyclic()
+            assert inner.period == 0
+            await kernel.send(Frame(0x80))
+            await tap.receive()
+        assert lines(tmp_path / "a.log") == ["virtual0 080# T", "virtual0 081# R", "virtual0 080# R"]
+        plain = await open_transport("virtual:plain")
+        assert isinstance(plain, TracingTransport)
+        assert not plain.sends_sync
+        assert not plain.send_nowait(Frame(0x80))
         assert [
             trace.channel_of(name) for name in ("can3", "socketcan:can4", "tcp", "/dev/pcan32", "pcan:PCAN_USBBUS2@500k")
         ] == [
@@ -280,6 +312,47 @@ async def test_abilities_of_the_transport_below(tmp_path: Path) -> None:
             "pcan0",
             "pcan1",
         ]
+
+
+@trio_test()
+async def test_what_is_sent_at_once_is_recorded_at_its_place(tmp_path: Path) -> None:
+    with recording(log_writer(tmp_path / "a.log")) as trace:
+        inner = Slow("a")
+        tap = trace.wrap(inner)
+        async with tap, VirtualTransport("a") as other, trio.open_nursery() as nursery:
+            assert tap.send_nowait(Frame.parse("601#40"))
+            nursery.start_soon(tap.send, Frame.parse("601#41"))
+            await trio.testing.wait_all_tasks_blocked()
+            assert tap.send_nowait(Frame.parse("601#42"))  # behind the one that is on its way
+            inner.has_room = False
+            assert not tap.send_nowait(Frame.parse("601#43"))
+            inner.failing = True
+            with pytest.raises(TransportError):
+                tap.send_nowait(Frame.parse("601#44"))
+            inner.failing = False
+            heard = [str((await other.receive())[0]) for _ in range(3)]
+    assert (
+        lines(tmp_path / "a.log")
+        == [f"virtual0 {frame} T" for frame in heard]
+        == [
+            "virtual0 601#40 T",
+            "virtual0 601#41 T",
+            "virtual0 601#42 T",
+        ]
+    )
+
+
+@trio_test()
+async def test_what_is_lost_on_its_way_to_us_is_counted(tmp_path: Path) -> None:
+    with recording(log_writer(tmp_path / "a.log")) as trace:
+        async with trace.wrap(VirtualTransport("a", 2)) as tap, VirtualTransport("a") as other:
+            for number in range(5):
+                await other.send(numbered(number))
+            for _ in range(2):
+                await tap.receive()
+            with pytest.raises(ReceiveOverrun):
+                await tap.receive()
+    assert (trace.recorded, trace.lost) == (2, 3)
 
 
 class FullDisk:

@@ -79,7 +79,7 @@ async def test_a_server_that_ends_says_so() -> None:
             await transport.receive()
         assert caught.value.code == "CO111"
         assert caught.value.seen == "the bus server says: the bus server was ended"
-        assert "canopen bus serve" in caught.value.tries[0]
+        assert f"canopen bus serve --port {transport.locator.rpartition(':')[2]} " in caught.value.tries[0]
 
     async with trio.open_nursery() as nursery, bus() as locator:
         transport = await open_transport(locator)

@@ -6,7 +6,7 @@
 Each frame stands in the trace once: of several members of one bus in this process (the simulated drives of `-b demo`, and the
 master) only the first one records. Times are when this process saw or sent a frame, on one clock, trio's, for all buses; the
 kernel's time stamps, where there are such, come from another. A frame is recorded as sent once the bus has taken it, with the
-time at which it was given to the bus; answers that overtake that wait, so that they stand behind it.
+time at which it was given to the bus; what overtakes that waits, so that it stands behind it.
 
 A trace that cannot be written (no room on the disk) ends, and says so at the end: the drives must not stop for it.
 """
@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Final
 import trio
 
 from canopen_proto.frame import Frame
+from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.locator import parse_locator
 from canopen_transports.log_files import LogWriter, Record
-from canopen_transports.transport import CyclicTransport, Received
+from canopen_transports.transport import CyclicTransport, EagerTransport, Received
 
 if TYPE_CHECKING:
     from canopen_transports.opening import OpenTransport
@@ -36,12 +37,14 @@ _for_devices: Final[ContextVar[bool]] = ContextVar("for devices", default=False)
 class Trace:
     """One recording. devices_are_ours: simulated devices are who records, so that what they send counts as sent.
 
-    failure: why it ended before its time, if it did. recorded: how many frames it holds.
+    failure: why it ended before its time, if it did. recorded: how many frames it holds. lost: how many it lacks at least, as
+    they were lost on their way to us. left_out: how many its kind of file cannot hold.
     """
 
     def __init__(self, writer: LogWriter, *, devices_are_ours: bool = False) -> None:
         self.failure: OSError | None = None
         self.recorded = 0
+        self.lost = 0
         self.devices_are_ours = devices_are_ours
         self.left_out = 0
         self._closed = False
@@ -80,8 +83,7 @@ class Trace:
 
     def wrap(self, transport: OpenTransport) -> TracingTransport:
         """The transport, recorded."""
-        cyclic = isinstance(transport, CyclicTransport) and transport.sends_sync
-        made = (_CyclicTracingTransport if cyclic else TracingTransport)(transport, self)
+        made = TracingTransport(transport, self)
         self._taps.setdefault(made.locator, []).append(made)
         return made
 
@@ -104,20 +106,27 @@ class Trace:
 
 
 class TracingTransport(trio.abc.AsyncResource):
-    """A transport that tells a trace what goes through it. It hides that the one below could filter: all is to be recorded."""
+    """A transport that tells a trace what goes through it: as eager as the one below, and its SYNC is that one's if it sends it.
+
+    It hides that the one below could filter: all is to be recorded.
+    """
 
     def __init__(self, transport: OpenTransport, trace: Trace) -> None:
         self.locator = transport.locator
         self.transport = transport
+        self._eager = transport if isinstance(transport, EagerTransport) else None
+        self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
+        self.sends_sync = self._cyclic is not None
         self._trace = trace
         self._channel = trace.channel_of(self.locator)
         self._ours = trace.devices_are_ours or not _for_devices.get()
+        self._cyclic_keys: set[int] = set()
         self._sending = 0
         self._held: list[Record] = []
 
     async def send(self, frame: Frame) -> None:
         """As the transport below."""
-        record = Record(self._trace.now(), self._channel, frame, self._ours)
+        record = self._record_of(frame, self._ours)
         self._sending += 1
         try:
             await self.transport.send(frame)
@@ -129,15 +138,35 @@ class TracingTransport(trio.abc.AsyncResource):
                     self._record(each)
                 self._held.clear()
 
+    def send_nowait(self, frame: Frame) -> bool:
+        """As the transport below; False where that one cannot."""
+        if self._eager is None or not self._eager.send_nowait(frame):
+            return False
+        self._record_in_turn(self._record_of(frame, self._ours))
+        return True
+
     async def receive(self) -> Received:
         """As the transport below."""
-        received = await self.transport.receive()
-        record = Record(self._trace.now(), self._channel, received[0], not self._ours)
-        if self._sending:
-            self._held.append(record)
-        else:
-            self._record(record)
+        try:
+            received = await self.transport.receive()
+        except ReceiveOverrun as overrun:
+            self._trace.lost += overrun.lost if self._trace.records(self) else 0
+            raise
+        frame = received[0]
+        self._record_in_turn(self._record_of(frame, self._ours == (frame.key in self._cyclic_keys)))
         return received
+
+    def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
+        """As the transport below, whose frames come back by `receive`."""
+        assert self._cyclic is not None, "sends_sync says that it cannot"
+        self._cyclic.start_cyclic(frames, period)
+        self._cyclic_keys = {frame.key for frame in frames}
+
+    def stop_cyclic(self) -> None:
+        """As the transport below."""
+        assert self._cyclic is not None, "sends_sync says that it cannot"
+        self._cyclic.stop_cyclic()
+        self._cyclic_keys.clear()
 
     async def aclose(self) -> None:
         """As the transport below."""
@@ -146,23 +175,18 @@ class TracingTransport(trio.abc.AsyncResource):
         finally:
             self._trace.leave(self)
 
+    def _record_of(self, frame: Frame, sent: bool) -> Record:
+        return Record(self._trace.now(), self._channel, frame, sent)
+
+    def _record_in_turn(self, record: Record) -> None:
+        if self._sending:
+            self._held.append(record)
+        else:
+            self._record(record)
+
     def _record(self, record: Record) -> None:
         if self._trace.records(self):
             self._trace.record(record)
-
-
-class _CyclicTracingTransport(TracingTransport):
-    """The same where the transport sends the SYNC by itself: what it sends comes back by `receive`."""
-
-    sends_sync = True
-
-    def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
-        assert isinstance(self.transport, CyclicTransport)
-        self.transport.start_cyclic(frames, period)
-
-    def stop_cyclic(self) -> None:
-        assert isinstance(self.transport, CyclicTransport)
-        self.transport.stop_cyclic()
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from rich.markup import escape
 from canopen_master.cli.device_files import description_of, read_device_files
 from canopen_master.cli.options import NodeIds, Settings, common
 from canopen_master.cli.problem import ExitCode, usage
-from canopen_master.cli.running import run
+from canopen_master.cli.running import run, same_file
 from canopen_master.cli.screen import Screen
 from canopen_master.cli.session import read_dictionary
 from canopen_proto.decoding import Decoder
@@ -46,7 +46,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
     canopen log convert trace.blf trace.log
     """
     screen = settings.screen()
-    if source.resolve() == target.resolve():
+    if same_file(source, target):
         raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
     reader, kind = LogReader(source), kind_of(target)
     records = iter(reader)
@@ -105,7 +105,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
                     count += 1
         return count
 
-    screen.say(f"{run(settings, screen, play)} frames sent on {escape(bus)}")
+    screen.say(f"{run(settings, screen, play, reads=source)} frames sent on {escape(bus)}")
     _tell_skipped(screen, reader)
 
 

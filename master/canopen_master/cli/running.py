@@ -18,7 +18,7 @@ import trio
 from rich.markup import escape
 
 from canopen_master.cli.options import Settings
-from canopen_master.cli.problem import ExitCode, Problem, problem_of
+from canopen_master.cli.problem import ExitCode, Problem, problem_of, usage
 from canopen_master.cli.screen import Screen
 from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.tracing import Trace, recording
@@ -38,13 +38,19 @@ def run(
     *,
     story: Story = lambda confirmed: [],
     devices: bool = False,
+    reads: Path | None = None,
 ) -> T:
     """What `command` returns. story: told on interruption. devices: the simulated devices are what this command is about.
+    reads: a log file that it reads.
 
     Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises; LogFileError where --trace cannot begin.
     """
     if settings.trace is None:
         return trio.run(_run, screen, command, story, clock=settings.clock)
+    bus = settings.named_bus() or ""
+    replayed = Path(bus.removeprefix("file:").partition("?")[0]) if bus.startswith("file:") else reads
+    if replayed is not None and same_file(replayed, settings.trace):
+        raise usage("CO123", f"--trace would replace {replayed}, which is being read", tries=("--trace other.log",))
     with recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
         try:
             return trio.run(_run, screen, command, story, clock=settings.clock)
@@ -57,14 +63,24 @@ def run(
 
 def _missing(path: Path, trace: Trace) -> Problem | None:
     """What the trace lacks."""
+    tries = ("--trace FILE.log, where there is room",)
     if trace.failure is not None:
         seen = f"{trace.failure.strerror} after {trace.recorded} frames"
     elif trace.left_out:
         seen = f"{trace.left_out} frames are not in it ({path.suffix}: {LOSSES[path.suffix.lower()]})"
+    elif trace.lost:
+        seen, tries = f"{trace.lost} frames were lost before they could be recorded", ("once more, on a computer less busy",)
     else:
         return None
-    tries = ("--trace FILE.log, where there is room",)
     return Problem(ExitCode.BAD_FILE, "CO343", f"the trace {path} is not complete", seen=seen, tries=tries)
+
+
+def same_file(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file that is there."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
 
 
 async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story) -> T:

@@ -72,13 +72,13 @@ def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeE
 def no_bus_server(locator: str, host: str, port: int, seen: str) -> TransportError:
     """Somebody listens, but it is no bus server of ours, or it does not want us."""
     tries = (serve_command(host, port + 1 if port < 65535 else DEFAULT_PORT),)
-    cause = "another program uses this port, or another version of this one"
+    cause = "another program uses this port, or another version of this one; or the bus server is stopped (Ctrl-Z)"
     return TransportError(CANNOT_OPEN, locator, f"cannot open {locator}", seen=seen, cause=cause, tries=tries)
 
 
 def connection_lost(locator: str, doing: str, seen: str, cause: str) -> TransportError:
     """The connection worked and has ended. It is not made anew behind the caller's back: frames would be missing."""
-    tries = ("canopen bus serve    (if it has ended), then start this program again",)
+    tries = (serve_command(*parse_address(locator, locator.partition(":")[2])), "start this program again once it runs")
     return TransportError(BUS_LOST, locator, f"cannot {doing} on {locator}", seen=seen, cause=cause, tries=tries)
 
 
