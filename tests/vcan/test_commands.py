@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from tests.vcan.support import needs_vcan, raw_socket
 
 pytestmark = needs_vcan
 
-CANOPEN = [sys.executable, "-c", "from canopen_data.entry import main; main()"]
+CANOPEN = [sys.executable, "-c", "import sys; from canopen_data.entry import main; sys.exit(main())"]
 LIMIT = 90.0
 
 
@@ -50,16 +51,23 @@ def drives() -> Iterator[None]:
 
 def test_scan_and_read(drives: None) -> None:
     found = run(*CANOPEN, "scan", "-b", "socketcan:vcan0")
-    assert all(f"{node_id} " in found for node_id in (3, 8, 12))
-    assert run(*CANOPEN, "read", "12", "0x1000", "-b", "vcan0").strip()
+    for node_id in (3, 4, 5, 6, 7, 8, 12):
+        assert re.search(rf"^ *{node_id} \(0x{node_id:02X}\) +pre-operational +servo drive", found, re.MULTILINE), found
+    assert "0x00020192" in run(*CANOPEN, "read", "12", "0x1000", "-b", "vcan0")
 
 
-def test_the_demonstration(drives: None) -> None:
-    run(*CANOPEN, "demo", "--bus", "socketcan:vcan0", "--seconds", "1", "--cycle", "20ms")
+@pytest.mark.parametrize("options", ["", "?sync=bcm&filter=ids"])
+def test_the_demonstration(drives: None, options: str) -> None:
+    said = run(*CANOPEN, "demo", "--bus", f"socketcan:vcan0{options}", "--seconds", "1", "--cycle", "20ms")
+    for joint, node_id in enumerate((3, 4, 5, 6, 7, 8), 1):
+        assert re.search(rf"^joint{joint} +{node_id} .* switch on disabled +yes ", said, re.MULTILINE), said
 
 
-def test_the_demonstration_with_sync_by_the_kernel(drives: None) -> None:
-    run(*CANOPEN, "demo", "--bus", "socketcan:vcan0?sync=bcm&filter=ids", "--seconds", "1", "--cycle", "20ms")
+def test_a_command_that_finds_nobody_says_so_and_fails(drives: None) -> None:
+    command = [*CANOPEN, "read", "99", "0x1000", "-b", "socketcan:vcan0"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=LIMIT, check=False)
+    assert done.returncode != 0
+    assert "node 99 did not answer reading 1000:00" in done.stderr
 
 
 @pytest.mark.parametrize(

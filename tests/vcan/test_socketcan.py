@@ -1,29 +1,22 @@
-"""The native SocketCAN transport on a real kernel: what it promises, and what a kernel does to it."""
+"""The native SocketCAN transport on a real kernel: frames, their time stamps, too many of them, and no room for them."""
 
 from __future__ import annotations
 
-import itertools
+import os
 import socket
 import struct
-import subprocess
 import time
-from collections.abc import Iterator
 
 import pytest
 import trio
 import trio.testing
 
-from canopen_proto.frame import KEY_EXTENDED, KEY_REMOTE, Frame
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, Transport, TransportError, open_transport
-from canopen_transports.locator import parse_locator
-from canopen_transports.socketcan import SocketCanTransport, open_socketcan
+from canopen_transports import FrameNotSent, ReceiveOverrun, Transport, TransportError, open_transport
 from tests.transports.conformance import END, TransportConformance, number_of, numbered
 from tests.transports.support import trio_test
-from tests.vcan.support import interface, ip, needs_vcan, raw_socket, tool
+from tests.vcan.support import interface, ip, joined, needs_vcan, raw_socket, slow
 
 pytestmark = needs_vcan
-
-ERROR = 0x2000_0000
 
 
 class TestConformance(TransportConformance):
@@ -47,145 +40,7 @@ class TestConformanceOfPythonCan(TransportConformance):
         return await open_transport("pythoncan:socketcan:vcan0")
 
 
-@pytest.fixture
-def can() -> Iterator[str]:
-    with interface() as name:
-        yield name
-
-
-def joined(name: str, options: str = "") -> SocketCanTransport:
-    return open_socketcan(parse_locator(f"socketcan:{name}{options}"))
-
-
-async def reported(transport: Transport) -> BusStateChanged:
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
-
-
-# ---- going down and coming back ----
-
-
-@trio_test(real_time=True)
-async def _opening_fails(name: str) -> None:
-    for locator in (f"socketcan:{name}", f"pythoncan:socketcan:{name}"):
-        with pytest.raises(TransportError) as caught:
-            await open_transport(locator)
-        assert caught.value.seen == f"{name} is there, but it is DOWN"
-        assert caught.value.tries == (f"sudo ip link set {name} up",)
-
-
-def test_an_interface_that_is_down_is_not_opened(can: str) -> None:
-    ip("link", "set", can, "down")
-    _opening_fails(can)
-
-
-@trio_test(real_time=True)
-async def _goes_down_and_comes_back(name: str) -> None:
-    async with joined(name) as one, joined(name) as other:
-        for number in range(3):
-            await one.send(numbered(number))
-        await trio.to_thread.run_sync(ip, "link", "set", name, "down")
-        for number in range(3):  # what came before stands before
-            assert number_of((await other.receive())[0]) == number
-        down = await reported(other)
-        assert down.state is BusState.DOWN
-        assert down.seen == f"{name} is DOWN"
-        assert down.tries == (f"sudo ip link set {name} up",)
-        for _ in range(2):  # the first has word of it pending; the second knows it
-            with pytest.raises(FrameNotSent) as caught:
-                await one.send(numbered(4))
-            assert caught.value.code == "CO111"
-            assert caught.value.seen == f"{name} is DOWN"
-        assert (await reported(one)).state is BusState.DOWN
-        ip("link", "set", name, "up")
-        await one.send(END)
-        assert (await reported(one)).state is BusState.UP
-        up = await reported(other)
-        assert (up.state, up.seen) == (BusState.UP, f"{name} is UP again")
-        with trio.move_on_after(0.2):  # where it was not yet listening again
-            await other.receive()
-        await one.send(END)
-        assert (await other.receive())[0] == END
-
-
-def test_an_interface_that_goes_down_is_reported_and_comes_back(can: str) -> None:
-    _goes_down_and_comes_back(can)
-
-
-@trio_test(real_time=True)
-async def _replaced(name: str) -> None:
-    async with joined(name, "?filter=ids") as one, joined(name) as other:
-        one.set_filters([END.key])
-        seen: list[BusState] = []
-
-        async def listen() -> None:
-            while BusState.UP not in seen:
-                seen.append((await reported(one)).state)
-
-        async with trio.open_nursery() as nursery:
-            nursery.start_soon(listen)
-            await trio.testing.wait_all_tasks_blocked()
-            ip("link", "del", name)
-            ip("link", "add", "dev", name, "type", "vcan")
-            ip("link", "set", name, "up")
-        assert seen == [BusState.DOWN, BusState.UP]
-        with pytest.raises(FrameNotSent):
-            await other.send(END)
-        await other.send(numbered(1))
-        await other.send(END)
-        assert (await one.receive())[0] == END  # the filter is there again
-        assert [(await reported(other)).state for _ in range(2)] == [BusState.DOWN, BusState.UP]
-
-
-def test_an_adapter_that_is_plugged_in_again(can: str) -> None:
-    _replaced(can)
-
-
-# ---- what is no frame ----
-
-
-def error_frame(kinds: int, data: str = "0000000000000000") -> bytes:
-    return struct.pack("=IB3x8s", ERROR | kinds, 8, bytes.fromhex(data))
-
-
-@trio_test(real_time=True)
-async def test_error_frames_become_reports() -> None:
-    with interface() as name, raw_socket(name) as controller:
-        async with joined(name) as one, joined(name) as other:
-            for _ in range(3):
-                controller.send(error_frame(0x20))  # no acknowledge, which comes with each repetition
-            controller.send(error_frame(0x2))  # lost arbitration: daily life
-            controller.send(error_frame(0x204, "0008000000006000"))
-            controller.send(error_frame(0x204, "0020000000008800"))
-            controller.send(error_frame(0x204, "0020000000009000"))
-            controller.send(error_frame(0x4, "0001" + "00" * 6))
-            controller.send(error_frame(0x40))
-            assert (await reported(one)).state is BusState.NO_ACKNOWLEDGE
-            report = await reported(one)
-            assert (report.state, report.seen) == (
-                BusState.WARNING,
-                "controller warns of errors, tx error counter 96, rx error counter 0",
-            )
-            assert (await reported(one)).state is BusState.PASSIVE
-            with pytest.raises(ReceiveOverrun, match="1 received frame lost"):
-                await one.receive()
-            report = await reported(one)
-            assert report.state is BusState.BUS_OFF
-            assert "ip -details -statistics link show vcan7" in report.tries
-            assert one.errors == 9
-            with pytest.raises(FrameNotSent, match="nothing acknowledges our frames") as caught:
-                await one.send(END)
-            assert caught.value.code == "CO110"
-            controller.send(error_frame(0x100))
-            assert (await reported(one)).state is BusState.ACTIVE
-            await one.send(END)
-            received = None
-            while received != END:
-                try:
-                    received = (await other.receive())[0]
-                except TransportError:
-                    continue
+# ---- frames ----
 
 
 @trio_test(real_time=True)
@@ -212,6 +67,60 @@ async def test_time_stamps_are_the_kernels() -> None:
     assert stamps == sorted(stamps)
     assert before - 10**9 < stamps[0] <= stamps[-1] < time.time_ns() + 10**9
     assert any(stamp % 1000 for stamp in stamps)
+
+
+@trio_test(real_time=True)
+async def test_what_other_programs_write_that_no_wire_carries() -> None:
+    with interface() as name, raw_socket(name) as sender:
+        async with joined(name) as one:
+            sender.send(struct.pack("=IB3x8s", 0x12345, 1, b"\1"))  # 29 bits, but not marked as such
+            sender.send(struct.pack("=IB3x8s", 0x4001_2345, 1, b"\1"))
+            sender.send(struct.pack("=IB2xB8s", 0x123, 8, 15, bytes(range(8))))  # a DLC of 15 stands for 8 bytes
+            sender.send(struct.pack("=IB3x8s", 0x123, 2, bytes(range(8))))  # remains behind the data
+            sender.send(struct.pack("=IB3x8s", 0xC000_0123, 8, bytes(range(8))))  # a remote frame with data
+            heard = [str((await one.receive())[0]) for _ in range(3)]
+    assert heard == ["123#0001020304050607", "123#0001", "00000123#R8"]
+
+
+@trio_test(real_time=True)
+async def _as_nobody(name: str) -> None:
+    async with joined(name) as other:  # with root's rights
+        os.seteuid(65534)
+        try:
+            one = joined(name)
+        finally:
+            os.seteuid(0)
+        async with one:
+            for number in range(100):
+                await other.send(numbered(number))
+            assert [number_of((await one.receive())[0]) for _ in range(100)] == list(range(100))
+            small, large = (each._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) for each in (one, other))
+            assert small <= large == 2 * (4 << 20)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="this is no other user than the tests'")
+def test_a_user_without_rights_gets_the_receive_buffer_that_the_system_allows() -> None:
+    with interface() as name:
+        _as_nobody(name)
+
+
+@trio_test(real_time=True)
+async def test_a_socket_that_fails_in_any_other_way_is_a_lost_bus() -> None:
+    with interface() as name:
+        async with joined(name) as one:
+            receiver, sender = os.pipe()
+            try:
+                os.dup2(receiver, one._socket.fileno())  # somebody else's descriptor: no socket any more
+                os.write(sender, b"x")
+                with pytest.raises(TransportError, match="cannot receive on socketcan:vcan7") as caught:
+                    await one.receive()
+                assert caught.value.code == "CO111"
+                with pytest.raises(TransportError, match="cannot send 7E5#0E on socketcan:vcan7") as caught:
+                    await one.send(END)
+                assert caught.value.code == "CO111"
+            finally:
+                os.close(receiver)
+                os.close(sender)
 
 
 # ---- too much ----
@@ -248,12 +157,35 @@ async def test_frames_that_the_kernel_drops_are_told_at_their_place() -> None:
         assert len(middle) + lost == 200
 
 
-def slow(name: str, rate: str) -> None:
-    """Let the interface take frames at this rate only, with the short queue of a real one."""
-    tc = [tool("tc"), "qdisc", "replace", "dev", name, "root", "tbf", "rate", rate, "burst", "100", "limit", "160"]
-    done = subprocess.run(tc, capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"tc: {done.stderr.strip()}")
+@trio_test(real_time=True)
+async def test_frames_that_come_while_the_process_stalls_between_two_looks_stand_before_those_dropped_meanwhile() -> None:
+    with interface() as name:
+        async with joined(name) as one, joined(name) as other:
+            other._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
+            look = other._drop_counter
+            bursts = [range(1000, 2000)]
+
+            def stalled() -> int:
+                for number in bursts.pop() if bursts else ():
+                    while not one.send_nowait(numbered(number)):
+                        pass
+                return look()
+
+            for number in range(1000):
+                await one.send(numbered(number))
+            other._drop_counter = stalled  # type: ignore[method-assign]
+            lost: list[int] = []
+            heard: list[int] = []
+            while len(heard) + sum(lost) < 2000:
+                try:
+                    heard.append(number_of((await other.receive())[0]))
+                except ReceiveOverrun as overrun:
+                    lost.append(overrun.lost)
+                    heard += [-1] * (len(lost) == 1)  # its place
+            first, second = heard[: heard.index(-1)], heard[heard.index(-1) + 1 :]
+            assert first == list(range(len(first)))
+            assert second == list(range(1000, 1000 + len(second)))
+            assert lost == [1000 - len(first), 1000 - len(second)]
 
 
 @trio_test(real_time=True)
@@ -310,67 +242,54 @@ async def test_a_sender_that_waits_for_room_wakes_when_the_bus_goes_and_when_it_
         await one.aclose()
 
 
-# ---- filters and cyclic frames ----
-
-
 @trio_test(real_time=True)
-async def test_the_kernel_filters_what_it_is_told_to() -> None:
-    async with joined("vcan0") as one, joined("vcan0", "?filter=ids") as other:
-        frames = [Frame.parse(text) for text in ("181#01", "181#R", "182#", "00000181#", "18FF0001#02", "18FF0001#R1", "705#R")]
-
-        async def through() -> list[str]:
-            for frame in [*frames, END]:
-                await one.send(frame)
-            heard = []
-            while (frame := (await other.receive())[0]) != END:
-                heard.append(str(frame))
-            return heard
-
-        assert other.filtered
-        assert len(await through()) == 7  # nobody has set one yet
-        assert other.set_filters([0x181, 0x18FF0001 | KEY_EXTENDED | KEY_REMOTE, 0x705 | KEY_REMOTE, END.key])
-        assert await through() == ["181#01", "18FF0001#R1", "705#R"]
-        assert other.set_filters([END.key, END.key, 0x182])
-        assert await through() == ["182#"]
-        assert not other.set_filters(range(513))
-        assert len(await through()) == 7
-        assert other.set_filters([END.key])
-        assert not other.set_filters(None)
-        assert len(await through()) == 7
-
-
-@trio_test(real_time=True)
-async def test_the_kernel_sends_cyclic_frames() -> None:
+async def test_several_senders_share_a_queue_with_room_for_one_frame() -> None:
     with interface() as name:
-        async with joined(name, "?sync=bcm") as one, joined(name) as other:
-            assert one.sends_sync
-            one.start_cyclic([Frame(0x80, bytes((count,))) for count in (1, 2, 3)], 5_000_000)
-            for transport in (one, other):  # we hear the kernel's frames ourselves
-                assert [str((await transport.receive())[0]) for _ in range(7)] == [f"080#0{n}" for n in (1, 2, 3, 1, 2, 3, 1)]
-            one.start_cyclic([Frame(0x80)], 20_000_000)
-            while (await other.receive())[0].data:
-                pass
-            stamps = [(await other.receive())[1] or 0 for _ in range(6)]
-            assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
-            one.stop_cyclic()
-            one.stop_cyclic()
+        ip("link", "set", name, "txqueuelen", "1")
+        async with joined(name) as one, joined(name) as two, joined(name) as other:
+            slow(name, "128kbit", room=1)
+
+            async def send(transport: Transport, first: int) -> None:
+                for number in range(first, first + 50):
+                    await transport.send(numbered(number))
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(send, one, 0)
+                nursery.start_soon(send, two, 1000)
+                heard = [number_of((await other.receive())[0]) for _ in range(100)]
+            for first in (0, 1000):
+                assert [number for number in heard if first <= number < first + 1000] == list(range(first, first + 50))
+
+
+@trio_test(real_time=True)
+async def test_where_there_is_no_room_a_frame_at_once_is_refused_and_a_cancelled_one_is_not_sent() -> None:
+    with interface() as name:
+        async with joined(name) as one, joined(name) as other:
+            slow(name, "2kbit")
+            sent = 0
+            while one.send_nowait(numbered(sent)):
+                sent += 1
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(one.send, numbered(1000))
+                await trio.testing.wait_all_tasks_blocked()
+                assert not one.send_nowait(numbered(2000))  # others wait
+                nursery.cancel_scope.cancel()
             await one.send(END)
-            while (await other.receive())[0] != END:
-                pass
-            with trio.move_on_after(0.1) as scope:
-                await other.receive()
-            assert scope.cancelled_caught
-            for frames, period in (([], 10**6), ([Frame(0x80)] * 257, 10**6), ([Frame(0x80)], 999), ([Frame(0x800)], 10**6)):
-                with pytest.raises(ValueError):
-                    one.start_cyclic(frames, period)
-        with pytest.raises(trio.ClosedResourceError):
-            one.start_cyclic([END], 10**6)
+            for number in range(sent):
+                assert number_of((await other.receive())[0]) == number
+            assert (await other.receive())[0] == END
 
 
 @trio_test(real_time=True)
-async def test_no_cyclic_frames_on_an_interface_that_is_gone() -> None:
+async def test_closed_amid_a_burst_nothing_more_is_handed_out() -> None:
     with interface() as name:
-        async with joined(name) as one:
-            ip("link", "del", name)
-            with pytest.raises(TransportError, match="cyclically"):
-                one.start_cyclic([END], 10**6)
+        async with joined(name) as one, joined(name) as other:
+            for number in range(200):
+                await one.send(numbered(number))
+            assert number_of((await other.receive())[0]) == 0  # the others of its batch are there
+            await other.aclose()
+            for refused in (other.receive(), other.send(END)):
+                with pytest.raises(trio.ClosedResourceError):
+                    await refused
+            with pytest.raises(trio.ClosedResourceError):
+                other.send_nowait(END)

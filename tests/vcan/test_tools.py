@@ -15,8 +15,7 @@ from canopen_proto.frame import Frame
 from canopen_transports import ReceiveOverrun, open_transport
 from tests.transports.conformance import END, EVERY_KIND
 from tests.transports.support import trio_test
-from tests.vcan.support import needs_vcan, tool
-from tests.vcan.test_socketcan import joined
+from tests.vcan.support import joined, needs_vcan, tool
 
 pytestmark = needs_vcan
 

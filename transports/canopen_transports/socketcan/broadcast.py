@@ -29,45 +29,34 @@ MIN_PERIOD: Final = 1_000
 """ns: the broadcast manager counts in microseconds."""
 
 
-class Broadcast:
-    """The kernel's cyclic sender on one interface, for one sequence of frames at a time. Raises OSError as the kernel does."""
+def check_cyclic(frames: Sequence[Frame], period: int) -> None:
+    """ValueError unless the kernel can send these frames in turn, one each `period` (ns): 1 to 256 frames, from 1 us."""
+    if not 1 <= len(frames) <= MAX_CYCLIC_FRAMES:
+        raise ValueError(f"the kernel sends 1 to {MAX_CYCLIC_FRAMES} frames in turn, not {len(frames)}")
+    if period < MIN_PERIOD:
+        raise ValueError(f"the kernel's shortest period is 1 us, not {period} ns")
+    for frame in frames:
+        check_frame(frame)
 
-    def __init__(self, interface: str) -> None:
+
+class Broadcast:
+    """The kernel sends these frames on one interface, the first one now and one more each `period`, until it is closed."""
+
+    def __init__(self, interface: str, frames: Sequence[Frame], period: int) -> None:
+        """frames, period: as `check_cyclic` has them. Raises OSError as the kernel does."""
+        name = frames[0].can_id | frames[0].flags << 30  # under which the kernel holds it; each frame has its own identifier
+        seconds, microseconds = divmod(period // 1000, 1_000_000)
+        flags = socket.CAN_BCM_SETTIMER | socket.CAN_BCM_STARTTIMER
+        head = _HEAD.pack(socket.CAN_BCM_TX_SETUP, flags, 0, 0, 0, seconds, microseconds, name, len(frames))
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_DGRAM, socket.CAN_BCM)
-        self._running: int | None = None  # the identifier under which the kernel holds it
         try:
             self._socket.setblocking(False)
             self._socket.connect((interface,))
+            self._socket.send(head + _PADDING + b"".join(map(pack, frames)))
         except BaseException:
             self._socket.close()
             raise
 
-    def start(self, frames: Sequence[Frame], period: int) -> None:
-        """Send the first frame now, and one more each `period` (ns, from 1 us), in turn. What runs begins anew.
-
-        frames: 1 to 256. ValueError for others, for a period that is too short, and for what classical CAN cannot carry.
-        """
-        if not 1 <= len(frames) <= MAX_CYCLIC_FRAMES:
-            raise ValueError(f"the kernel sends 1 to {MAX_CYCLIC_FRAMES} frames in turn, not {len(frames)}")
-        if period < MIN_PERIOD:
-            raise ValueError(f"the kernel's shortest period is 1 us, not {period} ns")
-        for frame in frames:
-            check_frame(frame)
-        self.stop()
-        name = frames[0].can_id | frames[0].flags << 30
-        seconds, microseconds = divmod(period // 1000, 1_000_000)
-        flags = socket.CAN_BCM_SETTIMER | socket.CAN_BCM_STARTTIMER
-        head = _HEAD.pack(socket.CAN_BCM_TX_SETUP, flags, 0, 0, 0, seconds, microseconds, name, len(frames))
-        self._socket.send(head + _PADDING + b"".join(map(pack, frames)))
-        self._running = name
-
-    def stop(self) -> None:
-        """Send no more. Does nothing where nothing runs."""
-        if self._running is not None:
-            name, self._running = self._running, None
-            self._socket.send(_HEAD.pack(socket.CAN_BCM_TX_DELETE, 0, 0, 0, 0, 0, 0, name, 0) + _PADDING)
-
     def close(self) -> None:
         """Send no more, and leave the interface."""
-        self._running = None
         self._socket.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import fcntl
 import socket
 import struct
+from pathlib import Path
 from typing import Final
 
 from canopen_proto.frame import KEY_EXTENDED, Frame
@@ -27,7 +28,6 @@ MAX_CYCLIC_FRAMES: Final = 256
 """MAX_NFRAMES of the broadcast manager."""
 
 ERROR_FRAME: Final = socket.CAN_ERR_FLAG
-SPECIAL: Final = socket.CAN_EFF_FLAG | socket.CAN_RTR_FLAG | socket.CAN_ERR_FLAG
 ALL_ERRORS: Final = socket.CAN_ERR_MASK
 
 CAN_FRAME: Final = struct.Struct("=IB3x8s")
@@ -51,10 +51,18 @@ def filter_for(key: int) -> bytes:
     return CAN_FILTER.pack(key & number | flags, number | socket.CAN_EFF_FLAG | socket.CAN_RTR_FLAG)
 
 
-def is_up(sock: socket.socket, interface: str) -> bool:
-    """Whether a network interface is there and up."""
+def is_up(sock: socket.socket, interface: str) -> bool | None:
+    """Whether a network interface is up; None where there is none of that name."""
     try:
         answer = fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, _IFREQ.pack(interface.encode(), 0))
     except OSError:
-        return False
+        return None
     return bool(_IFREQ.unpack(answer)[1] & _IFF_UP)
+
+
+def has_carrier(interface: str) -> bool | None:
+    """Whether an interface that is up has a carrier: its controller is not bus-off. None where the system does not tell."""
+    try:
+        return Path("/sys/class/net", interface, "carrier").read_text() == "1\n"
+    except OSError:
+        return None

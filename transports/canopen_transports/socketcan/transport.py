@@ -14,7 +14,8 @@ ROOM_POLL.
 **What is no frame.** Error frames become `BusStateChanged` where they tell something new. At an interface that goes down we look
 each UP_POLL until it is up again, be it the same or, after an adapter was plugged in again, a new one of that name; the two
 reports stand around what may be missing. What was received before it went down is handed out first. While the bus is away,
-sending raises `FrameNotSent`. So it does at bus-off: the kernel takes frames then, drops them and says nothing.
+sending raises `FrameNotSent`. So it does at bus-off: the kernel takes frames then, drops them and says nothing. A bus-off that
+came before us, or whose error frame was lost, shows by the interface's carrier.
 
 **Filters.** `?filter=ids`: the kernel only lets through what the caller asks for by `set_filters` (a master's pump does: the
 CAN-IDs that its machines want). That spares the wakes for foreign frames, but hides from error messages what other nodes say.
@@ -49,9 +50,9 @@ from canopen_transports.errors import (
 from canopen_transports.locator import Locator, Option
 from canopen_transports.socketcan import kernel
 from canopen_transports.socketcan.batch import BATCH, Batch
-from canopen_transports.socketcan.broadcast import Broadcast
+from canopen_transports.socketcan.broadcast import Broadcast, check_cyclic
 from canopen_transports.socketcan.error_frames import ErrorReport
-from canopen_transports.transport import MAX_LENGTH, Received, check_frame
+from canopen_transports.transport import MAX_LENGTH, MAX_STANDARD_ID, Received, check_frame
 
 ROOM_TIME: Final = 1.0
 """Seconds that a sender waits for room. Ten frames, a network queue's usual length, take 0.13 s even at 10 kbit/s."""
@@ -73,6 +74,7 @@ MAX_BACKLOG: Final = 256
 
 _GONE: Final = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)
 _DOWN_OR_OFF: Final = (BusState.DOWN, BusState.BUS_OFF)
+_COUNTER: Final = 0xFFFFFFFF  # the kernel counts dropped frames in 32 bits
 
 
 class SocketCanTransport(trio.abc.AsyncResource):
@@ -101,34 +103,35 @@ class SocketCanTransport(trio.abc.AsyncResource):
         self._is_burst = False
         self._send_lock = trio.Lock()
         self._broadcast: Broadcast | None = None
+        self._carrier_was_lost = False
         self._open()
+        self._look_at_carrier()
 
     def _open(self) -> None:
         """A new socket, bound to the interface of our name."""
         sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             sock.setblocking(False)
-            for option, size in ((kernel.SO_RCVBUFFORCE, RECEIVE_BUFFER), (socket.SO_RCVBUF, RECEIVE_BUFFER)):
-                with suppress(PermissionError):
-                    sock.setsockopt(socket.SOL_SOCKET, option, size)
-                    break
+            try:
+                sock.setsockopt(socket.SOL_SOCKET, kernel.SO_RCVBUFFORCE, RECEIVE_BUFFER)
+            except PermissionError:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             sock.setsockopt(socket.SOL_SOCKET, kernel.SO_TIMESTAMPNS, 1)
             sock.setsockopt(socket.SOL_SOCKET, kernel.SO_RXQ_OVFL, 1)
             sock.setsockopt(socket.SOL_CAN_RAW, kernel.CAN_RAW_ERR_FILTER, kernel.ALL_ERRORS)
             if self._filters is not None:
                 sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, self._filters)
-            self._index = socket.if_nametoindex(self._locator.channel)
             sock.bind((self._locator.channel,))
         except BaseException:
             sock.close()
             raise
         self._socket = sock
-        self._dropped = 0
+        self._dropped = self._dropped_at_look = 0
 
-    def pending_error(self) -> int:
-        """The socket's pending error, which is cleared. The kernel binds to an interface that is DOWN, and leaves word of it."""
-        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    def is_up(self) -> bool | None:
+        """Whether the interface is up, None where it is gone. (The kernel binds to one that is DOWN, too.)"""
+        return kernel.is_up(self._socket, self._locator.channel)
 
     # ---- sending ----
 
@@ -187,9 +190,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
             return FrameNotSent(
                 NOT_ACKNOWLEDGED, self.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries
             )
-        seen = f"{self._locator.channel} is DOWN"
-        cause = "somebody set it down, or the adapter was unplugged"
-        tries = (diagnosis.bring_up(self._locator),)
+        seen, cause, tries = self._why_away()
         return FrameNotSent(BUS_LOST, self.locator, f"cannot send {frame} on {self.locator}", seen=seen, cause=cause, tries=tries)
 
     def _no_room(self, frame: Frame) -> TransportError:
@@ -222,7 +223,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         else:
             with suppress(trio.ClosedResourceError):  # closed, or the bus is away: the next turn tells
                 await trio.lowlevel.wait_readable(self._socket)
-        if not self._closed:
+        if not self._closed and not self._items:  # a sender may have found the bus away meanwhile
             self._read()
 
     def _read(self) -> None:
@@ -234,9 +235,12 @@ class SocketCanTransport(trio.abc.AsyncResource):
                 raise diagnosis.bus_lost(self._locator, "receive", error) from error
             self._go_down()
             return
-        if count < BATCH and (self._is_burst or count >= CROWD):
-            self._note_dropped(self._drop_counter())
+        crowded = self._is_burst or count >= CROWD
         self._is_burst = count == BATCH
+        if crowded and not self._is_burst:
+            self._note_dropped(self._dropped_at_look)  # all that was there at the last look has been taken in
+            self._dropped_at_look = self._drop_counter()
+            self._is_burst = self._dropped_at_look != self._dropped  # first comes what has come since and stands before that
 
     def _take(self) -> int:
         count = self._batch.receive(self._socket.fileno())
@@ -245,7 +249,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         for can_id, length, data, stamp, dropped in self._batch.frames(count):
             if dropped:
                 self._note_dropped(dropped)
-            if not can_id & kernel.SPECIAL:
+            if can_id <= MAX_STANDARD_ID:
                 items.append((Frame(can_id, data[:length]), stamp))
             elif can_id & kernel.ERROR_FRAME:
                 self._on_error_frame(can_id, data[:length])
@@ -253,9 +257,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
             else:
                 flags = can_id >> 30
                 can_id &= socket.CAN_EFF_MASK
+                if can_id > MAX_STANDARD_ID and not flags & EXTENDED:
+                    continue  # nothing that a wire carries: some program wrote it, and the kernel does not look
                 length = min(length, MAX_LENGTH)
                 if flags & REMOTE:
-                    items.append((Frame(can_id, b"", flags & (EXTENDED | REMOTE), length), stamp))
+                    items.append((Frame(can_id, b"", flags, length), stamp))
                 else:
                     items.append((Frame(can_id, data[:length], EXTENDED), stamp))
             received += 1
@@ -264,10 +270,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     def _note_dropped(self, dropped: int) -> None:
         """The kernel has dropped so many frames so far; what is new of it is reported here."""
-        lost = (dropped - self._dropped) & 0xFFFFFFFF
-        self._dropped = dropped
-        if lost:
+        lost = (dropped - self._dropped) & _COUNTER
+        if 0 < lost <= _COUNTER >> 1:  # else it comes from before our last look
+            self._dropped = dropped
             self._items.append(ReceiveOverrun(self.locator, lost, "the kernel's receive buffer for this socket was full"))
+            self._look_at_carrier()
 
     def _drop_counter(self) -> int:
         counters: tuple[int, ...] = kernel.MEMINFO.unpack(
@@ -294,47 +301,68 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     def _change(self, state: BusState, seen: str) -> None:
         self.state = state
+        self._carrier_was_lost = state is BusState.BUS_OFF and kernel.has_carrier(self._locator.channel) is False
         self._report(state, seen)
-        if state in _DOWN_OR_OFF:
-            trio.lowlevel.notify_closing(self._socket)  # who waits has something to tell
 
-    def _report(self, state: BusState, seen: str) -> None:
-        cause: str = ""
-        tries: tuple[str, ...] = ()
-        if state is BusState.DOWN:
-            cause, tries = "somebody set it down, or the adapter was unplugged", (diagnosis.bring_up(self._locator),)
-        elif state in (BusState.BUS_OFF, BusState.NO_ACKNOWLEDGE):
+    def _report(self, state: BusState, seen: str, cause: str = "", tries: tuple[str, ...] = ()) -> None:
+        if state in (BusState.BUS_OFF, BusState.NO_ACKNOWLEDGE):
             likely = diagnosis.not_acknowledged(self._locator, "go on", seen, self.received)
             cause, tries = likely.cause, likely.tries
         self._items.append(BusStateChanged(self.locator, state, seen, cause=cause, tries=tries))
+        trio.lowlevel.notify_closing(self._socket)  # who waits has something to tell
+
+    def _why_away(self) -> tuple[str, str, tuple[str, ...]]:
+        """What is seen of an interface that is not up, the cause, what to do."""
+        name = self._locator.channel
+        if self.is_up() is None:
+            cause = "the adapter was unplugged, or somebody removed or renamed it"
+            return f"{name} is gone", cause, ("plug it in again", "ip link")
+        return f"{name} is DOWN", "somebody set it down, or the adapter was unplugged", (diagnosis.bring_up(self._locator),)
+
+    def _look_at_carrier(self) -> None:
+        """Word of bus-off, or of its end, may have come before we listened, or be among what was lost."""
+        if kernel.has_carrier(self._locator.channel) is False:
+            if self.state not in _DOWN_OR_OFF:
+                self._change(BusState.BUS_OFF, f"{self._locator.channel} has no carrier")
+        elif self.state is BusState.BUS_OFF:
+            self._carrier_was_lost = True
 
     def _go_down(self) -> None:
         """The interface went down, or away. What came before stands before the report."""
-        with suppress(OSError):
-            for _ in range(MAX_BACKLOG):
+        for _ in range(MAX_BACKLOG):
+            with suppress(OSError):  # more word of the same
                 if not self._take():
                     break
+        self._note_dropped(self._drop_counter())
         self._is_burst = False
-        self._change(BusState.DOWN, f"{self._locator.channel} is DOWN")
+        self.state = BusState.DOWN
+        self._report(BusState.DOWN, *self._why_away())
 
     def _is_back(self) -> bool:
-        """Whether the bus that is away has come back; then it is reported. (From bus-off it comes back by an error frame.)"""
+        """Whether the bus that is away has come back; then it is reported. (Of the end of bus-off an error frame tells, too.)"""
         name = self._locator.channel
-        if self.state is BusState.BUS_OFF or not kernel.is_up(self._socket, name):
+        if self.state is BusState.BUS_OFF:
+            runs = self._carrier_was_lost and kernel.has_carrier(name) is True
+            if runs:
+                self._change(BusState.ACTIVE, f"{name} has a carrier again")
+            return runs
+        self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # word of what we know is taken away
+        if not self.is_up():
             return False
-        with suppress(OSError):  # it went down again under our hands
-            if socket.if_nametoindex(name) == self._index:
-                seen = f"{name} is UP again"
-            else:
-                old = self._socket
+        seen = f"{name} is UP again"
+        if self._socket.getsockname() != (name,):  # its index is no sign: a new one may have the same
+            old = self._socket
+            try:
                 self._open()
-                trio.lowlevel.notify_closing(old)
-                old.close()
-                seen = f"there is a new {name}, and it is UP"
-            self.state = BusState.ACTIVE
-            self._report(BusState.UP, seen)
-            return True
-        return False
+            except OSError:  # it went away again under our hands
+                return False
+            trio.lowlevel.notify_closing(old)
+            old.close()
+            seen = f"there is a new {name}, and it is UP"
+        self.state = BusState.ACTIVE
+        self._report(BusState.UP, seen)
+        self._look_at_carrier()
+        return self.state is BusState.ACTIVE
 
     # ---- filters, cyclic frames ----
 
@@ -357,10 +385,10 @@ class SocketCanTransport(trio.abc.AsyncResource):
         """
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
+        check_cyclic(frames, period)
+        self.stop_cyclic()
         try:
-            self.stop_cyclic()  # a new socket: the interface may be a new one
-            self._broadcast = Broadcast(self._locator.channel)
-            self._broadcast.start(frames, period)
+            self._broadcast = Broadcast(self._locator.channel, frames, period)
         except OSError as error:
             raise diagnosis.bus_lost(self._locator, f"send {frames[0]} cyclically", error) from error
 
@@ -393,7 +421,7 @@ def open_socketcan(locator: Locator) -> SocketCanTransport:
         transport = SocketCanTransport(locator, filtered="filter" in locator.options, sends_sync="sync" in locator.options)
     except OSError as error:
         raise diagnosis.cannot_open(locator, error) from error
-    if transport.pending_error() == errno.ENETDOWN:
+    if not transport.is_up():
         transport._socket.close()
         raise diagnosis.interface_down(locator)
     return transport
