@@ -17,6 +17,7 @@ would put nothing on the wire, and drives would run on. All of it is protected f
 
 **Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in: a process
 that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
 The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
 
 **SYNC by the transport.** Where a transport wants to send the cyclic SYNC itself (`sends_sync`: socketcan's `?sync=bcm`, by which
@@ -414,8 +415,9 @@ class Pump:
             while True:
                 self._set_alarm()
                 await self._alarm.wait()
-                await self._catch_up()
-                self._turn(self._handle_timeouts)
+                if self._next_deadline() <= self.now():
+                    await self._catch_up()
+                    self._turn(self._handle_timeouts)
 
     async def _catch_up(self) -> None:
         """Let the receivers handle what is already there."""
@@ -434,11 +436,18 @@ class Pump:
 
     def _set_alarm(self) -> None:
         """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
-        if self._alarm is None:
-            return
-        deadline = min(bus.network.next_deadline() for bus in self.buses)
-        if deadline < NEVER:
-            self._alarm.set(deadline / SECOND)
+        if self._alarm is not None:
+            deadline = self._next_deadline()
+            if deadline < NEVER:
+                self._alarm.set(deadline / SECOND)
+
+    def _next_deadline(self) -> Time:
+        nearest = NEVER
+        for bus in self.buses:
+            deadline = bus.network.next_deadline()
+            if deadline < nearest:
+                nearest = deadline
+        return nearest
 
     def _turn(self, mutate: Callable[..., object], *args: object, now: Time | None = None) -> None:
         try:

@@ -37,7 +37,7 @@ class Waiter:
         self.done = trio.Event()
         self.ends: trio.CancelScope | None = None
         self._news: deque[SdoProgress] = deque()  # a stream tells little before it is answered
-        self._parked = trio.lowlevel.ParkingLot()
+        self._parked: trio.lowlevel.ParkingLot | None = None  # of who waits for news; most never do
         self._outcome: Outcome | None = None
         self._error: Exception | None = None
 
@@ -53,18 +53,22 @@ class Waiter:
 
     def _end(self) -> None:
         self.done.set()
-        self._parked.unpark_all()
+        if self._parked is not None:
+            self._parked.unpark_all()
         if self.ends is not None:
             self.ends.cancel()
 
     def tell(self, report: SdoProgress) -> None:
         """News of a stream."""
         self._news.append(report)
-        self._parked.unpark_all()
+        if self._parked is not None:
+            self._parked.unpark_all()
 
     async def next_news(self) -> SdoProgress | None:
         """Wait for the next news; None when all has been told and `done` is set."""
         await trio.lowlevel.checkpoint_if_cancelled()
+        if self._parked is None:
+            self._parked = trio.lowlevel.ParkingLot()
         while not self._news and not self.done.is_set():
             await self._parked.park()
         return self._news.popleft() if self._news else None

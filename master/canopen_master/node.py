@@ -16,7 +16,7 @@ from canopen_master.subscription import Subscription
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.states import COMMAND_BITS, Command
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import Key, Message, ObjectDictionary
+from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -87,7 +87,12 @@ class Node:
 
     async def read(self, key: Key, *, block: Block = False) -> Value:
         """The value of an object. UnexpectedAnswer where its length is not that of the object's type."""
-        return (await self.read_message(key, block=block)).value
+        variable = self.dictionary.variable(key)
+        uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
+        try:
+            return variable.decode(uploaded.data)
+        except ValueRangeError as error:
+            raise self._unexpected(variable, uploaded, error) from error
 
     async def read_message(self, key: Key, *, block: Block = False) -> Message:
         """The value of an object with its name and the constants that it bears. timestamp: when it came, ns on trio's clock."""
@@ -96,15 +101,7 @@ class Node:
         try:
             message = self.remote.message_of(uploaded)
         except ValueRangeError as error:
-            raise UnexpectedAnswer(
-                UNEXPECTED_ANSWER,
-                self.node_id,
-                self.bus,
-                f"node {self.node_id} answered reading {variable.label} with {len(uploaded.data)} bytes",
-                seen=str(error),
-                cause="the device is not the one that the dictionary describes",
-                tries=("read_bytes gives what it sent",),
-            ) from error
+            raise self._unexpected(variable, uploaded, error) from error
         return replace(message, timestamp=self.remote.heard_at.get(variable.mux))
 
     async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
@@ -206,6 +203,17 @@ class Node:
             return outcome
         assert isinstance(outcome, SdoAborted)
         raise self.error_of(outcome, "reading")
+
+    def _unexpected(self, variable: Variable, uploaded: SdoUploaded, error: ValueRangeError) -> UnexpectedAnswer:
+        return UnexpectedAnswer(
+            UNEXPECTED_ANSWER,
+            self.node_id,
+            self.bus,
+            f"node {self.node_id} answered reading {variable.label} with {len(uploaded.data)} bytes",
+            seen=str(error),
+            cause="the device is not the one that the dictionary describes",
+            tries=("read_bytes gives what it sent",),
+        )
 
     async def _download(self, submit: Callable[[Time], RequestId], attempt: str) -> None:
         outcome = await self._master.request(self._bus, self.remote, submit)
