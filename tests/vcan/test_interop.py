@@ -9,7 +9,7 @@ import canopen
 import pytest
 import trio
 
-from canopen_master import BusChanged, FramesNotSent, SdoRefused, SdoTimeout, open_master, powerballs, simulate
+from canopen_master import BusChanged, FramesNotSent, SdoRefused, SdoTimeout, open_master, powerballs, simulate, standard_drives
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
@@ -64,6 +64,31 @@ async def test_our_master_reads_and_writes_their_node() -> None:
                 while not isinstance(report, HeartbeatReceived):
                     report = await events.receive()
                 assert report.state in (NmtState.PRE_OPERATIONAL, NmtState.INITIALISING)
+
+
+@trio_test(real_time=True)
+async def test_their_master_reads_writes_and_starts_our_drive() -> None:
+    async with trio.open_nursery() as nursery:
+        host = await nursery.start(simulate, await open_transport("socketcan:vcan0"), standard_drives(NODE))
+        (drive,) = host.nodes
+        with peer("vcan0") as network:
+            remote = network.add_node(canopen.RemoteNode(NODE, peer_dictionary(drive.dictionary, NODE)))
+            remote.sdo.RESPONSE_TIMEOUT = 5.0
+
+            def use_it() -> None:
+                assert remote.sdo.upload(0x1008, 0) == drive.values.raw(0x1008)
+                remote.sdo.download(0x6083, 0, (12345).to_bytes(4, "little"))
+                assert int.from_bytes(remote.sdo.upload(0x6083, 0), "little") == 12345
+                with pytest.raises(canopen.SdoAbortedError):
+                    remote.sdo.upload(0x2FFF, 0)
+                remote.sdo.download(0x1017, 0, (20).to_bytes(2, "little"))
+                remote.nmt.state = "OPERATIONAL"
+                remote.nmt.wait_for_heartbeat(timeout=5.0)
+
+            await trio.to_thread.run_sync(use_it)
+            assert drive.state is NmtState.OPERATIONAL
+            assert remote.nmt.state == "OPERATIONAL"
+        nursery.cancel_scope.cancel()
 
 
 @trio_test(real_time=True)

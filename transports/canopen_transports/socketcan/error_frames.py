@@ -50,6 +50,7 @@ _VIOLATIONS: Final = (  # data[2]
     (0x08, "a dominant bit failed"),
     (0x10, "a recessive bit failed"),
     (0x20, "overload"),
+    (0x40, "active error flag"),
     (0x80, "while sending"),
 )
 _ACKNOWLEDGE_SLOT: Final = 0x19  # data[3]: where on the frame it happened
@@ -72,6 +73,8 @@ class ErrorReport:
         no_acknowledge = bool(can_id & _NO_ACKNOWLEDGE or (can_id & _PROTOCOL and data[3] == _ACKNOWLEDGE_SLOT))
         texts = [text for bit, text in _CLASSES if can_id & bit]
         texts += [text for bits, text in _CONTROLLER_TEXTS if controller & bits]
+        if can_id & _CONTROLLER and not controller:
+            texts.append("controller trouble, unspecified")
         texts += [text for bit, text in _VIOLATIONS if violation & bit]
         if no_acknowledge and not can_id & _NO_ACKNOWLEDGE:
             texts.append("no acknowledge")
