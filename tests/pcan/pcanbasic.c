@@ -9,6 +9,7 @@
 #include <stdint.h>
 #include <string.h>
 #include <sys/eventfd.h>
+#include <time.h>
 #include <unistd.h>
 
 enum {
@@ -49,6 +50,14 @@ static const struct { uint32_t status; const char *text; } texts[STATUS_TEXTS] =
     {HWINUSE, "The hardware is in use already"}, {ILLHW, "The hardware handle is invalid"},
     {0x40000, "The controller is error passive"},
 };
+
+static Stamp now(void) /* since the computer was started, as the library has it */
+{
+    struct timespec time;
+    clock_gettime(CLOCK_MONOTONIC, &time);
+    uint64_t millis = (uint64_t)time.tv_sec * 1000 + (uint64_t)time.tv_nsec / 1000000;
+    return (Stamp){(uint32_t)millis, (uint16_t)(millis >> 32), (uint16_t)(time.tv_nsec / 1000 % 1000)};
+}
 
 static Channel *channel_of(uint16_t handle)
 {
@@ -143,7 +152,7 @@ uint32_t CAN_Read(uint16_t handle, Message *message, Stamp *stamp)
             *message = channel->queue[channel->first];
             channel->first = (channel->first + 1) % QUEUE;
             channel->count--;
-            *stamp = (Stamp){1500, 1, 250};
+            *stamp = now();
         } else if (channel->next_read) {
             result = channel->next_read;
             channel->next_read = OK;

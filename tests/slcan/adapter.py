@@ -27,7 +27,8 @@ class Adapter:
         self.fd, self._other = pty.openpty()
         tty.setraw(self._other)
         link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(self._other))
+        self._name = os.ttyname(self._other)
+        link.symlink_to(self._name)
         self.said: list[str] = []
         self.is_open = False
         self.is_silent = False
@@ -64,7 +65,8 @@ class Adapter:
 
     def pull(self) -> None:
         """Unplug it. Runs in the thread."""
-        self.link.unlink()
+        if self.link.is_symlink() and os.readlink(self.link) == self._name:  # another may have its place by now
+            self.link.unlink()
         for fd in (self.fd, self._other):
             with contextlib.suppress(OSError):
                 os.close(fd)

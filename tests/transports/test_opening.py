@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
+import struct
 import subprocess
 import sys
 import threading
@@ -12,6 +14,7 @@ from pathlib import Path
 import can
 import pytest
 import trio
+from can.interfaces import VALID_INTERFACES
 
 from canopen_transports import TransportError, open_transport, parse_locator
 from canopen_transports.diagnosis import (
@@ -100,33 +103,36 @@ async def test_cancelled_before_opening_nothing_is_opened() -> None:
     assert scope.cancelled_caught
 
 
-@pytest.mark.parametrize(
-    "locator",
-    [
-        "kvaser:0@500k",
-        "pcan:PCAN_USBBUS1@500k",
-        "slcan:/dev/nowhere@250k",
-        "socketcan:nocan0",
-        "vector:0",
-        "gs_usb:0@1M",
-        "neovi:1",
-        "socketcand:can0",
-        "ixxat:0",
-        "systec:0",
-    ],
-)
-def test_what_is_not_on_this_host_whatever_it_has(locator: str) -> None:
-    async def body() -> None:
-        with pytest.raises(TransportError) as caught:
-            await open_transport(locator)
-        error = caught.value
-        assert error.code in ("CO101", "CO102")
-        assert error.failed == f"cannot open {locator}"
-        assert error.seen
-        assert error.tries
-        assert len(str(error).splitlines()) <= 10
+@pytest.mark.parametrize("channel", ["", "96", "/dev/nowhere@250k", "nowhere@33k", "-1?bogus=1"])
+@pytest.mark.parametrize("interface", sorted(set(VALID_INTERFACES) - {"virtual", "udp_multicast"}))
+def test_no_interface_of_python_can_is_there_whatever_this_host_has(
+    interface: str, channel: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    locator = f"{interface}:{channel}"
+    threads = set(threading.enumerate())
+    with pytest.raises(TransportError) as caught:
+        trio.run(open_transport, locator)
+    error = caught.value
+    assert error.code in ("CO101", "CO102")
+    assert error.failed == f"cannot open {locator}"
+    assert error.seen
+    assert error.cause
+    assert error.tries
+    assert len(str(error).splitlines()) <= 10
+    assert "Traceback" not in str(error)
+    del caught, error
+    gc.collect()  # python-can's half-made buses complain when they are collected
+    assert capfd.readouterr().err == ""
+    left = set(threading.enumerate()) - threads
+    assert all(thread.name.startswith("Trio thread") for thread in left)  # trio keeps them for the next call
 
-    trio.run(body)
+
+@pytest.mark.parametrize("interface", ["ixxat", "etas"])
+@pytest.mark.skipif(sys.platform == "win32", reason="there they run")
+def test_what_runs_on_another_system_alone_says_so(interface: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        trio.run(open_transport, f"{interface}:0")
+    assert caught.value.seen == f"python-can's {interface} does not run on this system ({sys.platform})"
 
 
 @trio_test(real_time=True)
@@ -137,6 +143,8 @@ async def test_a_bit_rate_that_the_adapter_does_not_have_is_not_replaced() -> No
     assert caught.value.tries[0].startswith("one of 1M, 800k, 500k, 250k")
 
 
+BAD_PART = "a part of the locator is wrong or missing, or of a kind that this interface does not know"
+REFUSED = "the adapter is not plugged in, or it or its driver refuses"
 NO_LIBRARY = "the software for this adapter is not installed"
 NOT_THERE = "the adapter is not plugged in, its driver is not loaded, or it has another name"
 
@@ -147,7 +155,7 @@ NOT_THERE = "the adapter is not plugged in, its driver is not loaded, or it has 
         ("pcan:PCAN_USBBUS1", OSError("pcanbasic library not found."), "CO101", NO_LIBRARY, "install PEAK's driver"),
         ("/dev/pcan32@1M", OSError("pcanbasic library not found."), "CO101", NO_LIBRARY,
          "socketcan:can0, after sudo ip link set can0 up type can bitrate 1000000"),
-        ("pcan:PCAN_USBUS1", KeyError("PCAN_USBUS1"), "CO101", "", "pcan:PCAN_USBBUS1@500k"),
+        ("pcan:PCAN_USBUS1", KeyError("PCAN_USBUS1"), "CO101", BAD_PART, "pcan:PCAN_USBBUS1@500k"),
         ("pcan:PCAN_USBBUS1", can.CanInitializationError("The value of a handle is invalid"), "CO101",
          "no PEAK adapter is plugged in, or its driver is not loaded", "canopen doctor"),
         ("kvaser:0", NameError("name 'canGetNumberOfChannels' is not defined"), "CO101", NO_LIBRARY, "install Kvaser's driver"),
@@ -163,13 +171,21 @@ NOT_THERE = "the adapter is not plugged in, its driver is not loaded, or it has 
         ("gs_usb:0", os_error(errno.EBUSY), "CO101", "another program uses the adapter", "close the other program"),
         ("slcan:/dev/ttyACM7", caused_by(can.CanInitializationError("no port"), os_error(errno.ENOENT)), "CO101",
          NOT_THERE, "virtual"),
-        ("socketcan:can0", os_error(errno.EAFNOSUPPORT), "CO101", "", "sudo modprobe can_raw"),
+        ("socketcan:can0", os_error(errno.EAFNOSUPPORT), "CO101", "it was built without, or the module is not loaded",
+         "sudo modprobe can_raw"),
         ("socketcan:can0", AttributeError("module 'socket' has no attribute 'AF_CAN'"), "CO101", NO_LIBRARY, "virtual"),
-        ("socketcand:can0", TypeError("missing 2 required positional arguments: 'host' and 'port'"), "CO101", "",
-         "says what socketcand takes"),
+        ("socketcand:can0", TypeError("missing 2 required positional arguments: 'host' and 'port'"), "CO101", BAD_PART,
+         "socketcand:can0?host=192.168.0.2&port=29536"),
+        ("socketcand:can0?host=h&port=1", ConnectionRefusedError(errno.ECONNREFUSED, "refused"), "CO101",
+         "no server of socketcand runs there, or a firewall is between", "socketcand -v -i can0"),
+        ("kvaser:", TypeError("missing 1 required positional argument: 'channel'"), "CO101", BAD_PART, "kvaser:0@500k"),
+        ("gs_usb:0@1M", can.CanInitializationError("Cannot find device 0. Devices found: 0"), "CO101", NOT_THERE,
+         "socketcan:can0, after sudo ip link set can0 up type can bitrate 1000000   (with the kernel's own driver, gs_usb)"),
+        ("canalystii:0@1M", ValueError("No Canalyst-II USB device found"), "CO101", NOT_THERE, "virtual"),
         ("udp_multicast", caused_by(can.CanInitializationError("could not create socket"), os_error(errno.ENODEV)), "CO101",
          "no network interface of this computer carries multicast", "sudo ip route add 224.0.0.0/4 dev lo"),
-        ("vector:0", RuntimeError(), "CO101", "", "virtual"),
+        ("vector:0", RuntimeError(), "CO101", REFUSED, "virtual"),
+        ("vector:0", struct.error("unpack requires a buffer of 4 bytes"), "CO101", REFUSED, "virtual"),
     ],
 )  # fmt: skip
 def test_every_family_of_exceptions_is_explained(locator: str, raised: Exception, code: str, cause: str, step: str) -> None:

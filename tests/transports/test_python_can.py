@@ -177,32 +177,41 @@ def test_closing_wakes_a_sender_that_waits_for_room(silent: int) -> None:
 
 
 @trio_test()
-async def _send_fails(fd: int) -> None:
-    bus = ScriptedBus(sends=[os_error(errno.ENETDOWN), os_error(errno.ENXIO)], fd=fd)
-    async with PythonCanTransport(bus, locator=CAN0) as transport:
-        with pytest.raises(TransportError) as caught:
-            await transport.send(SYNC)
-        assert caught.value.code == "CO111"
-        assert caught.value.seen == "can0 is DOWN"
-        assert caught.value.tries == ("sudo ip link set can0 up type can bitrate 500000",)
-        with pytest.raises(TransportError) as caught:
-            await transport.send(SYNC)
-        assert "unplugged" in caught.value.cause
-        await transport.send(SYNC)
+async def _send_fails(fd: int, complaint: can.CanError, seen: str, step: str) -> None:
+    async with PythonCanTransport(ScriptedBus(sends=[complaint], fd=fd), locator=CAN0) as transport:
+        for doing in (transport.send, transport.send, lambda frame: transport.receive()):
+            with pytest.raises(TransportError) as caught:
+                await doing(SYNC)
+            assert not isinstance(caught.value, FrameNotSent)  # it will not come back: we cannot open it anew
+            assert caught.value.code == "CO111"
+            assert caught.value.seen.startswith(seen)
+            assert "unplugged" in caught.value.cause
+            assert caught.value.tries[0] == step
 
 
-def test_a_bus_that_is_lost_while_sending(silent: int) -> None:
-    _send_fails(silent)
+@pytest.mark.parametrize(
+    ("number", "seen", "step"),
+    [
+        (errno.ENETDOWN, "can0 is DOWN", "sudo ip link set can0 up type can bitrate 500000"),
+        (
+            errno.ENXIO,
+            "Failed to transmit: No such device or address [Error Code 6]",
+            "plug it in again, then open the bus again",
+        ),
+    ],
+)
+def test_a_bus_that_is_lost_while_sending(silent: int, number: int, seen: str, step: str) -> None:
+    _send_fails(silent, os_error(number), seen, step)
 
 
 @trio_test()
 async def _receive_fails(fd: int) -> None:
     bus = ScriptedBus(received=[os_error(errno.ENODEV, "Error receiving"), sync()], fd=fd)
     async with PythonCanTransport(bus, locator=CAN0) as transport:
-        with pytest.raises(TransportError) as caught:
-            await transport.receive()
-        assert caught.value.code == "CO111"
-        assert (await transport.receive())[0] == SYNC
+        for _ in range(2):
+            with pytest.raises(TransportError) as caught:
+                await transport.receive()
+            assert caught.value.code == "CO111"
 
 
 def test_a_bus_that_is_lost_while_receiving(readable: int) -> None:

@@ -2,7 +2,7 @@
 
 python-can has no one way to say that a bus cannot be opened: a missing Kvaser library is a NameError, a missing PEAK library an
 OSError without errno, a missing module an ImportError or CanInterfaceNotImplementedError, an unknown PEAK channel a KeyError, an
-option that the backend does not know a TypeError. `OPENING_ERRORS` lists these families; here they become `TransportError`.
+option that the backend does not know a TypeError. Here they become `TransportError`.
 """
 
 from __future__ import annotations
@@ -20,20 +20,10 @@ from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, NO_PER
 from canopen_transports.locator import Locator, bitrate_text, nearest
 from canopen_transports.peak import attached
 
-OPENING_ERRORS: Final = (
-    can.CanError,
-    OSError,  # SocketCAN, serial ports, PCAN-Basic not found
-    ImportError,  # python-ics
-    NameError,  # Kvaser's CANlib not found; AttributeError below: foreign systems' ctypes
-    AttributeError,
-    ValueError,
-    TypeError,  # an option that the backend does not have, a required one that is missing (socketcand's host and port)
-    LookupError,  # PEAK channel names
-    RuntimeError,  # NotImplementedError among others
-)
-IO_ERRORS: Final = (can.CanError, OSError, NameError, ValueError, LookupError)
-"""What a backend's send and recv raise. ValueError, LookupError: a serial line that talks nonsense; ValueError: too high a
-descriptor for `select`; NameError: a function that the driver's library lacks."""
+DRIVER_ERRORS: Final = (Exception,)
+"""What a call into python-can may raise. Not even CanError and OSError are all: adapters' own packages raise what they like, a
+function that the driver's library lacks is a NameError, a descriptor too high for `select` a ValueError, half a frame of a serial
+line a TypeError. Nothing but python-can's code, and what makes sense of its answers, stands where this is caught."""
 
 SAMPLE_BITRATE: Final = 500_000
 """What a suggested command shows where we do not know the bus's bit rate."""
@@ -49,7 +39,6 @@ _EXTRAS: Final = {
     "canalystii": "canalystii",
     "cantact": "cantact",
     "nixnet": "nixnet",
-    "usb2can": "pywin32",
     "udp_multicast": "multicast",
 }
 # What the maker of the adapter provides.
@@ -59,16 +48,38 @@ _DRIVERS: Final = {
     "ixxat": "the VCI driver of Ixxat (Windows)",
     "vector": "the XL driver library of Vector (Windows)",
     "nican": "NI-CAN (Windows)",
+    "usb2can": "the driver and usb2can.dll of 8devices, and 'python-can[pywin32]' (Windows)",
     "nixnet": "NI-XNET (Windows)",
     "systec": "the USB-CANmodul driver of SYS TEC (Windows)",
     "etas": "the BOA library of ETAS (Windows)",
     "iscan": "the driver of isCAN",
     "neousys": "the WDT_DIO library of Neousys",
 }
+KERNEL_DRIVERS: Final = {
+    "pcan": "peak_usb",
+    "kvaser": "kvaser_usb",
+    "gs_usb": "gs_usb",
+    "usb2can": "usb_8dev",
+    "etas": "etas_es58x",
+}
+"""Linux's own drivers of USB adapters, by python-can's name for their makers' way. Each makes SocketCAN interfaces."""
+# A locator in full, where it needs more than the others.
+_EXAMPLES: Final = {
+    "slcan": "slcan:/dev/ttyACM0@250k",
+    "robotell": "robotell:/dev/ttyUSB0@250k",
+    "seeedstudio": "seeedstudio:/dev/ttyUSB0@250k",
+    "serial": "serial:/dev/ttyUSB0",
+    "socketcand": "socketcand:can0?host=192.168.0.2&port=29536",
+    "canalystii": "canalystii:0@500k",
+    "neovi": "neovi:1@500k",
+    "etas": "etas:ETAS://ETH/ES910:abcd/CAN:1@500k",
+}
 _ROUTE_MULTICAST: Final = "sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)"
 _ARPHRD_CAN: Final = 280
 # PCAN-Basic: "The transmit queue is full"; Vector: XL_ERR_QUEUE_IS_FULL; Kvaser: "Transmit buffer overflow"
 _FULL: Final = re.compile(r"(buffer|queue).*full|transmit.*overflow", re.IGNORECASE)
+# gs_usb: "Cannot find device 0. Devices found: 0"; neovi: "No device found."; canalystii: "No Canalyst-II USB device found"
+_NOT_FOUND: Final = re.compile(r"cannot find device|\bno\b.*\bdevice found|DeviceNotFound", re.IGNORECASE)
 
 
 def error_number(error: BaseException) -> int | None:
@@ -129,24 +140,33 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         cause = "another program uses the adapter"
         tries = [f"fuser -v {device}   (tells which)"] if device else ["close the other program"]
     elif number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT) and locator.interface == "socketcan":
-        seen = f"this {sys.platform} kernel has no SocketCAN"
+        seen, cause = f"this {sys.platform} kernel has no SocketCAN", "it was built without, or the module is not loaded"
         tries = ["sudo modprobe can_raw", "udp_multicast, or virtual: (no hardware needed)"]
     elif locator.interface == "udp_multicast" and number is not None:
         cause = "no network interface of this computer carries multicast"
         tries = [_ROUTE_MULTICAST, "virtual: (one process)"]
-    elif number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
+    elif locator.interface == "socketcand" and isinstance(error, OSError):
+        cause = "no server of socketcand runs there, or a firewall is between"
+        tries = [f"socketcand -v -i {locator.channel or 'can0'}   (on the computer that has the adapter)", *tries]
+    elif number in (errno.ENODEV, errno.ENOENT, errno.ENXIO) or _NOT_FOUND.search(seen):
         cause = "the adapter is not plugged in, its driver is not loaded, or it has another name"
+        tries = [*_kernel_driver(locator), *tries]
     elif _driver_is_missing(error):
         cause = "the software for this adapter is not installed"
-        if isinstance(error, NameError):  # which of its functions was missed first helps nobody
+        if type(error) is NameError:  # which of its functions was missed first helps nobody
             seen = f"python-can found no library of {locator.interface}"
+        elif type(error.__context__) in (ImportError, AttributeError):  # while python-can imported its backend
+            seen = f"python-can's {locator.interface} does not run on this system ({sys.platform})"
         tries = [*_driver_steps(locator), *tries]
     elif locator.interface == "pcan" and isinstance(error, can.CanInitializationError):
         cause, steps = _why_no_peak_channel(locator, attached())
         tries = [*steps, *tries]
     elif isinstance(error, LookupError | ValueError | TypeError):
         seen = f"{locator.interface} of python-can does not accept channel {locator.channel!r} with these options: {seen}"
+        cause = "a part of the locator is wrong or missing, or of a kind that this interface does not know"
         tries = [*_channel_steps(locator), f"https://python-can.readthedocs.io/ says what {locator.interface} takes"]
+    else:
+        cause = "the adapter is not plugged in, or it or its driver refuses"
     return TransportError(code, locator.text, f"cannot open {locator.text}", seen=seen, cause=cause, tries=tries)
 
 
@@ -172,6 +192,7 @@ def not_a_can_interface(locator: Locator) -> TransportError:
         locator.text,
         f"cannot open {locator.text}",
         seen=f"{locator.channel} is a network interface, but not a CAN bus",
+        cause="another one is meant",
         tries=(*_further_steps(locator), "ip link show"),
     )
 
@@ -195,6 +216,7 @@ def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
         locator.text,
         f"cannot open {locator.text}",
         seen=f"{locator.interface} has no bit rate {locator.bitrate}",
+        cause="python-can knows only these by name",
         tries=(f"one of {', '.join(bitrate_text(rate) for rate in known)}",),
     )
 
@@ -247,7 +269,8 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
 
 def _text(error: BaseException) -> str:
     """One line that says what an exception says; with its cause, where python-can's own words leave that out."""
-    text = " ".join(str(error).split()) or type(error).__name__
+    text, _, _ = str(error).partition("Traceback (most recent call last)")  # python-can's socketcand puts one into its message
+    text = " ".join(text.split()) or type(error).__name__
     cause = " ".join(str(error.__cause__ or "").split())
     return text if cause in text else f"{text}: {cause}"
 
@@ -264,9 +287,13 @@ def _driver_steps(locator: Locator) -> Iterator[str]:
         yield f"pip install 'python-can[{_EXTRAS[locator.interface]}]'"
     if locator.interface in _DRIVERS:
         yield f"install {_DRIVERS[locator.interface]}"
-    if locator.interface == "pcan":
+    yield from _kernel_driver(locator)
+
+
+def _kernel_driver(locator: Locator) -> Iterator[str]:
+    if locator.interface in KERNEL_DRIVERS and sys.platform == "linux":
         by_kernel = locator._replace(interface="socketcan", channel="can0")
-        yield f"socketcan:can0, after {bring_up(by_kernel)}   (with the kernel's own driver, peak_usb)"
+        yield f"socketcan:can0, after {bring_up(by_kernel)}   (with the kernel's own driver, {KERNEL_DRIVERS[locator.interface]})"
 
 
 def _why_no_peak_channel(locator: Locator, channels: dict[str, str]) -> tuple[str, list[str]]:
@@ -292,6 +319,10 @@ def _channel_steps(locator: Locator) -> Iterator[str]:
 
         meant = nearest(locator.channel, PCAN_CHANNEL_NAMES) or "PCAN_USBBUS1"
         yield f"pcan:{meant}@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}"
+    elif locator.interface in _EXAMPLES:
+        yield _EXAMPLES[locator.interface]
+    elif not locator.channel:
+        yield f"{locator.interface}:0@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}"
 
 
 def _further_steps(locator: Locator) -> Iterator[str]:

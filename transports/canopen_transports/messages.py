@@ -7,10 +7,15 @@ ask.
 
 from __future__ import annotations
 
+from typing import Final
+
 import can
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_transports.transport import MAX_EXTENDED_ID, MAX_LENGTH, MAX_STANDARD_ID
+
+MAX_TIMESTAMP: Final = 1 << 33
+"""Seconds: what 64 bits of ns hold, as they may stand in a log. Anything above is no time stamp."""
 
 
 class RefusedMessage(ValueError):
@@ -37,6 +42,16 @@ def frame_of(message: can.Message) -> Frame:
     if len(message.data) < length:
         raise RefusedMessage(f"it announces {length} bytes and has {len(message.data)}")
     return Frame(can_id, bytes(message.data[:length]), flags)
+
+
+def timestamp_of(message: can.Message) -> int | None:
+    """A received message's time stamp in ns; None where the backend gave none, or nonsense."""
+    stamp = message.timestamp
+    if not (isinstance(stamp, int | float) and 0 < stamp < MAX_TIMESTAMP):
+        return None
+    # A float of seconds: today's is good to some 0.2 us. Not to lose more, whole seconds go apart.
+    seconds, fraction = divmod(stamp, 1.0)
+    return int(seconds) * 1_000_000_000 + round(fraction * 1e9)
 
 
 def message_of(frame: Frame, channel: str | None = None) -> can.Message:

@@ -14,6 +14,7 @@ import can
 import trio
 
 from canopen_transports import diagnosis, leftovers, listen_only
+from canopen_transports.driver_calls import open_bus
 from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
@@ -34,6 +35,9 @@ MULTICAST_GROUP: Final = "239.74.163.2"
 """python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
 MULTICAST_HOP_LIMIT: Final = 0
 """Frames stay on this computer unless the locator says otherwise: drives must not be moved by a colleague's demonstration."""
+
+CONNECT_TIME: Final = 3.0
+"""Seconds that the server of socketcand has to accept a connection."""
 
 # Backends complain to the log before they raise, and Python prints that where nobody has set up logging. What matters is in our
 # errors; an application that does set up logging still gets it all.
@@ -61,10 +65,8 @@ async def _open(parsed: Locator) -> OpenTransport:
             return await open_tcp(parsed.text, parsed.channel)
         return _open_socketcan(parsed)
     await trio.lowlevel.checkpoint_if_cancelled()
-    # In a thread, for drivers take their time (python-can's slcan sleeps 2 s). It is not abandoned when we are cancelled, so that
-    # no adapter stays open behind our back; the cancel comes at the caller's next checkpoint, inside his `async with`.
-    bus = await trio.to_thread.run_sync(_open_bus, parsed)
-    return PythonCanTransport(bus, locator=parsed, reopen=functools.partial(_open_bus, parsed))
+    reopen = functools.partial(open_bus, functools.partial(_open_bus, parsed))
+    return PythonCanTransport(await reopen(), locator=parsed, reopen=reopen)
 
 
 def _open_socketcan(locator: Locator) -> SocketCanTransport:
@@ -72,7 +74,9 @@ def _open_socketcan(locator: Locator) -> SocketCanTransport:
         raise listen_only.refused(locator)
     try:
         _check_net_device(locator)
-    except diagnosis.OPENING_ERRORS as error:  # no SocketCAN here
+    except TransportError:
+        raise
+    except diagnosis.DRIVER_ERRORS as error:  # no SocketCAN here
         raise diagnosis.cannot_open(locator, error) from error
     from canopen_transports.socketcan import open_socketcan  # only now, as it is Linux's alone
 
@@ -90,10 +94,14 @@ def _open_bus(locator: Locator) -> can.BusABC:
         elif locator.interface == "udp_multicast":
             channel = _multicast_group(locator)
             options.setdefault("hop_limit", MULTICAST_HOP_LIMIT)
+        elif locator.interface == "socketcand":
+            _check_server(locator)
         elif locator.interface == "pcan":
             _check_peak_bitrate(locator)
         bus = _bus(locator.interface, channel, options)
-    except diagnosis.OPENING_ERRORS as error:
+    except TransportError:
+        raise
+    except diagnosis.DRIVER_ERRORS as error:
         leftovers.clear_away(error)
         raise diagnosis.cannot_open(locator, error) from error
     if locator.interface == "socketcan" and _pending_error(bus) == errno.ENETDOWN:
@@ -137,6 +145,13 @@ def _multicast_group(locator: Locator) -> str:
             tries=("udp_multicast", f"udp_multicast:{MULTICAST_GROUP}"),
         )
     return group
+
+
+def _check_server(locator: Locator) -> None:
+    # Looked at before python-can does: it tries for 10 s, without a pause.
+    host, port = locator.options.get("host"), locator.options.get("port")
+    if isinstance(host, str) and isinstance(port, int):
+        socket.create_connection((host, port), timeout=CONNECT_TIME).close()
 
 
 def _check_peak_bitrate(locator: Locator) -> None:

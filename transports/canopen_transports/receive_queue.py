@@ -33,7 +33,7 @@ class _Lost:
 
 
 class ReceiveQueue:
-    """See this module's text. `put`, `report` and `fail` may be called in any thread, followed by `wake` in the trio thread."""
+    """See this module's text. `put` and `report` may be called in any thread, followed by `wake` in the trio thread."""
 
     def __init__(self, locator: str, size: int) -> None:
         if size < 1:
@@ -43,7 +43,6 @@ class ReceiveQueue:
         self._items: deque[Received | TransportError | _Lost] = deque()
         self._lock = threading.Lock()
         self._waiting = trio.lowlevel.ParkingLot()
-        self._failure: TransportError | None = None
         self._closed = False
 
     def put(self, received: Received) -> None:
@@ -71,10 +70,6 @@ class ReceiveQueue:
     def _latest(self, kind: type[K]) -> K | None:
         return next((item for item in reversed(self._items) if isinstance(item, kind)), None)
 
-    def fail(self, failure: TransportError) -> None:
-        """Nothing more will come: once what is queued was taken, each `get` raises this."""
-        self._failure = failure
-
     def wake(self) -> None:
         """Let whoever waits look again. Only in the trio thread."""
         self._waiting.unpark_all()
@@ -92,18 +87,22 @@ class ReceiveQueue:
     async def get(self) -> Received:
         """The next frame. Cancelled, it took none."""
         await trio.lowlevel.checkpoint()
-        while True:
-            if self._closed:
-                raise trio.ClosedResourceError(f"{self._locator} was closed")
-            with self._lock:
-                item = self._items.popleft() if self._items else None
-            if isinstance(item, TransportError):
-                raise item
-            if item is None:
-                if self._failure is not None:
-                    raise self._failure
-                await self._waiting.park()
-            elif isinstance(item, _Lost):
-                raise ReceiveOverrun(self._locator, item.count, f"the receive queue of {self._size} frames was full")
-            else:
-                return item
+        while (received := self.take()) is None:
+            await self.woken()
+        return received
+
+    async def woken(self) -> None:
+        """Wait for the next `wake`, or for `close`."""
+        await self._waiting.park()
+
+    def take(self) -> Received | None:
+        """The next frame if there is one; raises what stands at its place. Only in the trio thread."""
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self._locator} was closed")
+        with self._lock:
+            item = self._items.popleft() if self._items else None
+        if isinstance(item, TransportError):
+            raise item
+        if isinstance(item, _Lost):
+            raise ReceiveOverrun(self._locator, item.count, f"the receive queue of {self._size} frames was full")
+        return item
