@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import socket
+from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from typing import cast
 
 import pytest
 import trio
@@ -15,15 +17,17 @@ from canopen_proto.frame import Frame
 from canopen_transports import ReceiveOverrun, TcpTransport, Transport, TransportError, open_transport
 from canopen_transports.tcp import BusServer, client, serve_bus
 from canopen_transports.tcp.address import DEFAULT_PORT, cannot_connect, cannot_listen, is_loopback, parse_address
+from canopen_transports.tcp.client import ROOM_TIME
+from canopen_transports.tcp.framing import LineSplitter
 from tests.transports.conformance import END, TransportConformance
 from tests.transports.support import trio_test
 
 
 @asynccontextmanager
-async def bus(**options: int) -> AsyncIterator[str]:
+async def bus() -> AsyncIterator[str]:
     """A bus server's locator."""
     async with trio.open_nursery() as nursery:
-        (locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer(**options))
+        (locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer())
         yield locator
         nursery.cancel_scope.cancel()
 
@@ -162,26 +166,79 @@ async def test_a_connection_that_is_reset_is_no_bus_server() -> None:
             await open_transport(locator)
 
 
-@trio_test(real_time=True)
-async def test_a_server_that_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "ROOM_TIME", 0.02)
+class Narrow:
+    """The system's socket where there is little room: takes so many bytes at each turn, and then nothing more."""
 
-    async def talk(stream: trio.SocketStream) -> None:
-        await stream.send_all(b"canopen-bus 1\n")
-        await trio.sleep_forever()
+    cancelled_when_taking: trio.CancelScope | None = None
 
-    async with peer(talk) as locator, await open_transport(locator) as transport:
-        assert isinstance(transport, TcpTransport)
-        transport._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        with pytest.raises(TransportError) as caught:
-            while True:
-                await transport.send(END)
-        if caught.value.code == "CO110":
-            assert "has taken nothing for 0.02 s" in caught.value.seen
-        else:  # the last line fitted by half
-            assert "only a part" in caught.value.seen
-        with pytest.raises(TransportError, match="took only a part"):
-            await transport._finish(END, b"x" * 10_000_000)
+    def __init__(self, *room: int) -> None:
+        self.taken = b""
+        self._room = deque(room)
+        self._closed = trio.Event()
+
+    async def send(self, data: bytes) -> int:
+        await trio.lowlevel.checkpoint()
+        if not self._room:
+            await self._closed.wait()
+            raise trio.ClosedResourceError
+        size = self._room.popleft()
+        self.taken += data[:size]
+        if self.cancelled_when_taking is not None:
+            self.cancelled_when_taking.cancel()
+        return min(size, len(data))
+
+    def close(self) -> None:
+        self._closed.set()
+
+
+def narrow(*room: int) -> tuple[TcpTransport, Narrow]:
+    sock = Narrow(*room)
+    return TcpTransport("tcp", cast(trio.socket.SocketType, sock), LineSplitter(), []), sock
+
+
+@trio_test()
+async def test_a_server_that_is_stopped_is_told_and_nothing_was_sent() -> None:
+    transport, sock = narrow(100)
+    await transport.send(END)
+    for _ in range(2):
+        start = trio.current_time()
+        with pytest.raises(TransportError, match="CO110: cannot send 7E5#0E on tcp") as caught:
+            await transport.send(END)
+        assert trio.current_time() - start == pytest.approx(ROOM_TIME)
+        assert "has taken nothing for 1 s" in caught.value.seen
+        assert "Ctrl-Z" in caught.value.cause
+    assert sock.taken == b"7E5#0E\n"
+
+
+@trio_test()
+async def test_a_line_that_was_begun_is_ended_even_if_cancelled() -> None:
+    transport, sock = narrow(3, 2, 2)
+    with trio.CancelScope() as sock.cancelled_when_taking:
+        await transport.send(END)
+    assert sock.taken == b"7E5#0E\n"
+
+
+@trio_test()
+async def test_half_a_line_that_does_not_get_out_ends_the_connection() -> None:
+    transport, _ = narrow(3)
+    for _ in range(2):
+        with pytest.raises(TransportError, match="CO111: cannot send 7E5#0E on tcp") as caught:
+            await transport.send(END)
+        assert "took only a part of the frame" in caught.value.seen
+
+
+@trio_test()
+async def test_closing_wakes_who_waits_for_room() -> None:
+    transport, _ = narrow()
+
+    async def send() -> None:
+        with pytest.raises(trio.ClosedResourceError):
+            await transport.send(END)
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(send)
+        await trio.testing.wait_all_tasks_blocked()
+        await transport.aclose()
 
 
 @trio_test(real_time=True)
@@ -264,6 +321,30 @@ def test_where_no_server_can_listen(number: int, code: str, advice: str) -> None
     assert "canopen bus serve" in str(error)
 
 
+def has_ipv6() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6) as sock:
+            sock.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
+def test_ipv6() -> None:
+    @trio_test(real_time=True)
+    async def body() -> None:
+        async with trio.open_nursery() as nursery:
+            (locator,) = await nursery.start(serve_bus, "::1", 0, BusServer())
+            assert locator.startswith("tcp:[::1]:")
+            async with await open_transport(locator) as one, await open_transport(locator) as other:
+                await one.send(END)
+                assert (await other.receive())[0] == END
+            nursery.cancel_scope.cancel()
+
+    body()
+
+
 @trio_test(real_time=True)
 async def test_two_servers_at_one_port() -> None:
     async with bus() as locator:
@@ -298,7 +379,7 @@ def test_what_is_loopback() -> None:
 
 
 @trio_test(real_time=True)
-async def test_a_reset_and_a_close_while_others_wait() -> None:
+async def test_a_connection_that_is_reset() -> None:
     async def reset(stream: trio.SocketStream) -> None:
         stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         await stream.send_all(b"canopen-bus 1\n")
@@ -313,33 +394,3 @@ async def test_a_reset_and_a_close_while_others_wait() -> None:
         with pytest.raises(TransportError, match="CO111: cannot receive") as caught:
             await broken.receive()
         assert "reset" in caught.value.seen
-
-    async def send(transport: Transport) -> None:
-        with pytest.raises(trio.ClosedResourceError):
-            while True:
-                await transport.send(END)
-
-    async def deaf(stream: trio.SocketStream) -> None:
-        await stream.send_all(b"canopen-bus 1\n")
-        await trio.sleep_forever()
-
-    async with peer(deaf) as locator, trio.open_nursery() as nursery:
-        transport = await open_transport(locator)
-        assert isinstance(transport, TcpTransport)
-        transport._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        nursery.start_soon(send, transport)
-        await trio.sleep(0.1)
-        await transport.aclose()
-
-
-@trio_test(real_time=True)
-async def test_what_was_begun_is_ended() -> None:
-    async def slow(stream: trio.SocketStream) -> None:
-        await stream.send_all(b"canopen-bus 1\n")
-        while await stream.receive_some(100_000):
-            pass
-
-    async with peer(slow) as locator, await open_transport(locator) as transport:
-        assert isinstance(transport, TcpTransport)
-        await transport._finish(END, b"605#40\n" * 200_000)
-        await transport.send(END)

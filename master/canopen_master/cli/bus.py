@@ -16,7 +16,7 @@ from canopen_master.cli.running import run
 from canopen_proto.frame import Frame
 from canopen_transports.log_files import Record
 from canopen_transports.tcp import BusServer, serve_bus
-from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopback
+from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopback, joining
 from canopen_transports.tracing import current_trace
 
 
@@ -69,7 +69,10 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
         async with trio.open_nursery() as nursery:
             for locator in await nursery.start(serve_bus, bind, port, BusServer(tell, recorder())):
                 screen.say(f"[bold]a bus on {locator}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
-                screen.say(f"Join it in other terminals: [bold]canopen sim -b {locator}[/], [bold]canopen scan -b {locator}[/]")
+                here, elsewhere = joining(locator)
+                screen.say(f"Join it in other terminals: [bold]canopen sim -b {here}[/], [bold]canopen scan -b {here}[/]")
+                if elsewhere:
+                    screen.say(f"from other computers: [bold]-b {elsewhere}[/]")
             await trio.sleep(math.inf if seconds is None else seconds)
             nursery.cancel_scope.cancel()
 

@@ -45,6 +45,15 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
+def joining(locator: str) -> tuple[str, str]:
+    """How to join what listens there: the locators for this computer and for others, "" where these need no other or cannot."""
+    host, port = parse_address(locator, locator.partition(":")[2])
+    if host not in ("0.0.0.0", "::"):
+        return locator, ""
+    here = DEFAULT_HOST if host == "0.0.0.0" else "::1"
+    return f"tcp:{address_text(here, port)}", f"tcp:{socket.gethostname()}:{port}"
+
+
 def serve_command(host: str, port: int) -> str:
     """How a server for this address is started."""
     command = "canopen bus serve" + (f" --port {port}" if port != DEFAULT_PORT else "")
