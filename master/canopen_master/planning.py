@@ -8,14 +8,16 @@ a `Stream` with its identifier, size and period:
 
 - The SYNC's deadline is its period, that of an RPDO the next SYNC (it acts there), and that of a TPDO too. A TPDO may be late by
   what its SYNC was late: that is its jitter, besides the time that the device takes.
+- A device's event-driven TPDO comes once per inhibit time at most, or once per event timer: that is its period and its deadline.
 - SDO: the client waits for each answer, so there is one request and one answer per `sdo` time, taken as those of the highest
   node-ID; each has SDO_DEADLINE. EMCY: a device may send one per EMCY_INTERVAL, and at worst all do at once; its period is its
   deadline, as a heartbeat's is.
 
 `plan` bounds each stream's latency (canopen_transports.wire.response_time) with all stuff bits that there can be, and runs the
 bus machine for some cycles with random phases of all that is not cyclic. What the machine shows is never above the bound, and
-says how far from it an ordinary day is. Latency is from the queue (of a TPDO: from the SYNC being queued) to the intermission's
-end.
+says how far from it an ordinary day is. With `Background.errors` the bound has room for errors on the bus, each of which costs an
+error frame and a frame that is sent again; the machine has none. Latency is from the queue (of a TPDO: from the SYNC being
+queued) to the intermission's end.
 
 Left out: NMT and TIME (rare), LSS, guarding, what a master says to devices that are no joints.
 """
@@ -38,7 +40,9 @@ EMCY_INTERVAL: Final = 100 * MILLISECOND
 SDO_DEADLINE: Final = 100 * MILLISECOND
 """For one frame; clients wait 300 ms or more for an answer."""
 SIMULATED_CYCLES: Final = 200
-"""0.8 seconds at 4 ms, in which a heartbeat and an EMCY of each device come too."""
+"""At least, and at least until each stream has come once."""
+SIMULATED_FRAMES: Final = 20_000
+"""At most: about a second's computing, whatever the periods are."""
 CYCLES: Final = tuple(
     round(ms * MILLISECOND)
     for ms in (0.25, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 100, 200, 500)
@@ -51,7 +55,8 @@ STUFFING: Final = 0x3C
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A frame that is sent again and again. kind: "SYNC", "RPDO", "TPDO", "heartbeat", "EMCY" or "SDO". node_id: 0 for SYNC.
+    """A frame that is sent again and again. kind: "SYNC", "RPDO", "TPDO", "event" (a TPDO that no SYNC asks for), "heartbeat",
+    "EMCY" or "SDO". node_id: 0 for SYNC.
 
     name: for people. size: bytes. period, deadline: ns. reaction: of a TPDO, what the device takes to answer SYNC.
     """
@@ -78,11 +83,12 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class StreamPlan:
-    """What is to be expected of a stream. worst: the bound, ns, or NEVER. simulated: the longest that the machine showed."""
+    """What is to be expected of a stream. worst: the bound, ns, or NEVER. simulated: the longest that the machine showed; None
+    where none got out."""
 
     stream: Stream
     worst: Time
-    simulated: Time
+    simulated: Time | None
 
     @property
     def fits(self) -> bool:
@@ -118,34 +124,41 @@ class NetworkPlan:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What is exchanged with one joint in each cycle. rpdo, tpdo: (CAN-ID, bytes)."""
+    """What is exchanged with one joint in each cycle. rpdo, tpdo: (CAN-ID, bytes). events: TPDOs that come by themselves, as
+    (CAN-ID, bytes, shortest distance in ns)."""
 
     name: str
     node_id: int
     rpdo: tuple[tuple[int, int], ...]
     tpdo: tuple[tuple[int, int], ...]
+    events: tuple[tuple[int, int, Time], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """What goes on besides. heartbeat: period of each device; sdo: time between two requests; each 0 for none. reaction: what a
-    device takes to answer a SYNC. order: of the transmit queues."""
+    """What goes on besides. heartbeat: period of each device; sdo: time between two requests; emcy: between two of one device;
+    each 0 for none. reaction: what a device takes to answer a SYNC. order: of the transmit queues. sync_counter: whether SYNC has
+    its byte. errors: the shortest time between two errors on the bus; NEVER: none."""
 
     heartbeat: Time = 500 * MILLISECOND
     sdo: Time = 10 * MILLISECOND
     emcy: Time = EMCY_INTERVAL
     reaction: Time = 100 * MICROSECOND
     order: QueueOrder = QueueOrder.PRIORITY
+    sync_counter: bool = False
+    errors: Time = NEVER
 
 
 def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) -> tuple[Stream, ...]:
     """All that is said on a bus with these joints. LocalProtocolError where two of it have one identifier."""
-    streams = [Stream("SYNC", "SYNC", 0, SYNC, 0, cycle, cycle)]
+    streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle, cycle)]
     for joint in joints:
         for kind, pdos in (("RPDO", joint.rpdo), ("TPDO", joint.tpdo)):
             reaction = background.reaction if kind == "TPDO" else 0
             for can_id, size in pdos:
                 streams.append(Stream(kind, f"{kind} {joint.name}", joint.node_id, can_id, size, cycle, cycle, reaction))
+        for can_id, size, period in joint.events:
+            streams.append(Stream("event", f"TPDO {joint.name} (event)", joint.node_id, can_id, size, period, period))
         rare = (("heartbeat", ERROR_CONTROL, 1, background.heartbeat), ("EMCY", EMCY, 8, background.emcy))
         for kind, base, size, period in rare:
             if period:
@@ -163,18 +176,18 @@ def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) 
     return tuple(streams)
 
 
-def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder) -> list[ResponseTime]:
-    """The worst-case response time of each stream."""
+def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder, errors: Time = NEVER) -> list[ResponseTime]:
+    """The worst-case response time of each stream. errors: the shortest time between two, ns."""
     messages = [_message(stream, bitrate, order) for stream in streams]
     # A TPDO comes when its SYNC has come: as late as that, and after the device's own time.
-    late = response_times(messages, bitrate)[0].worst
+    late = response_times(messages, bitrate, error_interval=errors)[0].worst
     if late >= NEVER:
         return [ResponseTime(message, NEVER, 0, 0, 0) for message in messages]
     messages = [
         replace(message, jitter=late + stream.reaction) if stream.answers_sync else message
         for stream, message in zip(streams, messages, strict=True)
     ]
-    return response_times(messages, bitrate)
+    return response_times(messages, bitrate, error_interval=errors)
 
 
 def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
@@ -187,9 +200,9 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
 def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()) -> NetworkPlan:
     """Whether a bus with these joints fits, and what is to be expected. cycle: ns. bitrate: bit/s."""
     streams = streams_of(joints, cycle, background)
-    found = bounds(streams, bitrate, background.order)
+    found = bounds(streams, bitrate, background.order, background.errors)
     worst, load = simulate(streams, bitrate, background.order)
-    plans = tuple(StreamPlan(stream, each.worst, worst[stream.can_id]) for stream, each in zip(streams, found, strict=True))
+    plans = tuple(StreamPlan(stream, each.worst, worst.get(stream.can_id)) for stream, each in zip(streams, found, strict=True))
     return NetworkPlan(
         bus,
         bitrate,
@@ -202,13 +215,14 @@ def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, backgr
 
 
 def _fits(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background) -> bool:
-    return all(each.fits for each in bounds(streams_of(joints, cycle, background), bitrate, background.order))
+    return all(each.fits for each in bounds(streams_of(joints, cycle, background), bitrate, background.order, background.errors))
 
 
 def simulate(
     streams: Sequence[Stream], bitrate: int, order: QueueOrder, cycles: int = SIMULATED_CYCLES, seed: int = 0
 ) -> tuple[dict[int, Time], float]:
-    """Let the bus machine run: the longest latency by CAN-ID, and the load. What finds no room in its queue is left out."""
+    """Let the bus machine run: the longest latency by CAN-ID of what got out, and the load. What finds no room in its queue is
+    left out. cycles: at least; each stream comes once at least, if that is no more than SIMULATED_FRAMES."""
     wire = Wire(WireSettings(bitrate=bitrate))
     members: dict[int, WireMember] = {0: wire.join(0, order=order)}
     for stream in streams:
@@ -217,7 +231,8 @@ def simulate(
     wire.join(0)  # somebody to acknowledge what the last one says
     frames = {stream.can_id: Frame(stream.can_id, bytes((STUFFING,)) * stream.size) for stream in streams}
     phases = random.Random(seed)
-    end = cycles * streams[0].period
+    end = max(cycles * streams[0].period, *(stream.period for stream in streams))
+    end = min(end, round(SIMULATED_FRAMES / sum(1 / stream.period for stream in streams)))
     # What is to be queued, and when: (time, place in the list of streams), so that a SYNC goes before its RPDOs.
     due = [
         (0 if stream.kind in ("SYNC", "RPDO") else phases.randrange(stream.period), place)
@@ -225,7 +240,7 @@ def simulate(
         if not stream.answers_sync
     ]
     heapq.heapify(due)
-    worst = dict.fromkeys(frames, 0)
+    worst: dict[int, Time] = {}
     answers = {stream.can_id: place for place, stream in enumerate(streams) if stream.answers_sync}
     while due and due[0][0] < end:
         time, place = due[0]
@@ -240,7 +255,7 @@ def simulate(
                         heapq.heappush(due, (delivery.at + streams[number].reaction, number))
                 elif can_id in answers:
                     since -= since % streams[0].period  # from the SYNC on
-                worst[can_id] = max(worst[can_id], delivery.at + wire.time_of(3) - since)
+                worst[can_id] = max(worst.get(can_id, 0), delivery.at + wire.time_of(3) - since)
             continue
         stream = streams[place]
         heapq.heappop(due)

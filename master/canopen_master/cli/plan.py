@@ -28,6 +28,8 @@ DEFAULTS = ChainSettings()
 COLUMNS = ("what", "CAN-ID", "bytes", "each", "worst", "simulated", "margin")
 GROUPED = ("heartbeat", "EMCY")
 """Streams that are shown in one line for all devices: the worst of them."""
+SYNCHRONOUS = 240
+"""The highest transmission type of a TPDO that a SYNC asks for."""
 
 
 @click.command()
@@ -39,7 +41,9 @@ GROUPED = ("heartbeat", "EMCY")
 @click.option("--heartbeat", metavar="TIME", type=Duration(0), default="500ms", show_default=True, help="Of each joint; 0: none.")
 @click.option("--sdo", metavar="TIME", type=Duration(0), default="10ms", show_default=True, help="Between two requests; 0: none.")
 @click.option("--emcy", metavar="TIME", type=Duration(0), default="100ms", show_default=True, help="Inhibit time; 0: no EMCY.")
+@click.option("--errors", metavar="TIME", type=Duration(0), default="0", help="At least between two errors on the bus; 0: none.")
 @click.option("--reaction", metavar="TIME", type=Duration(0), default="100us", show_default=True, help="Of a joint, to a SYNC.")
+@click.option("--sync-counter", is_flag=True, help="SYNC has the counter of 0x1019: one byte.")
 @click.option(
     "--queue",
     type=click.Choice([each.value for each in QueueOrder]),
@@ -59,13 +63,16 @@ def plan(
     heartbeat: Time,
     sdo: Time,
     emcy: Time,
+    errors: Time,
     reaction: Time,
+    sync_counter: bool,
     queue: str,
 ) -> int:
     """Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits.
 
     No bus is opened. "worst" is the bound of the worst-case analysis for CAN, "simulated" what a simulated bus showed at worst.
-    PDOs are those of --rpdo and --tpdo, or with -e FILE the synchronous ones that the device's own file sets up.
+    PDOs are those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle,
+    synchronous TPDOs at each SYNC, the others once per inhibit time or event timer.
 
     Exit status: 0 it fits, 1 it does not.
 
@@ -80,11 +87,11 @@ def plan(
     screen = settings.screen()
     dictionary, _ = load_dictionary()
     files = read_device_files(settings.eds, dictionary, screen)
-    background = Background(heartbeat, sdo, emcy, reaction, order=QueueOrder(queue))
+    background = Background(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
     by_bus: dict[str, list[Exchange]] = {}
     for chain in read_chains(file):
         for joint in chain.joints:
-            exchange = _exchange(joint, f"{chain.name}.{joint.name}", dictionary, (rpdo, tpdo), files)
+            exchange = _exchange(joint, f"{chain.name}.{joint.name}", dictionary, (rpdo, tpdo), files, screen)
             by_bus.setdefault(joint.bus, []).append(exchange)
     plans = [plan_network(bus, joints, cycle, rate, background) for bus, joints in by_bus.items()]
     if settings.json:
@@ -96,12 +103,11 @@ def plan(
 
 
 def _exchange(
-    joint: JointDescription, name: str, dictionary: ObjectDictionary, pdos: tuple[str, str], files: DeviceFiles
+    joint: JointDescription, name: str, dictionary: ObjectDictionary, pdos: tuple[str, str], files: DeviceFiles, screen: Screen
 ) -> Exchange:
     description = description_of(files, joint.node_id)
     if description is not None:
-        received, sent = (_of_file(description, joint.node_id, first) for first in (0x1400, 0x1800))
-        return Exchange(name, joint.node_id, received, sent)
+        return _of_file(description, joint.node_id, name, screen)
     rpdo, tpdo = (dictionary.pdo(each) for each in pdos)
     return Exchange(
         name,
@@ -111,16 +117,26 @@ def _exchange(
     )
 
 
-def _of_file(description: DeviceDescription, node_id: int, first: int) -> tuple[tuple[int, int], ...]:
-    """The PDOs that are valid, synchronous and not empty: CAN-ID and bytes."""
-    found = []
-    for index in [each for each in description.dictionary.objects if first <= each < first + 0x200]:
-        cob_id, kind = (_number(description.dictionary, index, subindex, node_id) for subindex in (1, 2))
+def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Screen) -> Exchange:
+    """The PDOs of a device that are valid and not empty."""
+    received, sent, events = [], [], []
+    for index in [each for each in description.dictionary.objects if 0x1400 <= each < 0x1600 or 0x1800 <= each < 0x1A00]:
+        cob_id, kind, inhibit_100us, timer_ms = (_number(description.dictionary, index, each, node_id) for each in (1, 2, 3, 5))
         count = _number(description.dictionary, index + 0x200, 0, node_id)
         bits = sum(_number(description.dictionary, index + 0x200, entry, node_id) & 0xFF for entry in range(1, count + 1))
-        if not cob_id & (COB_ID_INVALID | COB_ID_EXTENDED) and kind <= 240 and 0 < bits <= 64:
-            found.append((cob_id & 0x7FF, (bits + 7) // 8))
-    return tuple(found)
+        can_id, size = cob_id & 0x7FF, (bits + 7) // 8
+        distance = inhibit_100us * 100 * MICROSECOND or timer_ms * MILLISECOND
+        if cob_id & (COB_ID_INVALID | COB_ID_EXTENDED) or not 0 < bits <= 64:
+            continue
+        if index < 0x1800:
+            received.append((can_id, size))
+        elif kind <= SYNCHRONOUS:
+            sent.append((can_id, size))
+        elif distance:
+            events.append((can_id, size, distance))
+        else:
+            screen.say(f"[yellow]{name}: TPDO {can_id:03X} has no inhibit time and no event timer: it is left out[/]")
+    return Exchange(name, node_id, tuple(received), tuple(sent), tuple(events))
 
 
 def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: int) -> int:
@@ -138,7 +154,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
     rows = []
     for row in _rows(network.streams):
         worst, stream = row[0], row[0].stream
-        name = stream.name if len(row) == 1 else f"{stream.kind}, the worst of {len(row)}"
+        name = stream.name if len(row) == 1 else f"{stream.kind}, worst of {len(row)}"
         margin = "[red]none[/]" if not worst.fits else milliseconds(worst.margin)
         rows.append(
             (
@@ -147,7 +163,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
                 str(stream.size),
                 milliseconds(stream.period),
                 milliseconds(worst.worst),
-                milliseconds(worst.simulated),
+                "not seen" if worst.simulated is None else milliseconds(worst.simulated),
                 margin,
             )
         )
@@ -192,7 +208,7 @@ def _as_json(network: NetworkPlan) -> dict[str, Any]:
                 "period_ms": each.stream.period / MILLISECOND,
                 "deadline_ms": each.stream.deadline / MILLISECOND,
                 "worst_ms": each.worst / MILLISECOND if each.worst < NEVER else None,
-                "simulated_ms": each.simulated / MILLISECOND,
+                "simulated_ms": None if each.simulated is None else each.simulated / MILLISECOND,
                 "fits": each.fits,
             }
             for each in network.streams
