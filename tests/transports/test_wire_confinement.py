@@ -11,7 +11,7 @@ import pytest
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError
 from canopen_transports.errors import BusState
-from canopen_transports.wire import FaultHappened, FaultKind, FaultRates, StateReported, Wire, WireMember
+from canopen_transports.wire import FaultHappened, FaultKind, FaultRates, StateReported, Wire, WireMember, frame_bits
 from tests.transports.test_wire_arbitration import BIT, PDO, SYNC, made, order, play, play_length
 from tests.transports.test_wire_faults import kinds, states
 
@@ -187,6 +187,20 @@ def test_an_error_passive_member_waits_before_it_repeats() -> None:
     (delivery,), _ = play(wire)
     assert delivery.at - broken == 31 * BIT + play_length(PDO) - 3 * BIT
     assert delivery.receivers == (two,)
+
+
+def test_a_frame_without_acknowledge_ends_with_its_ack_slot() -> None:
+    """All its stuffed bits, CRC delimiter and ACK slot; then the flag of its sender 6, delimiter 8, intermission 3."""
+    wire, (one,) = made(1)
+    wire.send(one, SYNC, 0)
+    wire.handle_timeout(0)
+    end = (frame_bits(SYNC) - 13 + 2) * BIT
+    for attempt in range(3):
+        assert wire.next_deadline() == end + attempt * (end + 17 * BIT)
+        wire.handle_timeout(wire.next_deadline())
+        assert counters(one) == [((attempt + 1) * 8, 0)]
+        assert wire.next_deadline() == (attempt + 1) * (end + 17 * BIT)
+        wire.handle_timeout(wire.next_deadline())
 
 
 # ---- bus-off ----

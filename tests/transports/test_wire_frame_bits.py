@@ -105,6 +105,26 @@ def test_nearly_as_many_stuff_bits_as_there_can_be() -> None:
     assert worst_bits(8) == 135
 
 
+@pytest.mark.parametrize(
+    ("frame", "bits"),
+    [
+        ("000#", 53),
+        ("080#", 51),
+        ("555#A65A5A6A", 79),
+        ("7FE#3C3C3C3C3C3C2E04", 131),
+        ("705#7F", 58),
+        ("705#R", 49),
+        ("603#4000100000000000", 124),
+        ("1FFFFFFF#", 74),
+        ("00000000#0000000000000000", 150),
+        ("1ABCDEF0#R", 70),
+    ],
+)
+def test_as_can_utils_counts_them(frame: str, bits: int) -> None:
+    """What `canbusload -e` of can-utils (exact calculation of stuffed bits) said of these frames on a vcan."""
+    assert frame_bits(Frame.parse(frame)) == bits
+
+
 def test_runs_of_four_reach_the_bound() -> None:
     """0 and then 0000 1111 0000 ...: the bits that the bound is about."""
     for count in range(1, 99):

@@ -8,11 +8,11 @@ Theory of operation
 Each message m has a priority (its identifier), a period T (or a shortest distance), a queuing jitter J (how much later than its
 period's beginning it may be queued) and a transmission time C, at worst with all stuff bits, the intermission with it. Frames are
 not preemptive, so the longest one of lower priority may just have begun: the blocking B. The priority level-m busy period begins
-then, and lasts (equation 4)
+then, and lasts (equation 8)
 
     t = B + sum over k of priority m or higher of ceil((t + J_k) / T_k) C_k
 
-Several instances of m may lie in it, Q = ceil((t + J) / T); for the q-th of them (equation 5)
+Several instances of m may lie in it, Q = ceil((t + J) / T); for the q-th of them (equations 11 and 12)
 
     w(q) = B + q C + sum over k of higher priority of ceil((w + J_k + bit) / T_k) C_k        R(q) = J + w(q) - q T + C
 
