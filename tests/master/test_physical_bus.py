@@ -12,14 +12,24 @@ from canopen_transports.virtual_wire import WireTransport
 from canopen_transports.wire import FaultKind
 from tests.transports.support import trio_test
 
-BOOT = 0.1
-"""Seconds: the drives' boot-ups get out only when the master is there to acknowledge them."""
-
 
 async def _opened(locator: str) -> WireTransport:
     transport = await open_transport(locator)
     assert isinstance(transport, WireTransport)
     return transport
+
+
+@trio_test()
+async def test_who_opens_a_bus_may_ask_at_once() -> None:
+    """The boot-ups, which nobody was there to acknowledge, are over when the bus is open: no drive seems to have been reset."""
+    for count, locator in ((1, "virtual:one?bitrate=1M"), (6, "virtual:six?bitrate=50k"), (3, "virtual:three?ack=false")):
+        drives = await _opened(locator)
+        async with trio.open_nursery() as nursery:
+            await nursery.start(simulate, drives, powerballs(*range(1, count + 1)))
+            async with open_master(locator) as master:
+                for number in range(1, count + 1):
+                    assert await master.node(number).read("position_actual_value") == 3000
+            nursery.cancel_scope.cancel()
 
 
 @trio_test()
@@ -30,7 +40,6 @@ async def test_values_are_read_over_a_disturbed_bus() -> None:
     async with trio.open_nursery() as nursery:
         await nursery.start(simulate, drives, powerballs(*range(1, 7)))
         async with open_master(locator) as master:
-            await trio.sleep(BOOT)
             for number in range(1, 7):
                 node = master.node(number)
                 position = await node.read("position_actual_value")
@@ -47,7 +56,6 @@ async def test_a_cut_cable_is_a_lost_heartbeat() -> None:
     async with trio.open_nursery() as nursery:
         await nursery.start(simulate, drives, powerballs(1, 2))
         async with open_master("virtual:arm", heartbeat_timeout=0.3) as master:
-            await trio.sleep(BOOT)
             for number in (1, 2):
                 await master.node(number).write("0x1017", 100)
             await trio.sleep(1)

@@ -11,7 +11,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_transports import BusState, BusStateChanged, FrameNotSent, Transport, TransportError, open_transport
 from canopen_transports.virtual_wire import WireTransport
 from canopen_transports.wire import FaultKind, FaultRates, frame_bits
-from tests.transports.conformance import END, TransportConformance, number_of, numbered, scenario
+from tests.transports.conformance import END, TransportConformance, number_of, numbered
 from tests.transports.support import trio_test
 
 SYNC = Frame.parse("080#")
@@ -38,17 +38,6 @@ class TestConformance(TransportConformance):
     async def join(self) -> Transport:
         return await open_transport("virtual:conformance?bitrate=1M&ack=false&queue_size=32")
 
-    @scenario
-    async def test_one_member_alone_can_send(self) -> None:
-        """As the kit has it, but the frames take their time."""
-        (one,) = await self.members(1)
-        for number in range(3):
-            await one.send(numbered(number))
-        await trio.sleep(0.02)
-        (late,) = await self.members(1)
-        await one.send(END)
-        assert (await late.receive())[0] == END
-
 
 class TestLikeCopper(TestConformance):
     """With an acknowledge: what one member alone sends is repeated until somebody else is there."""
@@ -57,14 +46,6 @@ class TestLikeCopper(TestConformance):
 
     async def join(self) -> Transport:
         return await open_transport("virtual:conformance@1M")
-
-    @scenario
-    async def test_one_member_alone_can_send(self) -> None:
-        (one,) = await self.members(1)
-        for number in range(3):
-            await one.send(numbered(number))
-        (late,) = await self.members(1)
-        assert [number_of((await late.receive())[0]) for _ in range(3)] == [0, 1, 2]
 
 
 async def opened(text: str, count: int = 2) -> list[WireTransport]:
@@ -220,6 +201,43 @@ async def test_a_cut_cable() -> None:
     one.bus.mend()
     await one.send(numbered(5))
     assert [number_of((await member.receive())[0]) for member in (two, three, four)] == [5, 5, 5]
+
+
+@trio_test()
+async def test_opening_takes_as_long_as_what_was_queued_before() -> None:
+    """Who was alone gets its frames out as soon as somebody is there to acknowledge them; who opens hears what comes next."""
+    (alone,) = await opened("virtual:a?bitrate=125k", 1)
+    for _ in range(3):
+        await alone.send(SYNC)
+    await trio.sleep(1)
+    start = round(trio.current_time() * SECOND)
+    (late,) = await opened("virtual:a", 1)
+    last = start + 3 * frame_bits(SYNC) * 8_000 - 3 * 8_000
+    assert alone.member.sent == 3
+    assert last <= round(trio.current_time() * SECOND) <= last + 8_000  # the bus lets things happen a bit time later
+    await alone.send(END)
+    assert (await late.receive())[0] == END
+
+
+@trio_test()
+async def test_opening_does_not_wait_for_what_never_gets_out() -> None:
+    one, _ = await opened("virtual:a?bitrate=1M")
+    one.bus.babble(SYNC, 100)
+    await one.send(Frame(0x201))
+    start = trio.current_time()
+    (late,) = await opened("virtual:a", 1)
+    assert trio.current_time() - start == pytest.approx(1.0)
+    assert (await late.receive())[0] == SYNC
+
+
+@trio_test()
+async def test_an_opening_that_is_cancelled_leaves_the_bus() -> None:
+    (alone,) = await opened("virtual:a?bitrate=50k", 1)
+    await alone.send(SYNC)
+    with trio.move_on_after(0.0005) as scope:
+        await opened("virtual:a", 1)
+    assert scope.cancelled_caught
+    assert alone.bus.wire.members == (alone.member,)
 
 
 @trio_test()

@@ -58,7 +58,7 @@ async def _open(parsed: Locator) -> OpenTransport:
     if parsed.own:
         await trio.lowlevel.checkpoint()
         if parsed.interface == "virtual":
-            return open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
+            return await open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
         if parsed.interface == "file":
             return open_replay(parsed.text, parsed.channel, parsed.options)
         if parsed.interface == "tcp":

@@ -69,7 +69,9 @@ class VirtualTransport(trio.abc.AsyncResource):
         await trio.lowlevel.checkpoint()
 
 
-def open_virtual(locator: str, name: str, bitrate: int | None, options: Mapping[str, Option]) -> VirtualTransport | WireTransport:
+async def open_virtual(
+    locator: str, name: str, bitrate: int | None, options: Mapping[str, Option]
+) -> VirtualTransport | WireTransport:
     """One more member of the bus of this name: with physics where there are options, or where it has them already.
 
     Raises TransportError (CO100) for options that make no sense, or that come when the bus is there without any.
@@ -83,7 +85,7 @@ def open_virtual(locator: str, name: str, bitrate: int | None, options: Mapping[
             seen=f"there is a bus virtual:{name} without options already",
             tries=("the same options for its first member", "another name"),
         )
-    member = open_wire(locator, name, bitrate, options)
+    member = await open_wire(locator, name, bitrate, options)
     return VirtualTransport(name) if member is None else member
 
 

@@ -14,6 +14,10 @@ A `Wire` (canopen_transports.wire) decides who sends when and what goes wrong; h
 Who opens a name first says how that bus is. The others say the same, or nothing: `virtual:NAME` then joins it. queue and
 queue_size are each member's own.
 
+Opening takes as long as the frames that the others had queued before: a new member acknowledges from the beginning, and hears
+what comes behind them, as on every bus. So devices that were alone have booted when their master has opened the bus, and it does
+not take their boot-ups, which nobody had acknowledged, for a reset.
+
 A test breaks the bus while it runs: `transport.bus` is the `PhysicalBus`, with `bus_off`, `babble`, `cut`, `mend` and `rates`.
 """
 
@@ -136,6 +140,13 @@ class PhysicalBus:
         self.wire.send(member, frame, _clock())
         self.hand_out()
 
+    async def settle(self, member: WireMember) -> None:
+        """Wait until what all but this one have queued now is out, or lost: ROOM_TIME at most, as lower frames may starve."""
+        queued = {each: each.sent + each.queued for each in self.wire.members if each is not member and each.queued}
+        with trio.move_on_after(ROOM_TIME):
+            while any(each.queued and each.sent < count for each, count in queued.items()):
+                await self.room()
+
     async def room(self) -> None:
         """Wait until something has left a queue."""
         await self._room.park()
@@ -159,7 +170,7 @@ class PhysicalBus:
             received = (delivery.frame, delivery.at)
             for member in delivery.receivers:
                 transport = self._transports.get(member)
-                if transport is not None:
+                if transport is not None and transport.is_open:
                     transport.queue.put(received)
                     touched[transport] = None
         for event in events:
@@ -181,17 +192,27 @@ class PhysicalBus:
 class WireTransport(trio.abc.AsyncResource):
     """A member of a PhysicalBus, from now until `aclose`; made by `open_wire`.
 
-    bus: to break it. member: its controller, with state, error counters and transmit queue; read only. Time stamps are the end of
-    a frame, on trio's clock.
+    bus: to break it. member: its controller, with state, error counters and transmit queue; read only. is_open: whether it hears.
+    Time stamps are the end of a frame, on trio's clock.
     """
 
     def __init__(self, locator: str, bus: PhysicalBus, order: QueueOrder, queue_size: int) -> None:
         self.locator = locator
         self.bus = bus
         self.queue = ReceiveQueue(locator, RECEIVE_QUEUE_SIZE)
+        self.is_open = False
         self.member = bus.join(self, order, queue_size)
         self._sending = trio.StrictFIFOLock()
         self._closed = False
+
+    async def open(self) -> None:
+        """Hear what comes from now on, when what came before is over."""
+        try:
+            await self.bus.settle(self.member)
+        except BaseException:
+            self._leave()
+            raise
+        self.is_open = True
 
     async def send(self, frame: Frame) -> None:
         """Queue the frame, as soon as there is room. It is out later, in its turn."""
@@ -216,11 +237,14 @@ class WireTransport(trio.abc.AsyncResource):
 
     async def aclose(self) -> None:
         """Leave the bus; the last one to leave takes it down."""
+        self._leave()
+        await trio.lowlevel.checkpoint()
+
+    def _leave(self) -> None:
         if not self._closed:
             self._closed = True
             self.bus.leave(self)
             self.queue.close()
-        await trio.lowlevel.checkpoint()
 
     def _no_room(self, frame: Frame) -> TransportError:
         alone, full = self.member.unacknowledged, f"no room in the transmit queue of {self.member.size} frames"
@@ -234,7 +258,7 @@ class WireTransport(trio.abc.AsyncResource):
         )
 
 
-def open_wire(
+async def open_wire(
     locator: str, name: str, bitrate: int | None, options: Mapping[str, str | int | float | bool]
 ) -> WireTransport | None:
     """One more member of the physical bus of this name. None where no options are given and there is no such bus.
@@ -255,7 +279,7 @@ def open_wire(
             bus = buses.setdefault(name, PhysicalBus(name, settings))
         elif (bitrate is not None or set(options) - _OF_MEMBER) and settings != bus.wire.settings:
             raise ValueError(f"there is a bus of this name with other options: {bus.wire.settings}")
-        return WireTransport(locator, bus, order, queue_size)
+        transport = WireTransport(locator, bus, order, queue_size)
     except (ValueError, LocalProtocolError) as error:
         raise TransportError(
             BAD_LOCATOR,
@@ -264,6 +288,8 @@ def open_wire(
             seen=str(error),
             tries=(f"virtual:{name}?bitrate=500k&loss=0.001&seed=7", f"known options: {', '.join(sorted(_KNOWN))}"),
         ) from error
+    await transport.open()
+    return transport
 
 
 _RATES: Final = {"loss": "loss", "repeat": "repetition", "corrupt": "corruption", "delay": "delay"}
