@@ -218,3 +218,12 @@ def test_recorded_sessions_are_read(tmp_path: Path) -> None:
             assert [record.frame for record in back] == [
                 record.frame for record in records if kind != ".trc" or not record.frame.flags & REMOTE
             ]
+
+
+def test_the_documentation_says_what_is_lost() -> None:
+    page = Path(__file__).parents[2] / "docs" / "buses.md"
+    rows = {row.split("|")[1].strip(" `"): row.split("|")[2] for row in page.read_text().splitlines() if row.startswith("| `.")}
+    assert list(rows) == list(LOSSES)
+    for kind, losses in LOSSES.items():
+        for loss in filter(None, losses.split("; ")):
+            assert loss.removesuffix(" are left out").replace(", and without", ", without") in rows[kind]
