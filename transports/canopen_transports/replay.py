@@ -31,6 +31,8 @@ MAX: Final = math.inf
 STEP: Final = 0.0
 _OPTIONS: Final = ("speed", "send")
 _SENDS: Final = ("swallow", "refuse")
+_CAUSE_OF_NO_FILE: Final = "it has another name, lies in another folder, or is not this user's to read"
+_CAUSE_OF_NONSENSE: Final = "it is damaged, or of another kind than its name says"
 
 
 class ReplayTransport(trio.abc.AsyncResource):
@@ -149,6 +151,7 @@ class ReplayTransport(trio.abc.AsyncResource):
             self.locator,
             f"cannot {'open' if opening else 'go on with'} {self.locator}",
             seen=str(error),
+            cause=_CAUSE_OF_NO_FILE if isinstance(error.__cause__, OSError) else _CAUSE_OF_NONSENSE,
             tries=error.tries or ("canopen log stats FILE    (what is in a file)",),
         )
 

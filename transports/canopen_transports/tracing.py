@@ -96,8 +96,9 @@ class Trace:
         return self._names[locator]
 
     def records(self, tap: TracingTransport) -> bool:
-        """Whether this member of its bus is the one that records."""
-        return self._taps[tap.locator][0] is tap
+        """Whether this member of its bus is the one that records; the last one does so for what it sends while it leaves, too."""
+        taps = self._taps[tap.locator]
+        return not taps or taps[0] is tap
 
     def leave(self, tap: TracingTransport) -> None:
         """A member has left its bus."""

@@ -66,9 +66,9 @@ def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeE
     """Why there is no connection. UnicodeError: the host is a name that none can have."""
     number = _error_number(error)
     tries: tuple[str, ...] = (serve_command(host, port),)
-    cause = ""
     if isinstance(error, socket.gaierror | UnicodeError):
-        seen, tries = _unknown_name(host, error), (f"tcp:{DEFAULT_HOST}:{port}",)
+        seen, cause = _unknown_name(host, error), "it is mistyped, or no name server is reached that knows it"
+        tries = (f"tcp:{DEFAULT_HOST}:{port}",)
     elif isinstance(error, TimeoutError) or number == errno.ETIMEDOUT:
         seen, cause = f"{host} port {port} did not answer", "the computer is off, or a firewall is between"
     elif number == errno.ECONNREFUSED:
