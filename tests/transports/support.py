@@ -6,13 +6,24 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import ParamSpec
 
+import pytest
 import trio
 import trio.testing
+
+from canopen_transports.conformance import Case, NotApplicable, Site
 
 LIMIT = 30
 """Seconds. In virtual time a test that hangs gets there at once."""
 
 P = ParamSpec("P")
+
+
+def ask(case: Case, site: Site) -> None:
+    """Run a case of the conformance kit as a test; it is skipped where it does not apply."""
+    try:
+        case.run(site)
+    except NotApplicable as reason:
+        pytest.skip(str(reason))
 
 
 def run(body: Callable[[], Awaitable[None]], *, real_time: bool = False) -> None:

@@ -3,7 +3,8 @@
 Three kinds of failure, and no other, leave a transport:
 
 - `ValueError`: our own caller asked for a frame that classical CAN cannot carry. Nothing was sent.
-- `trio.ClosedResourceError`: our own side closed the transport, before or during the call.
+- `trio.ClosedResourceError`: our own side closed the transport, before or during the call. (`trio.BusyResourceError`: two tasks
+  receive at once.)
 - `TransportError`: the world refused. After three of these the transport works on as before, just call it again: from `receive`
   come `ReceiveOverrun` (frames were lost here) and `BusStateChanged` (what a bus reports that is no frame), each at its place in
   the order of frames; from `send` comes `FrameNotSent` (while the bus is away).

@@ -1,15 +1,16 @@
 """What a transport is: frames in, frames out, nothing else.
 
 A transport knows no CANopen. It carries `Frame`s between one participant and one CAN bus, and it keeps these promises, which
-`tests/transports/conformance.py` checks for each of ours and can check for yours:
+`canopen_transports.conformance` checks for each of ours and can check for yours:
 
 - Frames sent by one task arrive at each other participant once and in the order in which they were sent.
 - Our own frames do not come back.
 - Only classical CAN frames that make sense are handed out: CAN FD, error frames and nonsense stop at the edge.
 - A received frame is lost only with a `ReceiveOverrun` at its place, or while the bus is away: between a `BusStateChanged` with
   DOWN or BUS_OFF and one with UP or ACTIVE. A frame that is not sent makes `send` raise.
-- `send` and `receive` are whole or nothing: cancelled, the frame was not sent, and no frame was taken.
+- `send` and `receive` are whole or nothing: cancelled, the frame was not sent, and no frame was taken. Both let other tasks run.
 - Once closed, a waiting `receive` or `send` wakes with `trio.ClosedResourceError`, and so does each later one.
+- Closed, or not opened, it leaves nothing behind: no thread, no descriptor.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ MAX_EXTENDED_ID = 0x1FFFFFFF
 MAX_LENGTH = 8
 
 Received: TypeAlias = tuple[Frame, int | None]
-"""A frame and its time stamp: ns on the transport's own clock, of whatever origin; None where it has none."""
+"""A frame and its time stamp: ns on the transport's own clock, which does not run back unless somebody sets it; None where it has
+none. virtual: trio's clock, with physics the frame's last bit. socketcan: the kernel's (CLOCK_REALTIME) when it took the frame.
+Of python-can it is the backend's: since 1970, or since the adapter was started. file: that of the file. tcp: None.
+"""
 
 
 class Transport(Protocol):
@@ -38,7 +42,8 @@ class Transport(Protocol):
         """
 
     async def receive(self) -> Received:
-        """The next frame from another participant, with its time stamp. One task at a time should receive.
+        """The next frame from another participant, with its time stamp. One task at a time should receive: of two, each gets some
+        of the frames, or one is refused by trio.BusyResourceError.
 
         Raises ReceiveOverrun where frames were lost and BusStateChanged where the bus has something to report (then receive
         again), TransportError when the bus fails.

@@ -1,0 +1,135 @@
+"""What the body of a case works with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AsyncExitStack
+from random import Random
+from typing import Final, TypeVar
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_transports.conformance.case import Violation, expect
+from canopen_transports.conformance.frames import END, number_of
+from canopen_transports.conformance.site import Bus, Site
+from canopen_transports.errors import BusStateChanged, ReceiveOverrun
+from canopen_transports.transport import Received, Transport
+
+HEAR_TIME: Final = 10.0
+"""Seconds that a frame may take at most: many times of what any of them takes on a busy computer."""
+T = TypeVar("T", bound=Transport)
+
+DISTURBANCE: Final = 3e-4
+"""Seconds until a cancel comes at the latest: some frames of a bus with 1 Mbit/s."""
+
+
+class Bench:
+    """A fresh bus of a site. What is opened here is closed when the case is over. nursery: for tasks beside the case's own."""
+
+    def __init__(self, site: Site, bus: Bus, stack: AsyncExitStack, nursery: trio.Nursery) -> None:
+        self.site = site
+        self.nursery = nursery
+        self._bus = bus
+        self._stack = stack
+
+    async def join(self, place: int) -> Transport:
+        """One more member of the bus."""
+        return self.keep(await self._bus.join(place))
+
+    def keep(self, member: T) -> T:
+        """Close it when the case is over."""
+        self._stack.push_async_callback(member.aclose)
+        return member
+
+    async def members(self, count: int) -> list[Transport]:
+        """So many, at the places from 0 on."""
+        return [await self.join(place) for place in range(count)]
+
+    async def close_all(self) -> None:
+        """Close what was opened so far."""
+        await self._stack.aclose()
+
+    async def told(self, frames: Sequence[Frame]) -> Transport:
+        """A member that hears these frames from others, and nothing else."""
+        return await self._bus.told(self, frames)
+
+    def say(self, member: Transport, frames: Sequence[Frame]) -> None:
+        """Send these frames from now on, in a task of their own."""
+        self.nursery.start_soon(_say, member, frames)
+
+    async def hear(self, member: Transport) -> Received:
+        """The next frame; what the bus reports besides is passed over. Violation if none comes."""
+        with trio.move_on_after(HEAR_TIME):
+            while True:
+                try:
+                    return await member.receive()
+                except BusStateChanged:
+                    continue
+        raise Violation(f"a frame that was sent has not come in {HEAR_TIME:g} s")
+
+    async def numbers(self, member: Transport, count: int) -> list[int]:
+        """The numbers of the next frames."""
+        numbers: list[int] = []
+        try:
+            while len(numbers) < count:
+                numbers.append(number_of((await self.hear(member))[0]))
+        except Violation as nothing:
+            if not numbers:
+                raise
+            raise Violation(
+                f"{len(numbers)} of {count} frames came, the last ones {numbers[-5:]}, then nothing more"
+            ) from nothing
+        return numbers
+
+    async def numbers_until_end(self, member: Transport) -> list[int]:
+        """The numbers of all frames that come before END."""
+        numbers = []
+        while (frame := (await self.hear(member))[0]) != END:
+            numbers.append(number_of(frame))
+        return numbers
+
+    async def account(self, member: Transport, count: int) -> None:
+        """Take the numbered frames 0 to count - 1 in, of which some may be lost, if the transport says so before it goes on."""
+        heard = told = 0
+        expected = 0
+        while heard + told < count:
+            try:
+                frame, _ = await self.hear(member)
+            except ReceiveOverrun as overrun:
+                expect(overrun.lost > 0, f"an overrun of {overrun.lost} frames")
+                told += overrun.lost
+                continue
+            except Violation as nothing:
+                raise Violation(f"of {count} frames {heard} came and {told} were told as lost, then nothing more") from nothing
+            number = number_of(frame)
+            heard += 1
+            expect(number >= expected, f"frame {number} came behind frame {expected - 1}: twice, or out of order")
+            expected = number + 1
+            missing = expected - heard
+            expect(missing <= told, f"frame {number} came when {missing} before it were missing and {told} told as lost")
+        expect(heard + told == count, f"of {count} frames {heard} came, and {told} were told as lost")
+
+    def disturb(self, scope: trio.CancelScope, random: Random) -> None:
+        """Cancel what runs in that scope, or is to run there, at some moment; or not."""
+        choice = random.randrange(4)
+        if choice == 0:
+            scope.deadline = trio.current_time() + random.uniform(0, DISTURBANCE)
+        elif choice < 3:
+            self.nursery.start_soon(_cancel_later, scope, random.randrange(6))
+
+
+async def turns(count: int) -> None:
+    """Let the other tasks run so many times."""
+    for _ in range(count):
+        await trio.lowlevel.checkpoint()
+
+
+async def _say(member: Transport, frames: Sequence[Frame]) -> None:
+    for frame in frames:
+        await member.send(frame)
+
+
+async def _cancel_later(scope: trio.CancelScope, count: int) -> None:
+    await turns(count)
+    scope.cancel()

@@ -1,0 +1,118 @@
+"""`send` and `receive` are whole or nothing."""
+
+from __future__ import annotations
+
+import itertools
+from random import Random
+from typing import Final
+
+import trio
+import trio.testing
+
+from canopen_transports.conformance.bench import Bench
+from canopen_transports.conformance.case import Case, case, expect, expect_numbers
+from canopen_transports.conformance.frames import END, number_of, numbered
+
+SEEDS: Final = (1, 2, 3)
+STORM: Final = 200
+"""Frames."""
+
+
+@case
+async def cancelled_receive(bench: Bench) -> None:
+    """A cancelled receive has taken no frame."""
+    one, other = await bench.members(2)
+    count = 50
+    heard: list[int] = []
+
+    async def receive_once(scope: trio.CancelScope) -> None:
+        with scope:
+            heard.append(number_of((await other.receive())[0]))
+
+    for number in range(count):
+        async with trio.open_nursery() as nursery:
+            scope = trio.CancelScope()
+            nursery.start_soon(receive_once, scope)
+            if number % 2:
+                await trio.testing.wait_all_tasks_blocked()
+            await one.send(numbered(number))
+            if number % 3 == 0:
+                await trio.lowlevel.checkpoint()
+            scope.cancel()
+    heard += await bench.numbers(other, count - len(heard))
+    expect_numbers(heard, list(range(count)), "with each receive cancelled about when its frame came")
+
+
+@case
+async def cancelled_send(bench: Bench) -> None:
+    """A cancelled send has sent nothing; one that returned has sent, though it was cancelled meanwhile."""
+    one, other = await bench.members(2)
+    sent: list[int] = []
+
+    async def send_once(number: int, scope: trio.CancelScope) -> None:
+        with scope:
+            await one.send(numbered(number))
+            sent.append(number)
+
+    for number in range(30):
+        async with trio.open_nursery() as nursery:
+            scope = trio.CancelScope()
+            if number % 3 == 0:
+                scope.cancel()
+            nursery.start_soon(send_once, number, scope)
+            if number % 3 == 1:
+                await trio.lowlevel.checkpoint()
+                scope.cancel()
+    await one.send(END)
+    expect_numbers(await bench.numbers_until_end(other), sent, "what arrives, and the sends that returned")
+    expect(set(range(2, 30, 3)) <= set(sent), "a send that nobody cancelled did not return")
+    expect(not set(range(0, 30, 3)) & set(sent), "a send that was cancelled before it began has sent")
+
+
+@case
+async def storm_on_receive(bench: Bench) -> None:
+    """Receives that are cancelled at random moments lose no frame, and take none twice."""
+    count = STORM * len(SEEDS)
+    member = await bench.told([numbered(number) for number in range(count)])
+    for place, seed in enumerate(SEEDS):
+        random = Random(seed)
+        heard: list[int] = []
+        while len(heard) < STORM:
+            with trio.CancelScope() as scope:
+                bench.disturb(scope, random)
+                heard += await bench.numbers(member, 1)
+        expect_numbers(heard, list(range(place * STORM, (place + 1) * STORM)), f"with seed {seed}")
+
+
+@case
+async def storm_on_send(bench: Bench) -> None:
+    """Sends of several tasks that are cancelled at random moments have sent or not; the frames of each task keep their order."""
+    one, other = await bench.members(2)
+    tasks = 4
+    sent: list[list[int]] = [[] for _ in range(tasks)]
+    numbers = itertools.count()
+
+    async def send(task: int, random: Random) -> None:
+        for _ in range(STORM // tasks):
+            number = next(numbers)
+            with trio.CancelScope() as scope:
+                bench.disturb(scope, random)
+                await one.send(numbered(number))
+                sent[task].append(number)
+
+    async def send_all() -> None:
+        for seed in SEEDS:
+            async with trio.open_nursery() as nursery:
+                for task in range(tasks):
+                    nursery.start_soon(send, task, Random(seed * tasks + task))
+        await one.send(END)
+
+    bench.nursery.start_soon(send_all)
+    heard = await bench.numbers_until_end(other)
+    for task, expected in enumerate(sent):
+        of_one = [number for number in heard if number in set(expected)]
+        expect_numbers(of_one, expected, f"what arrives of task {task}, and its sends that returned")
+    expect_numbers(sorted(heard), sorted(itertools.chain(*sent)), "what arrives of all, and the sends that returned")
+
+
+CASES: Final[tuple[Case, ...]] = (cancelled_receive, cancelled_send, storm_on_receive, storm_on_send)

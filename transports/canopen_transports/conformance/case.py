@@ -1,0 +1,116 @@
+"""What a case is, and how it ends.
+
+A body gets a `Bench` with a fresh bus and says what it expects by `expect`; the first expectation that is not met ends it. What
+can end a case:
+
+    it returns              passed
+    Violation               the transport did what it must not, or did not what it must; or it left something behind
+    NotApplicable           the transport does not have what the case is about
+    anything else           failed, too: a transport raises what the contract says, and nothing else
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import trio
+import trio.testing
+
+from canopen_proto.conformance.case import Result, Verdict
+from canopen_transports.conformance import leftovers
+
+if TYPE_CHECKING:
+    from canopen_transports.conformance.bench import Bench
+    from canopen_transports.conformance.site import Site
+
+LIMIT: Final = 60.0
+"""Seconds. In virtual time a case that hangs gets there at once."""
+
+Body: TypeAlias = "Callable[[Bench], Awaitable[None]]"
+
+
+class Violation(AssertionError):
+    """A transport does not keep a promise."""
+
+
+class NotApplicable(Exception):
+    """A transport does not have what the case is about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One case. name: for programs. title: what is promised, in a line."""
+
+    name: str
+    title: str
+    body: Body
+
+    def __str__(self) -> str:
+        return self.name
+
+    def run(self, site: Site) -> None:
+        """Ask the transport, in a `trio.run` of its own. Raises what ends the case, see this module's text."""
+        clock = trio.testing.MockClock(autojump_threshold=0) if site.virtual_time else None
+        failure: BaseException
+        try:
+            trio.run(self._in_trio, site, clock=clock)
+        except trio.TooSlowError as error:
+            raise Violation(f"{self.title}: it hangs, not over after {LIMIT:g} s") from error
+        except BaseExceptionGroup as group:
+            failure = group
+            while isinstance(failure, BaseExceptionGroup):
+                failure = failure.exceptions[0]
+            raise failure from failure.__cause__
+
+    def verdict(self, site: Site) -> Verdict:
+        """The same; never raises an Exception."""
+        try:
+            self.run(site)
+        except NotApplicable as reason:
+            return Verdict(Result.NOT_APPLICABLE, str(reason))
+        except Violation as violation:
+            return Verdict(Result.FAILED, str(violation))
+        except Exception as error:  # noqa: BLE001 - whatever a transport may raise that it should not
+            return Verdict(Result.FAILED, f"{type(error).__name__}: {error}")
+        return Verdict(Result.PASSED)
+
+    async def _in_trio(self, site: Site) -> None:
+        from canopen_transports.conformance.bench import Bench
+
+        before = leftovers.held()
+        with trio.fail_after(LIMIT):
+            async with site.open_bus() as bus, AsyncExitStack() as stack, trio.open_nursery() as nursery:
+                await self.body(Bench(site, bus, stack, nursery))
+                nursery.cancel_scope.cancel()
+        left = sorted(leftovers.held() - before)
+        expect(not left, f"all members are closed, and this is left: {', '.join(left)}")
+
+
+def case(body: Body) -> Case:
+    """Makes a case of its body, whose docstring is the title."""
+    title = (body.__doc__ or "").strip().splitlines()[0].rstrip(".")
+    return Case(body.__name__, title, body)
+
+
+def expect(condition: bool, otherwise: str) -> None:
+    """Go on if the condition holds, else Violation with that text."""
+    if not condition:
+        raise Violation(otherwise)
+
+
+def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
+    """Go on if the lists are equal, else Violation that shows where they part, and what is missing or too much."""
+    if seen == expected:
+        return
+    place = next(
+        (at for at, pair in enumerate(zip(seen, expected, strict=False)) if pair[0] != pair[1]), min(len(seen), len(expected))
+    )
+    missing, surplus = sorted(set(expected) - set(seen)), sorted(set(seen) - set(expected))
+    twice = len(seen) - len(set(seen))
+    raise Violation(
+        f"{what}: {len(seen)} frames instead of {len(expected)}; from place {place} on {seen[place : place + 5]} instead of "
+        f"{expected[place : place + 5]}; missing {missing[:5]}, too much {surplus[:5]}, {twice} more than once"
+    )

@@ -1,0 +1,33 @@
+"""All cases."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from canopen_proto.conformance.case import Verdict
+from canopen_transports.conformance import (
+    cancelling_cases,
+    carrying_cases,
+    closing_cases,
+    flooding_cases,
+    opening_cases,
+    optional_cases,
+)
+from canopen_transports.conformance.case import Case
+from canopen_transports.conformance.site import Site
+
+CASES: Final[tuple[Case, ...]] = (
+    *opening_cases.CASES,
+    *carrying_cases.CASES,
+    *flooding_cases.CASES,
+    *cancelling_cases.CASES,
+    *closing_cases.CASES,
+    *optional_cases.CASES,
+)
+
+
+def run_all(site: Site) -> Iterator[tuple[Case, Verdict]]:
+    """Run one case after the other, as they are asked for. Not within `trio.run`: each has its own."""
+    for each in CASES:
+        yield each, each.verdict(site)

@@ -1,0 +1,150 @@
+"""Leaving the bus, whatever is under way."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+import trio
+import trio.testing
+
+from canopen_transports.conformance.bench import Bench, turns
+from canopen_transports.conformance.case import Case, Violation, case, expect_numbers
+from canopen_transports.conformance.frames import END, numbered
+from canopen_transports.errors import BusStateChanged, ReceiveOverrun
+from canopen_transports.transport import Transport
+
+TRAFFIC: Final = 50
+"""Frames after which we believe that it flows."""
+ENDLESS: Final = 100_000
+"""Frames; many more than are sent until a transport is closed."""
+
+
+async def _expect_closed(call: Callable[[], Awaitable[object]], what: str) -> None:
+    """Violation unless it raises ClosedResourceError."""
+    try:
+        await call()
+    except trio.ClosedResourceError:
+        return
+    raise Violation(f"{what} returned, instead of raising trio.ClosedResourceError")
+
+
+async def _hear_on(member: Transport, on_frame: Callable[[], None]) -> None:
+    while True:
+        try:
+            await member.receive()
+        except (BusStateChanged, ReceiveOverrun):
+            continue
+        on_frame()
+
+
+async def _send_on(member: Transport, task: int = 0) -> None:
+    """No two tasks send the same identifier: two frames of one identifier at one time are an error on a real bus."""
+    for _ in range(ENDLESS):
+        await member.send(numbered(task))
+
+
+@case
+async def closing_wakes_the_receiver(bench: Bench) -> None:
+    """A receive that waits wakes with ClosedResourceError when its transport is closed."""
+    one = await bench.told(())
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(_expect_closed, functools.partial(_hear_on, one, lambda: None), "receive, while it was closed,")
+        await trio.testing.wait_all_tasks_blocked()
+        await one.aclose()
+
+
+@case
+async def closing_wakes_the_senders(bench: Bench) -> None:
+    """Sends under way, and those that wait for room, end with ClosedResourceError when their transport is closed."""
+    one = await bench.join(0)
+    async with trio.open_nursery() as nursery:
+        for _ in range(3):
+            nursery.start_soon(_expect_closed, functools.partial(_send_on, one), "send, while it was closed,")
+        await turns(200)
+        await one.aclose()
+
+
+@case
+async def closing_amid_traffic(bench: Bench) -> None:
+    """Closing wakes reader and sender in the midst of traffic, and the others talk on."""
+    one, other, third = await bench.members(3)
+    flows = trio.Event()
+    count = 0
+
+    def on_frame() -> None:
+        nonlocal count
+        count += 1
+        if count >= TRAFFIC:
+            flows.set()
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(_expect_closed, functools.partial(_hear_on, third, lambda: None), "receive, while it was closed,")
+        for task, member in ((1, one), (2, other)):
+            nursery.start_soon(_expect_closed, functools.partial(_hear_on, member, on_frame), "receive, while it was closed,")
+            nursery.start_soon(_expect_closed, functools.partial(_send_on, member, task), "send, while it was closed,")
+        await flows.wait()
+        await one.aclose()
+        count, flows = 0, trio.Event()
+        nursery.start_soon(_expect_closed, functools.partial(_send_on, third, 0), "send, while it was closed,")
+        await flows.wait()  # `other` hears only `third` now
+        await other.aclose()
+        await third.aclose()
+
+
+@case
+async def what_is_closed_stays_closed(bench: Bench) -> None:
+    """Once closed, also twice, each send and receive raises ClosedResourceError, even if frames were waiting."""
+    one, other = await bench.members(2)
+    await other.send(END)
+    await one.aclose()
+    await one.aclose()
+    for _ in range(2):
+        await _expect_closed(functools.partial(one.send, END), "send on what was closed")
+        await _expect_closed(one.receive, "receive on what was closed")
+
+
+@case
+async def closing_by_two_tasks(bench: Bench) -> None:
+    """Two tasks may close at once."""
+    one = await bench.told(())
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(one.aclose)
+        nursery.start_soon(one.aclose)
+    await _expect_closed(one.receive, "receive on what was closed by two")
+
+
+@case
+async def cancelled_close(bench: Bench) -> None:
+    """A close that is cancelled closes all the same."""
+    one = await bench.told(())
+    with trio.CancelScope() as scope:
+        scope.cancel()
+        await one.aclose()
+    await _expect_closed(one.receive, "receive after a cancelled close")
+
+
+@case
+async def opened_again(bench: Bench) -> None:
+    """A bus that was left can be joined again; what was not taken before is not heard afterwards."""
+    one, other, third = await bench.members(3)
+    for number in range(3):
+        await one.send(numbered(number))
+    await bench.numbers(third, 3)  # so they are over
+    await other.aclose()
+    other = await bench.join(1)
+    await one.send(numbered(7))
+    await one.send(END)
+    expect_numbers(await bench.numbers_until_end(other), [7], "what comes after a member came back")
+
+
+CASES: Final[tuple[Case, ...]] = (
+    closing_wakes_the_receiver,
+    closing_wakes_the_senders,
+    closing_amid_traffic,
+    what_is_closed_stays_closed,
+    closing_by_two_tasks,
+    cancelled_close,
+    opened_again,
+)

@@ -1,0 +1,96 @@
+"""Many frames at once: none is lost silently, and other tasks live on."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import trio
+
+from canopen_transports.conformance.bench import Bench, turns
+from canopen_transports.conformance.case import Case, case, expect, expect_numbers
+from canopen_transports.conformance.frames import END, number_of, numbered
+
+WAITING: Final = 200
+"""Frames that any receive buffer holds."""
+
+
+@case
+async def burst_that_nobody_takes(bench: Bench) -> None:
+    """Of a burst that is taken only when it is over nothing is lost silently, and it goes on afterwards."""
+    one, other = await bench.members(2)
+    for number in range(bench.site.burst):
+        await one.send(numbered(number))
+    await bench.account(other, bench.site.burst)
+    await one.send(END)
+    received, _ = await bench.hear(other)
+    expect(received == END, f"{received} came when all was told, instead of {END}")
+
+
+@case
+async def stream(bench: Bench) -> None:
+    """A stream that is taken as it comes arrives in order, and nothing of it is lost silently."""
+    member = await bench.told([numbered(number) for number in range(bench.site.stream)])
+    await bench.account(member, bench.site.stream)
+
+
+@case
+async def time_stamps_in_a_stream(bench: Bench) -> None:
+    """Time stamps do not run back, and all frames have one or none has."""
+    member = await bench.told([numbered(number) for number in range(WAITING)])
+    stamps = [(await bench.hear(member))[1] for _ in range(WAITING)]
+    known = [stamp for stamp in stamps if stamp is not None]
+    expect(not known or len(known) == len(stamps), f"of {len(stamps)} frames {len(known)} have a time stamp")
+    expect(known == sorted(known), "time stamps run back")
+
+
+@case
+async def others_run(bench: Bench) -> None:
+    """Taking frames that are already there lets other tasks run, and can be cancelled."""
+    one, other = await bench.members(2)
+    for number in range(WAITING):
+        await one.send(numbered(number))
+    heard: list[int] = []
+
+    async def hear(scope: trio.CancelScope) -> None:
+        with scope:
+            while True:
+                heard.append(number_of((await other.receive())[0]))
+
+    async with trio.open_nursery() as nursery:
+        scope = trio.CancelScope()
+        nursery.start_soon(hear, scope)
+        await turns(3)
+        scope.cancel()
+    expect(len(heard) < WAITING, f"{WAITING} frames were taken in a row, while no other task could run")
+    expect_numbers(heard + await bench.numbers(other, WAITING - len(heard)), list(range(WAITING)), "before and after the cancel")
+
+
+@case
+async def two_receivers(bench: Bench) -> None:
+    """Of two tasks that receive at once each frame goes to one, or one of the two is refused by trio.BusyResourceError."""
+    count = 100
+    member = await bench.told([numbered(number) for number in range(count)])
+    heard: list[int] = []
+    refused = 0
+
+    async def hear() -> None:
+        nonlocal refused
+        own: list[int] = []
+        while len(heard) < count:
+            try:
+                own += await bench.numbers(member, 1)
+            except trio.BusyResourceError:
+                refused += 1
+                expect(refused == 1, "both receivers were refused")
+                return
+            heard.append(own[-1])
+        nursery.cancel_scope.cancel()
+        expect(own == sorted(own), "one of the receivers had its frames out of order")
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(hear)
+        nursery.start_soon(hear)
+    expect_numbers(sorted(heard), list(range(count)), "what the two took")
+
+
+CASES: Final[tuple[Case, ...]] = (burst_that_nobody_takes, stream, time_stamps_in_a_stream, others_run, two_receivers)

@@ -1,0 +1,38 @@
+"""The frames that the cases send."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.frame import EXTENDED, REMOTE, Frame
+
+EVERY_KIND: Final = (
+    *(Frame(0x580 + length, bytes(range(length))) for length in range(9)),
+    *(Frame.parse(text) for text in ("000#8000", "7FF#", "00000000#01", "1FFFFFFF#0102030405060708", "000007FF#AA")),
+    *(Frame(0x701, b"", REMOTE, dlc) for dlc in range(9)),
+    *(Frame.parse(text) for text in ("12345678#R4", "1FFFFFFF#R")),
+)
+"""Data and remote, 11 and 29 bits, each length, the lowest and the highest identifiers."""
+IMPOSSIBLE: Final = {
+    "identifier too high": Frame(0x800),
+    "29-bit identifier too high": Frame(0x20000000, b"", EXTENDED),
+    "negative identifier": Frame(-1),
+    "nine bytes": Frame(0x601, bytes(9)),
+    "length is not that of the data": Frame(0x601, b"\1", 0, 8),
+    "remote frame with data": Frame(0x701, b"\1", REMOTE),
+    "remote frame with length 9": Frame(0x701, b"", REMOTE, 9),
+    "unknown flag": Frame(0x601, b"", 4),
+}
+"""What classical CAN cannot carry, and why."""
+END: Final = Frame.parse("7E5#0E")
+"""Comes last."""
+
+
+def numbered(number: int) -> Frame:
+    """A frame that says which one it is."""
+    return Frame(0x100 + number % 0x400, number.to_bytes(4, "little"))
+
+
+def number_of(frame: Frame) -> int:
+    """Which one it is."""
+    return int.from_bytes(frame.data, "little")

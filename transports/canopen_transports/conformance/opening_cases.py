@@ -1,0 +1,61 @@
+"""Getting on a bus, and failing to."""
+
+from __future__ import annotations
+
+from random import Random
+from typing import Final
+
+import trio
+
+from canopen_transports.conformance import leftovers
+from canopen_transports.conformance.bench import Bench
+from canopen_transports.conformance.case import Case, NotApplicable, case, expect
+from canopen_transports.conformance.frames import numbered
+from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
+
+MAX_LINES: Final = 10
+"""Of an error text: what is longer is not read."""
+SEEDS: Final = range(12)
+
+
+@case
+async def what_cannot_be_opened_says_what_to_do(bench: Bench) -> None:
+    """A bus that cannot be opened is a TransportError with what was seen, why, and what to do; nothing stays open."""
+    if not bench.site.unopenable:
+        raise NotApplicable("the site names nothing that cannot be opened")
+    for opening in bench.site.unopenable:
+        before = leftovers.held()
+        try:
+            member = await opening()
+        except TransportError as caught:
+            error = caught
+        else:
+            await member.aclose()
+            expect(False, f"{opening} was opened")
+        about = f"{error.failed!r} ({error.locator}):"
+        expect(error.code in (BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION), f"{about} the code is {error.code}")
+        expect(bool(error.locator) and error.locator in error.failed, f"{about} it does not name the bus")
+        expect(bool(error.seen), f"{about} it does not say what was seen")
+        # A locator that makes no sense is its own cause; what stands in the world's way has another.
+        expect(bool(error.cause) or error.code == BAD_LOCATOR, f"{about} it does not say why; seen: {error.seen}")
+        expect(bool(error.tries) and all(error.tries), f"{about} it does not say what to do")
+        lines = str(error).splitlines()
+        expect(len(lines) <= MAX_LINES, f"{about} its text has {len(lines)} lines")
+        left = sorted(leftovers.held() - before)
+        expect(not left, f"{about} this is left open: {', '.join(left)}")
+
+
+@case
+async def opening_can_be_cancelled(bench: Bench) -> None:
+    """Cancelled, opening leaves nothing open, or gives the member; and the bus can be joined afterwards."""
+    for seed in SEEDS:
+        with trio.CancelScope() as scope:
+            bench.disturb(scope, Random(seed))
+            await bench.join(1)
+        await bench.close_all()
+    one, other = await bench.members(2)
+    await one.send(numbered(1))
+    expect(await bench.numbers(other, 1) == [1], "another frame than the one that was sent")
+
+
+CASES: Final[tuple[Case, ...]] = (what_cannot_be_opened_says_what_to_do, opening_can_be_cancelled)

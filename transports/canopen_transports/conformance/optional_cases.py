@@ -1,0 +1,93 @@
+"""What only some transports can do besides: see `EagerTransport`, `FilteringTransport` and `CyclicTransport`."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Final
+
+import trio
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND
+from canopen_transports.conformance.bench import Bench
+from canopen_transports.conformance.case import Case, NotApplicable, case, expect, expect_numbers
+from canopen_transports.conformance.frames import END, IMPOSSIBLE, numbered
+from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport, Transport
+
+EAGER: Final = 500
+"""Frames; more than any transmit queue holds."""
+PERIOD: Final = 5 * MILLISECOND
+KINDS: Final = tuple(Frame.parse(text) for text in ("123#01", "00000123#02", "123#R1", "124#03", "1FFFFFFF#04"))
+"""Frames that a filter has to tell apart."""
+
+
+@case
+async def eager_send(bench: Bench) -> None:
+    """send_nowait sends at once or says that it did not; it keeps the order, also with send."""
+    one, other = await bench.members(2)
+    if not isinstance(one, EagerTransport):
+        raise NotApplicable("it has no send_nowait")
+
+    async def send() -> None:
+        for number in range(EAGER):
+            if number % 10 == 9 or not one.send_nowait(numbered(number)):
+                await one.send(numbered(number))
+
+    bench.nursery.start_soon(send)
+    expect_numbers(await bench.numbers(other, EAGER), list(range(EAGER)), "what was sent by send_nowait and send in turn")
+    for reason, frame in IMPOSSIBLE.items():
+        with suppress(ValueError):
+            expect(not one.send_nowait(frame), f"send_nowait has taken {frame!r} ({reason})")
+    await one.aclose()
+    with suppress(trio.ClosedResourceError):
+        expect(not one.send_nowait(END), "send_nowait on what was closed says that it has sent")
+
+
+@case
+async def filters(bench: Bench) -> None:
+    """A filter lets through what it names, 11 and 29 bits and remote frames apart, until it is changed or taken away."""
+    one, other = await bench.members(2)
+    if not (isinstance(other, FilteringTransport) and other.filtered):
+        raise NotApplicable("it does not filter")
+    for wanted in ({0}, {1, 4}, {2, 3}, set(), {0, 1, 2, 3, 4}):
+        filtered = other.set_filters([END.key, *(KINDS[place].key for place in wanted)])
+        expected = [frame for place, frame in enumerate(KINDS) if place in wanted or not filtered]
+        await _expect_heard(bench, one, other, expected, f"filtered for {[str(KINDS[place]) for place in wanted]}")
+    filtered = other.set_filters([END.key, *range(0x700)])  # more than what Linux can
+    await _expect_heard(bench, one, other, [frame for frame in KINDS if not filtered or frame.key < 0x700], "with many filters")
+    expect(not other.set_filters(None), "set_filters(None) says that it leaves frames out")
+    await _expect_heard(bench, one, other, list(KINDS), "without filters")
+
+
+async def _expect_heard(bench: Bench, one: Transport, other: Transport, expected: list[Frame], when: str) -> None:
+    for frame in (*KINDS, END):
+        await one.send(frame)
+    heard = []
+    while (frame := (await bench.hear(other))[0]) != END:
+        heard.append(frame)
+    expect(heard == expected, f"{when}: {', '.join(map(str, heard))} came instead of {', '.join(map(str, expected))}")
+
+
+@case
+async def cyclic_frames(bench: Bench) -> None:
+    """Cyclic frames are sent in turn, to us as to the others, until they are stopped; starting again begins anew."""
+    one, other = await bench.members(2)
+    if not (isinstance(one, CyclicTransport) and one.sends_sync):
+        raise NotApplicable("it sends no cyclic frames")
+    for round_ in range(2):
+        frames = [numbered(10 * round_ + each) for each in range(3)]
+        expected = [10 * round_ + each for each in (0, 1, 2, 0, 1, 2, 0)]
+        one.start_cyclic(frames, PERIOD)
+        for member, who in ((other, "others"), (one, "the sender")):
+            expect_numbers(await bench.numbers(member, len(expected)), expected, f"cyclic frames as {who} hear them")
+        one.stop_cyclic()
+        await one.send(END)
+        await bench.numbers_until_end(other)
+        await trio.sleep(3 * PERIOD / 1e9)
+        await one.send(END)
+        expect_numbers(await bench.numbers_until_end(other), [], "cyclic frames after they were stopped")
+        await other.send(END)
+        await bench.numbers_until_end(one)
+
+
+CASES: Final[tuple[Case, ...]] = (eager_send, filters, cyclic_frames)
