@@ -3,6 +3,7 @@
 - A bus whose making failed complains on stderr when it is collected ("Exception ignored in BusABC.__del__", with a traceback),
   since it then tries to shut down what it never opened.
 - A serial line stays open, if telling its adapter to close failed: an unplugged adapter cannot be told anything.
+- What slcan and socketcand have read and cannot decode they keep, and stumble over it each time.
 - socketcand's bus goes on reading from a connection that its server has closed, and only ever finds nothing.
 """
 
@@ -10,11 +11,13 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 import can
 
 from canopen_transports.diagnosis import DRIVER_ERRORS
+
+_SOCKETCAND_BUFFER: Final = "_SocketCanDaemonBus__receive_buffer"
 
 
 def clear_away(error: BaseException) -> None:
@@ -33,6 +36,15 @@ def shut_down(bus: can.BusABC) -> None:
     with suppress(*DRIVER_ERRORS):  # an unplugged adapter cannot be told that we leave it
         bus.shutdown()
     _close_line(bus)
+
+
+def drop_garbage(bus: can.BusABC) -> None:
+    """Let a bus forget what it has read and could not decode."""
+    flush = getattr(bus, "flush", None)
+    if flush is not None:
+        flush()
+    if hasattr(bus, _SOCKETCAND_BUFFER):
+        setattr(bus, _SOCKETCAND_BUFFER, "")
 
 
 def has_hung_up(bus: can.BusABC) -> bool:

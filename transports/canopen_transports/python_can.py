@@ -40,7 +40,7 @@ from canopen_transports.errors import (
     ReceiveOverrun,
     TransportError,
 )
-from canopen_transports.leftovers import has_hung_up, shut_down
+from canopen_transports.leftovers import drop_garbage, has_hung_up, shut_down
 from canopen_transports.listen_only import is_listen_only
 from canopen_transports.locator import Locator
 from canopen_transports.messages import RefusedMessage, frame_of, message_of, timestamp_of
@@ -52,6 +52,7 @@ from canopen_transports.readers import (
     comes_from,
     descriptor_is_enough,
     file_descriptor,
+    is_socket,
 )
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
@@ -130,16 +131,16 @@ class PythonCanTransport(trio.abc.AsyncResource):
         self._status = 0
         self._next_look = 0.0
         fd = file_descriptor(bus)
-        self._is_socket = False
+        self._is_socket = fd is not None and is_socket(fd)
+        self._is_serial_line = fd is not None and not self._is_socket
+        # Of the others, some would take a time limit as "wait for the acknowledge".
+        self._send_limit = {"timeout": 0.0} if self._is_socket else {"timeout": ROOM_TIME} if self._is_serial_line else {}
+        self._send_blocks = not (self._is_socket or comes_from(bus, _SEND_DOES_NOT_BLOCK))
+        self._reader: Reader
         if fd is not None and descriptor_is_enough(bus):
-            reader = DescriptorReader(self.locator, fd, self._queue, self._take)
-            self._reader: Reader = reader
-            self._is_socket = reader.is_socket
+            self._reader = DescriptorReader(self.locator, fd, self._queue, self._take)
         else:
             self._reader = ThreadReader(self.locator, self._queue, self._take)
-        # A serial line takes a time limit. Others would take it as "wait for the acknowledge".
-        self._send_limit = {} if fd is None else {"timeout": 0.0 if self._is_socket else ROOM_TIME}
-        self._send_blocks = not (self._is_socket or comes_from(bus, _SEND_DOES_NOT_BLOCK))
 
     # ---- sending ----
 
@@ -255,11 +256,10 @@ class PythonCanTransport(trio.abc.AsyncResource):
         elif isinstance(nonsense, _NONSENSE) and self._nonsense < MAX_NONSENSE:
             self._nonsense += 1
             self._refuse(f"{type(nonsense).__name__}: {nonsense}")
-            flush = getattr(self._bus, "flush", None)
-            if flush is not None:  # python-can's slcan keeps a line that it cannot decode, and would stumble over it for ever
-                flush()
-            seen = f"the adapter sent what is no frame: {self.last_refusal}"
-            self._queue.report(ReceiveOverrun(self.locator, 1, seen, cause=_GARBLED))
+            drop_garbage(self._bus)
+            seen = f"what came is no frame: {self.last_refusal}"
+            cause = _GARBLED if self._is_serial_line else "there is something else at the other end, or its driver is faulty"
+            self._queue.report(ReceiveOverrun(self.locator, 1, seen, cause=cause))
         else:
             self._end(error)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import socket
+import stat
 import struct
 import threading
 from abc import ABC, abstractmethod
@@ -60,17 +61,16 @@ class Reader(ABC):
 
 
 class DescriptorReader(Reader):
-    """Waits in trio. is_socket: whether there is a socket behind the descriptor, and not a serial line."""
+    """Waits in trio."""
 
     def __init__(self, locator: str, fd: int, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._locator = locator
         self._fd = fd
         self._queue = queue
         self._take = take
-        self._socket = _socket_of(fd)
+        self._socket = _socket_of(fd) if is_socket(fd) else None
         self._dropped = 0
         self._is_woken = False
-        self.is_socket = self._socket is not None
 
     async def get(self) -> Received | None:
         if self.is_over or self._is_woken or not self._queue.is_empty():
@@ -156,13 +156,13 @@ def comes_from(bus: can.BusABC, modules: tuple[str, ...]) -> bool:
     return any(cls.__module__.startswith(modules) for cls in type(bus).__mro__)
 
 
-def _socket_of(fd: int) -> socket.socket | None:
-    """A second handle on the socket behind a file descriptor; None if it is none (a serial line)."""
-    own = os.dup(fd)
-    try:
-        handle = socket.socket(fileno=own)
-    except OSError:
-        os.close(own)
-        return None
+def is_socket(fd: int) -> bool:
+    """Whether there is a socket behind a file descriptor, and not a serial line."""
+    return stat.S_ISSOCK(os.fstat(fd).st_mode)
+
+
+def _socket_of(fd: int) -> socket.socket:
+    """A second handle on the socket behind a file descriptor."""
+    handle = socket.socket(fileno=os.dup(fd))
     handle.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
     return handle
