@@ -111,16 +111,18 @@ class NodeHeard(NamedTuple):
 class BusKnowledge:
     """The memory of one Network, which writes `times`, `frames` (by CAN-ID) and `other` itself: that is its hot path.
 
-    other: when the last frame came that has no slot. hears_all: False where the transport filters.
+    other: when the last frame came that has no slot. hears_all: False where the transport filters. outage: why
+    nothing passes at present, "" while the bus works.
     """
 
-    __slots__ = ("_given_up", "_late", "_unasked", "frames", "hears_all", "other", "times")
+    __slots__ = ("_given_up", "_late", "_unasked", "frames", "hears_all", "other", "outage", "times")
 
     def __init__(self) -> None:
         self.times: list[Time] = [_NOT_HEARD] * SLOTS
         self.frames: list[Frame | None] = [None] * SLOTS
         self.other: Time = _NOT_HEARD
         self.hears_all = True
+        self.outage = ""
         # By node-ID, so at most 127 of each
         self._given_up: dict[int, tuple[Time, bytes]] = {}  # when, and the multiplexer
         self._unasked: dict[int, Seen] = {}

@@ -144,6 +144,16 @@ class Network:
     def hears_all(self, hears_all: bool) -> None:
         self._knowledge.hears_all = hears_all
 
+    @property
+    def outage(self) -> str:
+        """Why neither our frames nor others' pass at present, in words, as "can0 is bus-off"; "" while the bus works. Said by the
+        driver."""
+        return self._knowledge.outage
+
+    @outage.setter
+    def outage(self, outage: str) -> None:
+        self._knowledge.outage = outage
+
     def heard(self, node_id: int) -> NodeHeard:
         """What was last heard of a node (1..127, else LocalProtocolError), wanted or not."""
         return self._knowledge.heard(node_id)

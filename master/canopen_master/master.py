@@ -2,7 +2,7 @@
 
 Theory of operation
 -------------------
-A `Master` has one core Network per bus, all with one Runner, and the pump that drives them (bus.py). Everything that it offers is
+A `Master` has one core Network per bus, all with one Runner, and the pump that drives them (pump.py). Everything that it offers is
 one of three kinds:
 
 - a command that only mutates: it is called, `pump` follows, done;
@@ -26,7 +26,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_data import load_dictionary
-from canopen_master.bus import Bus, Pump
+from canopen_master.bus import Bus
 from canopen_master.chain import Chain, ChainSettings
 from canopen_master.chain_file import ChainDescription, parse_chains, read_chains, same_nodes
 from canopen_master.device import Device
@@ -34,6 +34,7 @@ from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watc
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, ChainFileError, MasterClosed, UnknownChain
 from canopen_master.joint_procedures import stop
 from canopen_master.node import Node
+from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
@@ -99,11 +100,11 @@ class Master:
 
     def _add_bus(self, name: str, transport: Transport) -> None:
         network = Network(next(iter(self.buses.values())).network.runner if self.buses else None)
-        sync = SyncProducer(network.out)
-        bus = self.buses[name] = Bus(name, transport, network, sync)
+        sync, consumer = SyncProducer(network.out), SyncConsumer(network.out)
+        bus = self.buses[name] = Bus(name, transport, network, sync, consumer)
         self._sync[bus] = sync
         self._nmt[bus] = NmtMaster(network.out)
-        for machine in (sync, self._nmt[bus], SyncConsumer(network.out)):
+        for machine in (sync, consumer, self._nmt[bus]):
             network.attach(machine)
 
     # ---- time, buses, state ----

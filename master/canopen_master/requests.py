@@ -15,7 +15,8 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoProgress
 
 if TYPE_CHECKING:
-    from canopen_master.bus import Bus, Pump
+    from canopen_master.bus import Bus
+    from canopen_master.pump import Pump
 
 
 class OpenRequest:

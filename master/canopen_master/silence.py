@@ -2,7 +2,8 @@
 
 A `Diagnosis` is made when a request of ours, or a wait, has ended without an answer. It says what the core remembers of the node
 and of the bus (canopen_proto/bus_knowledge.py: by the predefined connection set, so a hint where COB-IDs were changed), then the
-best guess, then the next step. Where the transport filters (`Network.hears_all` is False), nothing is said of other nodes.
+best guess, then the next step. While the bus itself is away (`Network.outage`), that is all there is to say. Where the transport
+filters (`Network.hears_all` is False), nothing is said of other nodes.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ TIMEOUTS: Final = (0.1, 0.2, 0.5, 1, 2, 3, 5, 10, 20)
 """Seconds that are advised where an answer came too late: the first with half as much again in reserve."""
 
 SCAN: Final = "canopen scan    (who is there?)"
+DOCTOR: Final = "canopen doctor    (what does the adapter say?)"
 LONGER: Final = "a longer sdo_timeout"
 
 
@@ -40,6 +42,8 @@ class Diagnosis(NamedTuple):
 
 def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
     """Why a node did not answer an SDO request in time."""
+    if network.outage:
+        return _away(network)
     heard = network.heard(node.node_id)
     time, seen = _sign_of_life(heard, node, now)
     if time is None:
@@ -74,6 +78,8 @@ def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tri
     cause, tries: for a node that is alive. They count for a silent one too, but not for PDOs: a device without a heartbeat that
     nobody asks anything is silent.
     """
+    if network.outage:
+        return _away(network)
     heard = network.heard(node.node_id)
     time, seen = _sign_of_life(heard, node, now)
     if time is None:
@@ -83,6 +89,10 @@ def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tri
     if pdo and state is not None and Service.PDO not in SERVICES[state]:
         return Diagnosis(seen, f"{_capital(state)}: no PDO in that state", (f"canopen nmt start {node.node_id}",))
     return Diagnosis(seen, cause, tuple(tries))
+
+
+def _away(network: Network) -> Diagnosis:
+    return Diagnosis(network.outage, "neither the request nor an answer can pass", ("the same once the bus is back", DOCTOR))
 
 
 # ---- a node that was heard ----

@@ -17,10 +17,11 @@ from typing import TypeAlias
 
 import trio
 
-from canopen_master.bus import Bus, Pump
+from canopen_master.bus import Bus
 from canopen_master.errors import BusError
 from canopen_master.hooks import Hooks, Script
 from canopen_master.parameter_keeper import ParameterKeeper
+from canopen_master.pump import Pump
 from canopen_proto.cia402.drive_node import DriveNode, powerball
 from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.dictionary import ObjectDictionary

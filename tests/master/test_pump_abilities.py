@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 import pytest
 import trio
 
-from canopen_master import BusError, FramesNotSent, open_master
+from canopen_master import BusChanged, BusError, FramesNotSent, open_master
 from canopen_proto.frame import Frame
 from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, TransportError
 from tests.master.world import virtual_time
 
 
@@ -27,6 +27,7 @@ class Able:
         self.cyclic: list[tuple[list[str], int]] = []
         self.sent: list[str] = []
         self.room = 512
+        self.refusal: TransportError | None = None
         self._feed, self._fed = trio.open_memory_channel[Frame | Exception](100)
 
     def feed(self, item: Frame | Exception) -> None:
@@ -50,6 +51,8 @@ class Able:
         return len(self.keys[-1]) <= self.room
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
+        if self.refusal is not None:
+            raise self.refusal
         self.cyclic.append(([str(frame) for frame in frames], period))
 
     def stop_cyclic(self) -> None:
@@ -121,6 +124,27 @@ async def test_sync_with_a_counter_is_a_row_of_frames() -> None:
         master.bus().sync.configure(0x80, 3)  # type: ignore[union-attr]
         master.sync_start(0.004)
         assert bus.cyclic == [(["080#01", "080#02", "080#03"], 4_000_000)]
+        with master.events(SyncSent) as events:
+            bus.feed(Frame(0x80, b"\x02"))
+            assert await events.receive() == SyncSent(0, 2, 0)
+
+
+@virtual_time
+async def test_a_bus_that_is_away_again_before_its_sync_could_be_started() -> None:
+    bus = Able()
+    async with open_master(bus) as master:
+        with master.events(BusChanged) as events:
+            master.sync_start(0.01)
+            bus.refusal = TransportError("CO111", "able", "cannot send 080# cyclically on able", seen="it is DOWN")
+            bus.feed(BusStateChanged("able", BusState.UP, "the plug is in"))
+            assert await events.receive() == BusChanged(0, BusState.UP, "the plug is in")
+            refused = await events.receive()
+            assert refused.state is BusState.FAULT
+            assert refused.reason == "SYNC is not sent: cannot send 080# cyclically on able (it is DOWN)"
+            bus.refusal = None
+            bus.feed(BusStateChanged("able", BusState.UP, "the plug is in again"))
+            assert (await events.receive()).state is BusState.UP
+            assert bus.cyclic == [(["080#"], 10_000_000)] * 2
 
 
 @virtual_time

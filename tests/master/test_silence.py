@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_master import NodeSilent, SdoTimeout, open_master
+from canopen_master import BusChanged, NodeSilent, SdoTimeout, open_master
 from canopen_master.silence import LONGER, SCAN, Diagnosis, missing_frame, sdo_silence
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
@@ -12,7 +12,8 @@ from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.remote_node import RemoteNode
-from canopen_transports import open_transport
+from canopen_transports import BusState, open_transport
+from tests.master.test_pump import Away
 from tests.master.world import BUS, simulated, virtual_time
 
 NOW = 100 * SECOND
@@ -42,6 +43,37 @@ def hearing(*frames: str) -> Desk:
     for frame in frames:
         desk.hear(frame)
     return desk
+
+
+# ---- a bus that is away ----
+
+
+def test_the_bus_is_away() -> None:
+    desk = hearing("705#05")
+    desk.network.outage = "can0 is bus-off: transmit error counter 248"
+    assert desk.sdo() == Diagnosis(
+        "can0 is bus-off: transmit error counter 248",
+        "neither the request nor an answer can pass",
+        ("the same once the bus is back", "canopen doctor    (what does the adapter say?)"),
+    )
+    assert desk.pdo().seen == "can0 is bus-off: transmit error counter 248"
+
+
+@virtual_time
+async def test_an_error_about_silence_tells_that_the_bus_is_away() -> None:
+    bus = Away()
+    async with open_master(buses={"can0": bus}, sdo_timeout=0.1) as master:
+        with master.events(BusChanged) as changes:
+            bus.tell(BusState.DOWN)
+            await changes.receive()
+            with pytest.raises(SdoTimeout) as caught:
+                await master.node(5).read("statusword")
+            assert caught.value.seen == "can0 is down: the plug is down"
+            bus.tell(BusState.UP)
+            await changes.receive()
+            with pytest.raises(SdoTimeout) as caught:
+                await master.node(5).read("statusword")
+            assert caught.value.seen == "nothing at all was heard on this bus"
 
 
 # ---- a node that is alive ----

@@ -1,0 +1,220 @@
+"""The pump: it drives the Networks of one participant, on one or several buses, with trio. A master has one, a simulated device
+has one.
+
+Theory of operation
+-------------------
+The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending and of what a bus reports: bus.py)
+
+- one task per bus receives frames, one per bus sends them, and one for all buses keeps the time. Delivery needs no task: events
+  go into bounded queues and wake tasks, which neither blocks nor calls anybody's code;
+- whatever mutates a machine (a frame, a deadline, a command of any task) is followed by `pump`, at once and without a checkpoint
+  between: it drains all networks until none has anything more to say. A task that is cancelled can so never leave the core ahead
+  of the wire, nor the wire ahead of the core;
+- what delivery itself mutates (a chain that stops because a joint failed) is drained in the same turn.
+
+The tasks are shielded and survive the cancelling of the user's code: `Pump.run` ends by `Pump.stop` only. Without that a cancel
+would put nothing on the wire, and drives would run on. All of it is protected from a KeyboardInterrupt in the middle of a turn.
+
+**Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in: a process
+that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
+The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
+
+**When a bus fails**, its tasks end, what is queued for it is dropped, and `on_failure` is told once; the other buses run on until
+they are stopped. A bug in the core is told in the same way, and the pump runs on, so that drives can still be halted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from typing import Final, Protocol
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.alarm import Alarm, best_alarm
+from canopen_master.bus import Bus, FramesLost
+from canopen_proto.machine import NEVER, SECOND, Event, Time
+from canopen_proto.sync import SyncReceived
+from canopen_transports import BusStateChanged, FrameNotSent, ReceiveOverrun, TransportError
+from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
+
+MAX_CATCH_UP: Final = 4096
+"""Frames that are taken in before a due timeout is handled. A bus that brings more, without end, must not hold up the time."""
+
+_QUIET_TICKS: Final = 2
+"""A frame that is there reaches us within two rounds of trio's scheduler."""
+
+
+class Listener(Protocol):
+    """Who is told of each event, and of a failure."""
+
+    def on_event(self, bus: Bus, event: Event) -> None:
+        """An event came out of a bus's network. May mutate machines; must not raise or block."""
+
+    def on_failure(self, bus: Bus | None, error: Exception) -> None:
+        """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
+
+
+class Pump:
+    """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner."""
+
+    def __init__(self, buses: Sequence[Bus], listener: Listener) -> None:
+        self.buses = tuple(buses)
+        self._listener = listener
+        self._scope = trio.CancelScope(shield=True)
+        self._alarm: Alarm | None = None
+        self._is_pumping = False
+        self._received = 0
+        self._renew_filters()
+
+    def now(self) -> Time:
+        """trio's clock in ns: the one time of all machines."""
+        return round(trio.current_time() * SECOND)
+
+    @enable_ki_protection
+    def pump(self, now: Time | None = None) -> None:
+        """Take up everything that the machines have to say, until they have no more. After each mutation (at `now`)."""
+        if self._is_pumping:
+            return  # called by what is being delivered: the loop below goes round again
+        self._is_pumping = True
+        try:
+            if now is None:
+                now = self.now()
+            busy = True
+            while busy:
+                busy = False
+                for bus in self.buses:
+                    out = bus.network.out
+                    if out.frames or out.events:
+                        busy = True
+                        self._take(bus, now)
+        finally:
+            self._is_pumping = False
+        self._renew_filters()
+        self._set_alarm()
+
+    def _renew_filters(self) -> None:
+        for bus in self.buses:
+            bus.renew_filters()
+
+    def _take(self, bus: Bus, now: Time) -> None:
+        frames, events = bus.network.drain(now)
+        try:
+            if frames and not bus.queue(frames, now):
+                name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
+                raise TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen)
+        except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+            self._fail(bus, error, "send")
+        for each in events:
+            self._listener.on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
+
+    def stop(self) -> None:
+        """End the tasks. What is queued is not sent any more: `flush` first."""
+        self._scope.cancel()
+
+    async def flush(self) -> None:
+        """Wait until all that is queued has reached the transports."""
+        for bus in self.buses:
+            await bus.flush()
+
+    @enable_ki_protection
+    async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
+        """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
+        with self._scope:
+            async with trio.open_nursery() as nursery:
+                for bus in self.buses:
+                    nursery.start_soon(self._receive, bus)
+                    nursery.start_soon(self._send, bus)
+                nursery.start_soon(self._keep_time)
+                task_status.started()
+
+    @enable_ki_protection
+    async def _receive(self, bus: Bus) -> None:
+        while not bus.failed:
+            try:
+                frame, timestamp = await bus.transport.receive()
+            except ReceiveOverrun as overrun:
+                self._turn(bus.network.out.events.append, FramesLost(0, overrun.lost, overrun.seen))
+            except BusStateChanged as change:
+                self._turn(bus.change, change.state, change.seen)
+            except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+                self._fail(bus, error, "receive")
+            else:
+                self._received += 1
+                now = self.now()
+                self._turn(bus.network.receive, frame, now, timestamp, now=now)
+
+    @enable_ki_protection
+    async def _send(self, bus: Bus) -> None:
+        while not bus.failed:
+            frame = await bus.next_frame(self.now)
+            try:
+                await bus.transport.send(frame)
+            except FrameNotSent as refusal:
+                self._turn(bus.drop, refusal.seen)
+            except Exception as error:  # noqa: BLE001 - as above
+                self._fail(bus, error, f"send {frame}")
+            else:
+                if bus.is_dropping:
+                    self._turn(bus.settle_not_sent)
+
+    @enable_ki_protection
+    async def _keep_time(self) -> None:
+        with closing(best_alarm()) as self._alarm:
+            while True:
+                self._set_alarm()
+                await self._alarm.wait()
+                if self._next_deadline() <= self.now():
+                    await self._catch_up()
+                    self._turn(self._handle_timeouts)
+
+    async def _catch_up(self) -> None:
+        """Let the receivers handle what is already there."""
+        for _ in range(MAX_CATCH_UP):
+            received = self._received
+            for _ in range(_QUIET_TICKS):
+                await trio.lowlevel.checkpoint()
+            if received == self._received:
+                return
+
+    def _handle_timeouts(self) -> None:
+        """One instant for all buses: SYNCs that are due together go out together."""
+        now = self.now()
+        for bus in self.buses:
+            bus.network.handle_timeout(now)
+
+    def _set_alarm(self) -> None:
+        """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
+        if self._alarm is not None:
+            deadline = self._next_deadline()
+            if deadline < NEVER:
+                self._alarm.set(deadline / SECOND)
+
+    def _next_deadline(self) -> Time:
+        nearest = NEVER
+        for bus in self.buses:
+            deadline = bus.network.next_deadline()
+            if deadline < nearest:
+                nearest = deadline
+        return nearest
+
+    def _turn(self, mutate: Callable[..., object], *args: object, now: Time | None = None) -> None:
+        try:
+            mutate(*args)
+            self.pump(now)
+        except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
+            self._listener.on_failure(None, error)
+
+    def _fail(self, bus: Bus, error: Exception, doing: str) -> None:
+        if bus.failed:
+            return
+        bus.fail()
+        if not isinstance(error, TransportError):
+            closed = isinstance(error, trio.ClosedResourceError)
+            seen = "somebody has closed the transport" if closed else f"{type(error).__name__}: {error}"
+            name = getattr(bus.transport, "locator", bus.name)
+            cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
+            error.__cause__ = cause
+        self._listener.on_failure(bus, error)
