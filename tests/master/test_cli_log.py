@@ -182,6 +182,27 @@ def test_convert_spoils_nothing(run: Run, log: Path) -> None:
     assert log.read_text() == LOG
 
 
+def test_convert_keeps_what_is_there_of_a_damaged_file(run: Run, log: Path) -> None:
+    assert run("log", "convert", str(log), "whole.blf").status == 0
+    whole = Path("whole.blf").read_bytes()
+    Path("cut.blf").write_bytes(whole[:-1])
+    outcome = run("log", "convert", "cut.blf", "b.log")
+    assert outcome.status == 6
+    assert "what could be read, 4 frames, is in b.log" in outcome.err
+    assert f"seen:  it ends in the middle: {len(whole) - 1} of {len(whole)} bytes are there" in outcome.err
+    assert frames("b.log") == frames(str(log))
+
+
+def test_convert_to_a_full_disk(run: Run, log: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    for kind in (".log", ".asc", ".blf", ".trc"):
+        Path(f"full{kind}").symlink_to("/dev/full")
+        outcome = run("log", "convert", str(log), f"full{kind}")
+        assert outcome.status == 6
+        assert os.strerror(errno.ENOSPC) in outcome.err
+
+
 # ---- replay ----
 
 

@@ -23,7 +23,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND
 from canopen_transports import open_transport
 from canopen_transports.locator import bitrate_text, parse_bitrate
-from canopen_transports.log_files import LOSSES, LogReader, kind_of, log_writer
+from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.wire.frame_bits import frame_bits
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
@@ -58,6 +58,9 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
             for record in part:
                 writer.write(record)
                 count += 1
+    except LogFileError:
+        screen.say(f"what could be read, {count - writer.left_out} frames, is in {escape(str(target))}")
+        raise
     finally:
         writer.close()
     screen.say(f"{count - writer.left_out} frames: [bold]{escape(str(target))}[/]")
