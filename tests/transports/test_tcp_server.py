@@ -128,20 +128,24 @@ async def test_garbage_ends_a_membership_and_the_others_go_on() -> None:
         assert bus.server.members == 2
 
 
-@trio_test()
-async def test_a_half_line_times_out_even_if_it_drips() -> None:
-    async with bench() as bus:
-        guest = await bus.join()
-        await guest.send_all(b"601#40\n60")
-        start = trio.current_time()
-        try:
-            while True:
-                await guest.send_all(b"0")
-                await trio.sleep(0.5)
-        except trio.BrokenResourceError:
-            pass
-        assert HALF_LINE_TIME <= trio.current_time() - start <= HALF_LINE_TIME + FAREWELL_TIME + 2
-        assert await read_all(guest) == b"bye the line that you began has no end\n"
+@pytest.mark.parametrize("begin", [b"601#40\n60", b"60"])
+def test_a_half_line_times_out_even_if_it_drips(begin: bytes) -> None:
+    @trio_test()
+    async def body() -> None:
+        async with bench() as bus:
+            guest = await bus.join()
+            await guest.send_all(begin)
+            start = trio.current_time()
+            try:
+                while True:
+                    await guest.send_all(b"0")
+                    await trio.sleep(0.5)
+            except trio.BrokenResourceError:
+                pass
+            assert HALF_LINE_TIME <= trio.current_time() - start <= HALF_LINE_TIME + FAREWELL_TIME + 2
+            assert await read_all(guest) == b"bye the line that you began has no end\n"
+
+    body()
 
 
 @trio_test()
