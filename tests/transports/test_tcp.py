@@ -16,7 +16,7 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_transports import ReceiveOverrun, TcpTransport, Transport, TransportError, open_transport
 from canopen_transports.tcp import BusServer, client, serve_bus
-from canopen_transports.tcp.address import DEFAULT_PORT, cannot_connect, cannot_listen, is_loopback, parse_address
+from canopen_transports.tcp.address import DEFAULT_PORT, cannot_connect, cannot_listen, is_loopback, no_bus_server, parse_address
 from canopen_transports.tcp.client import ROOM_TIME
 from canopen_transports.tcp.framing import LineSplitter
 from tests.transports.conformance import END, TransportConformance
@@ -319,6 +319,12 @@ def test_where_no_server_can_listen(number: int, code: str, advice: str) -> None
     error = cannot_listen("127.0.0.1", DEFAULT_PORT, OSError(number, "no"))
     assert (error.code, error.tries[0]) == (code, advice)
     assert "canopen bus serve" in str(error)
+
+
+def test_behind_the_last_port_comes_ours() -> None:
+    assert cannot_listen("127.0.0.1", 65535, OSError(errno.EADDRINUSE, "no")).tries[1] == "canopen bus serve --port 20301"
+    assert no_bus_server("tcp::65535", "127.0.0.1", 65535, "?").tries[0].startswith("canopen bus serve    (")
+    assert no_bus_server("tcp::5000", "127.0.0.1", 5000, "?").tries[0].startswith("canopen bus serve --port 5001    (")
 
 
 def has_ipv6() -> bool:
