@@ -1,5 +1,4 @@
-"""For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck; and the
-conformance kit of transports, which asserts, has its assertions explained as those of tests are.
+"""For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
 To search further: `pytest --hypothesis-profile=search tests/proto/test_group.py`.
 """
@@ -7,9 +6,6 @@ To search further: `pytest --hypothesis-profile=search tests/proto/test_group.py
 from __future__ import annotations
 
 import hypothesis
-import pytest
-
-pytest.register_assert_rewrite("tests.transports.conformance")
 
 hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
 hypothesis.settings.register_profile("search", max_examples=2000, deadline=None, print_blob=True)

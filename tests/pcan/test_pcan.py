@@ -23,30 +23,12 @@ from canopen_transports import (
     TransportError,
     open_transport,
 )
+from canopen_transports.conformance.frames import END, number_of, numbered
 from canopen_transports.peak import attached
 from tests.pcan.stand_in import BUS_HEAVY, BUS_LIGHT, BUS_OFF, CHANNEL_1, OVERRUN, PASSIVE, QUEUE_OVERRUN
-from tests.transports.conformance import END, TransportConformance, number_of, numbered
 from tests.transports.support import run
 
 ONE, TWO = "pcan:PCAN_USBBUS1@500k", "pcan:PCAN_USBBUS2@500k"
-
-
-@pytest.mark.usefixtures("peak")
-class TestConformance(TransportConformance):
-    unopenable = (
-        "pcan:PCAN_USBBUS9",
-        "pcan:PCAN_USBUS1",
-        "pcan:PCAN_USBBUS1@300k",
-        "pcan:PCAN_USBBUS1?listen_only=perhaps",
-        "/dev/pcan99",
-    )
-
-    def setup_method(self) -> None:
-        self.count = 0
-
-    async def join(self) -> Transport:
-        self.count += 1
-        return await open_transport(f"pcan:PCAN_USBBUS{self.count}@1M")
 
 
 def scenario(body: Callable[[ctypes.CDLL], Awaitable[None]]) -> Callable[[ctypes.CDLL], None]:

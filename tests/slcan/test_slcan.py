@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import sys
-import tempfile
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +23,7 @@ from canopen_transports import (
     TransportError,
     open_transport,
 )
-from tests.transports.conformance import END, TransportConformance
+from canopen_transports.conformance.frames import END
 from tests.transports.support import run
 
 if sys.platform == "win32":
@@ -52,24 +51,6 @@ def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedBu
     simulated = SimulatedBus(tmp_path)
     yield simulated
     simulated.close()
-
-
-class TestConformance(TransportConformance):
-    burst = 200  # python-can reads a serial line byte by byte
-    unopenable = ("slcan:/dev/no-such-line", "slcan:", "slcan:/dev/null@500k?sleep_after_open=0", "slcan:/dev/no@50M")
-
-    def setup_method(self) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        self.bus = SimulatedBus(Path(self._folder.name))
-        self.count = 0
-
-    def teardown_method(self) -> None:
-        self.bus.close()
-        self._folder.cleanup()
-
-    async def join(self) -> Transport:
-        self.count += 1
-        return await opened(self.bus.plug(f"tty{self.count}"))
 
 
 def scenario(body: Callable[[SimulatedBus], Awaitable[None]]) -> Callable[[SimulatedBus], None]:

@@ -6,11 +6,12 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import ParamSpec
 
-import pytest
 import trio
 import trio.testing
 
-from canopen_transports.conformance import Case, NotApplicable, Site
+from canopen_transports.conformance import CASES, Case, Site
+from canopen_transports.conformance.catalogue import HEARING, OPTIONAL
+from canopen_transports.conformance.opening_cases import what_cannot_be_opened_says_what_to_do as UNOPENABLE
 
 LIMIT = 30
 """Seconds. In virtual time a test that hangs gets there at once."""
@@ -18,12 +19,13 @@ LIMIT = 30
 P = ParamSpec("P")
 
 
-def ask(case: Case, site: Site) -> None:
-    """Run a case of the conformance kit as a test; it is skipped where it does not apply."""
-    try:
-        case.run(site)
-    except NotApplicable as reason:
-        pytest.skip(str(reason))
+def cases(site: Site, *, hears_only: bool = False, optional: tuple[str, ...] = ()) -> list[Case]:
+    """The cases of the conformance kit that apply to a transport. optional: what it can do besides, by the cases' names."""
+    return [
+        case
+        for case in (HEARING if hears_only else CASES)
+        if (case not in OPTIONAL or case.name in optional) and (site.unopenable or case is not UNOPENABLE)
+    ]
 
 
 def run(body: Callable[[], Awaitable[None]], *, real_time: bool = False) -> None:

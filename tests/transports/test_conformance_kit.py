@@ -18,7 +18,7 @@ from canopen_proto.frame import Frame
 from canopen_transports import Transport, TransportError
 from canopen_transports.conformance import CASES, Bus, Case, NotApplicable, Site, Violation, run_all
 from canopen_transports.conformance.__main__ import main
-from tests.transports.support import ask
+from tests.transports.support import cases
 
 CHAPTER = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8").split("## A transport\n")[1]
 SHOWN: dict[str, Any] = {}
@@ -40,9 +40,9 @@ def site(made: Callable[[list[Transport]], Transport], **options: Any) -> Site:
     return Site(bus, virtual_time=True, **options)
 
 
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("case", cases(site(Shown)), ids=str)
 def test_the_example_keeps_all_promises(case: Case) -> None:
-    ask(case, site(Shown))
+    case.run(site(Shown))
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.name in ("order", "filters")], ids=str)

@@ -11,9 +11,9 @@ import pytest
 import trio
 
 from canopen_transports import Transport, open_transport
-from canopen_transports.conformance import CASES, Bus, Case, Site, at, openings
+from canopen_transports.conformance import Bus, Case, Site, at, openings
 from canopen_transports.tcp import BusServer, serve_bus
-from tests.transports.support import ask
+from tests.transports.support import cases
 
 
 @asynccontextmanager
@@ -57,6 +57,6 @@ SITE = Site(
 )
 
 
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("case", cases(SITE), ids=str)
 def test_conformance(case: Case) -> None:
-    ask(case, SITE)
+    case.run(SITE)

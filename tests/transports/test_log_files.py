@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.frame import REMOTE, Frame
+from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, Record, kind_of, log_writer
 from tests.interop.recorded import FOLDER, VARIABLE
-from tests.transports.conformance import EVERY_KIND
 from tests.transports.test_tcp_framing import frames
 
 NOW = 1_795_225_377_712_132_000

@@ -18,10 +18,10 @@ from canopen_transports import (
     VirtualTransport,
     open_transport,
 )
+from canopen_transports.conformance.frames import IMPOSSIBLE, numbered
 from canopen_transports.log_files import LogReader, Record, log_writer
 from canopen_transports.tracing import Trace, TracingTransport, current_trace, for_devices, recording
 from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport
-from tests.transports.conformance import IMPOSSIBLE, numbered
 from tests.transports.support import run, trio_test
 
 LOG = "(100.0) can0 601#40\n(100.5) can0 581#43\n(103.0) can0 701#05\n(102.0) can0 701#7F\n"

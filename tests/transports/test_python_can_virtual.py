@@ -10,18 +10,11 @@ import trio
 import trio.testing
 
 from canopen_proto.frame import Frame
-from canopen_transports import BusStateChanged, PythonCanTransport, ReceiveOverrun, Transport, open_transport
-from tests.transports.conformance import TransportConformance, number_of, numbered
+from canopen_transports import BusStateChanged, PythonCanTransport, ReceiveOverrun
+from canopen_transports.conformance.frames import number_of, numbered
 from tests.transports.support import trio_test
 
 CHANNEL = "conformance of canopen_transports"
-
-
-class TestConformance(TransportConformance):
-    unopenable = ("pythoncan:virtuall:x", "pythoncan:")
-
-    async def join(self) -> Transport:
-        return await open_transport(f"pythoncan:virtual:{CHANNEL}")
 
 
 def _bus() -> can.BusABC:

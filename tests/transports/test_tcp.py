@@ -15,11 +15,11 @@ import trio.testing
 
 from canopen_proto.frame import Frame
 from canopen_transports import ReceiveOverrun, TcpTransport, Transport, TransportError, open_transport
+from canopen_transports.conformance.frames import END
 from canopen_transports.tcp import BusServer, client, serve_bus
 from canopen_transports.tcp.address import DEFAULT_PORT, cannot_connect, cannot_listen, is_loopback, no_bus_server, parse_address
 from canopen_transports.tcp.client import ROOM_TIME
 from canopen_transports.tcp.framing import LineSplitter
-from tests.transports.conformance import END, TransportConformance
 from tests.transports.support import trio_test
 
 
@@ -47,18 +47,6 @@ def free_port() -> int:
         sock.bind(("127.0.0.1", 0))
         port: int = sock.getsockname()[1]
     return port
-
-
-class TestConformance(TransportConformance):
-    unopenable = ("tcp:localhost:0", "tcp:a:b:c", "tcp:127.0.0.1:20301@500k", "tcp:127.0.0.1?x=1", f"tcp:127.0.0.1:{free_port()}")
-
-    def setup_method(self) -> None:
-        self.locator = ""
-
-    async def join(self) -> Transport:
-        if not self.locator:
-            self.locator = await self._stack.enter_async_context(bus())
-        return await open_transport(self.locator)
 
 
 async def _hello_then_close(stream: trio.SocketStream) -> None:

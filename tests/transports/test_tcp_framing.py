@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.tcp.framing import (
     MAX_LINE,
     Bye,
@@ -23,7 +24,6 @@ from canopen_transports.tcp.framing import (
     shown,
 )
 from canopen_transports.tcp.outgoing import Outgoing
-from tests.transports.conformance import EVERY_KIND
 
 identifiers = st.one_of(st.tuples(st.integers(0, 0x7FF), st.just(0)), st.tuples(st.integers(0, 0x1FFFFFFF), st.just(EXTENDED)))
 data_frames = st.builds(lambda identifier, data: Frame(identifier[0], data, identifier[1]), identifiers, st.binary(max_size=8))

@@ -8,17 +8,8 @@ import trio.testing
 
 from canopen_proto.frame import Frame
 from canopen_transports import ReceiveOverrun, Transport, VirtualTransport, open_transport
-from tests.transports.conformance import TransportConformance, number_of, numbered
+from canopen_transports.conformance.frames import number_of, numbered
 from tests.transports.support import run, trio_test
-
-
-class TestConformance(TransportConformance):
-    real_time = False
-    burst = 10_000
-    unopenable = ("virtual:demo@500", "virtual:demo?fd=false")
-
-    async def join(self) -> Transport:
-        return await open_transport("virtual:conformance")
 
 
 async def _numbers(member: Transport, count: int) -> list[int]:

@@ -8,44 +8,13 @@ import trio.testing
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, Transport, TransportError, open_transport
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, TransportError, open_transport
+from canopen_transports.conformance.frames import END, number_of, numbered
 from canopen_transports.virtual_wire import WireTransport
 from canopen_transports.wire import FaultKind, FaultRates, frame_bits
-from tests.transports.conformance import END, TransportConformance, number_of, numbered
 from tests.transports.support import trio_test
 
 SYNC = Frame.parse("080#")
-
-
-class TestConformance(TransportConformance):
-    """In real time: the kit waits by turning round, during which virtual time does not go on."""
-
-    burst = 10_000
-    unopenable = (
-        "virtual:a@500",
-        "virtual:a?bitrate=fast",
-        "virtual:a@500k?bitrate=500k",
-        "virtual:a?loss=often",
-        "virtual:a?loss=2",
-        "virtual:a?seed=0.5",
-        "virtual:a?queue=lifo",
-        "virtual:a?queue_size=0",
-        "virtual:a?ack=maybe",
-        "virtual:a?delay_ms=0",
-        "virtual:a?fd=false",
-    )
-
-    async def join(self) -> Transport:
-        return await open_transport("virtual:conformance?bitrate=1M&ack=false&queue_size=32")
-
-
-class TestLikeCopper(TestConformance):
-    """With an acknowledge: what one member alone sends is repeated until somebody else is there."""
-
-    burst = 500
-
-    async def join(self) -> Transport:
-        return await open_transport("virtual:conformance@1M")
 
 
 async def opened(text: str, count: int = 2) -> list[WireTransport]:

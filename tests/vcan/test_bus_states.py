@@ -12,7 +12,7 @@ import trio
 import trio.testing
 
 from canopen_transports import BusState, FrameNotSent, ReceiveOverrun, TransportError, open_transport
-from tests.transports.conformance import END, number_of, numbered
+from canopen_transports.conformance.frames import END, number_of, numbered
 from tests.transports.support import trio_test
 from tests.vcan.support import error_frame, interface, ip, joined, needs_vcan, raw_socket, reported
 

@@ -9,7 +9,7 @@ import trio
 
 from canopen_proto.frame import KEY_EXTENDED, KEY_REMOTE, Frame
 from canopen_transports import BusState, BusStateChanged, TransportError, open_transport
-from tests.transports.conformance import END, numbered
+from canopen_transports.conformance.frames import END, numbered
 from tests.transports.support import trio_test
 from tests.vcan.support import interface, ip, joined, needs_vcan, reported, tool
 

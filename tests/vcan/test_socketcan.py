@@ -11,33 +11,12 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_transports import FrameNotSent, ReceiveOverrun, Transport, TransportError, open_transport
-from tests.transports.conformance import END, TransportConformance, number_of, numbered
+from canopen_transports import FrameNotSent, ReceiveOverrun, Transport, TransportError
+from canopen_transports.conformance.frames import END, number_of, numbered
 from tests.transports.support import trio_test
 from tests.vcan.support import interface, ip, joined, needs_vcan, raw_socket, slow
 
 pytestmark = needs_vcan
-
-
-class TestConformance(TransportConformance):
-    unopenable = (
-        "socketcan:nocan0",
-        "socketcan:vcan99",
-        "socketcan:lo",
-        "vcan98",
-        "socketcan:vcan0?filter=some",
-        "socketcan:vcan0?local_loopback=true",
-    )
-
-    async def join(self) -> Transport:
-        return await open_transport("socketcan:vcan0")
-
-
-class TestConformanceOfPythonCan(TransportConformance):
-    unopenable = ("pythoncan:socketcan:nocan0", "pythoncan:socketcan:lo")
-
-    async def join(self) -> Transport:
-        return await open_transport("pythoncan:socketcan:vcan0")
 
 
 # ---- frames ----

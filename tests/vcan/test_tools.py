@@ -13,7 +13,7 @@ import trio
 
 from canopen_proto.frame import Frame
 from canopen_transports import ReceiveOverrun, open_transport
-from tests.transports.conformance import END, EVERY_KIND
+from canopen_transports.conformance.frames import END, EVERY_KIND
 from tests.transports.support import trio_test
 from tests.vcan.support import joined, needs_vcan, tool
 

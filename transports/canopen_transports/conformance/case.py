@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from canopen_transports.conformance.bench import Bench
     from canopen_transports.conformance.site import Site
 
-LIMIT: Final = 60.0
+LIMIT: Final = 120.0
 """Seconds. In virtual time a case that hangs gets there at once."""
 
 Body: TypeAlias = "Callable[[Bench], Awaitable[None]]"

@@ -25,6 +25,20 @@ CASES: Final[tuple[Case, ...]] = (
     *closing_cases.CASES,
     *optional_cases.CASES,
 )
+OPTIONAL: Final = optional_cases.CASES
+"""What they are about not every transport has."""
+HEARING: Final = (
+    opening_cases.what_cannot_be_opened_says_what_to_do,
+    carrying_cases.every_kind_of_frame,
+    flooding_cases.stream,
+    flooding_cases.time_stamps_in_a_stream,
+    flooding_cases.two_receivers,
+    cancelling_cases.storm_on_receive,
+    closing_cases.closing_wakes_the_receiver,
+    closing_cases.closing_by_two_tasks,
+    closing_cases.cancelled_close,
+)
+"""Those for which it is enough to hear; see `Bus.told`."""
 
 
 def run_all(site: Site) -> Iterator[tuple[Case, Verdict]]:

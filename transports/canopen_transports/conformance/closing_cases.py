@@ -17,7 +17,7 @@ from canopen_transports.transport import Transport
 
 TRAFFIC: Final = 50
 """Frames after which we believe that it flows."""
-ENDLESS: Final = 100_000
+ENDLESS: Final = 20_000
 """Frames; many more than are sent until a transport is closed."""
 
 
