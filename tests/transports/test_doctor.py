@@ -102,6 +102,13 @@ def test_peaks_driver_as_the_manual_wants_it(tmp_path: Path) -> None:
     assert (second.health, second.locator) == (Health.OK, "pcan:PCAN_USBBUS1@500k")
 
 
+def test_a_device_file_that_this_user_may_not_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path / "dev/pcan32")
+    first, _ = peak(tmp_path, {"proc/pcan": PROC_PCAN.format(count=1, lines=CHARACTER), "dev/pcan32": ""})
+    assert (first.health, first.locator) == (Health.WARNING, "/dev/pcan32")
+    assert first.tries[0].startswith("sudo chmod a+rw /dev/pcan32")
+
+
 def test_peaks_driver_without_its_library(tmp_path: Path) -> None:
     first, second = peak(tmp_path, {"proc/pcan": PROC_PCAN.format(count=1, lines=CHARACTER)}, None)
     assert first.locator is None
@@ -134,6 +141,36 @@ def test_an_adapter_that_is_plugged_in(tmp_path: Path) -> None:
     assert second.health is Health.NOTE
     first, _ = peak(tmp_path, {"sys/module/peak_usb/version": ""}, None)
     assert (first.health, "socketcan:can0" in first.seen) == (Health.OK, True)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "product", "module", "maker"),
+    [
+        ("0bfd", "0120", "kvaser_usb", "Kvaser"),
+        ("1d50", "606f", "gs_usb", "the candleLight kind"),
+        ("1209", "2323", "gs_usb", "the candleLight kind"),
+        ("0483", "1234", "usb_8dev", "8devices"),
+        ("04d8", "0a30", "mcba_usb", "Microchip"),
+        ("108c", "0168", "etas_es58x", "ETAS"),
+    ],
+)
+def test_an_adapter_of_another_maker(tmp_path: Path, vendor: str, product: str, module: str, maker: str) -> None:
+    device = "sys/bus/usb/devices/1-1"
+    put(tmp_path, {f"{device}/idVendor": f"{vendor}\n", f"{device}/idProduct": f"{product}\n"})
+    (finding,) = doctor.check_usb(tmp_path)
+    assert finding.health is Health.WARNING
+    assert f"1 USB adapter of {maker}" in finding.seen
+    assert finding.tries[0] == f"sudo modprobe {module}   (the kernel's own: socketcan:can0)"
+    put(tmp_path, {f"sys/module/{module}/refcnt": "0"})
+    (finding,) = doctor.check_usb(tmp_path)
+    assert (finding.health, finding.tries) == (Health.OK, ())
+    assert f"{module}, has it: use socketcan:can0" in finding.seen
+
+
+def test_another_device_of_a_vendor_of_many_things_is_no_adapter(tmp_path: Path) -> None:
+    put(tmp_path, {"sys/bus/usb/devices/1-1/idVendor": "04d8\n", "sys/bus/usb/devices/1-1/idProduct": "000a\n"})
+    put(tmp_path, {"sys/bus/usb/devices/1-2/idVendor": "0483\n"})
+    assert list(doctor.check_usb(tmp_path)) == []
 
 
 def test_serial_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,6 +226,8 @@ def test_a_computer_without_any_adapter(tmp_path: Path, monkeypatch: pytest.Monk
     assert (first.health, first.seen) == (Health.WARNING, "none was found on this computer")
     assert first.tries[0].startswith("canopen demo")
     assert all(each.health is not Health.WARNING for each in rest)
+    put(tmp_path, {"sys/bus/usb/devices/1-1/idVendor": "0c72\n"})
+    assert doctor.examine(tmp_path)[0].subject == "PEAK adapter"  # it is there, only its driver is not
     put(tmp_path, {"sys/class/net/can0/type": "280", "sys/class/net/can0/flags": "0x81"})
     assert doctor.examine(tmp_path)[0].subject == "SocketCAN can0"
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from enum import Enum
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from canopen_transports.diagnosis import is_can_device
 from canopen_transports.locator import bitrate_text
@@ -33,8 +33,6 @@ TOOL_TIME: Final = 5.0
 """Seconds for `ip`, which answers in some milliseconds."""
 HIGH_COUNTER: Final = 96
 """An error counter from here on means a disturbed bus: the controller warns (ISO 11898-1)."""
-PEAK_VENDOR: Final = "0c72"
-"""PEAK-System's USB vendor-ID."""
 _GROUP: Final = ipaddress.ip_address("239.74.163.2")
 _NO_HARDWARE: Final = (
     "canopen demo   (everything but the bus, without hardware)",
@@ -78,9 +76,10 @@ def examine(root: Path = Path("/")) -> list[Finding]:
     findings = [
         *check_socketcan(root, ip_links()),
         *check_peak(root, library=ctypes.util.find_library("pcanbasic"), channels=attached()),
+        *check_usb(root),
         *check_serial_lines(root, has_serial=importlib.util.find_spec("serial") is not None),
     ]
-    if not any(each.locator for each in findings):
+    if not any(each.locator or each.health is Health.WARNING for each in findings):
         findings.insert(0, Finding("CAN adapters", Health.WARNING, "none was found on this computer", _NO_HARDWARE))
     return [*findings, *check_vcan(root), *check_multicast(root), *check_python_can()]
 
@@ -157,20 +156,11 @@ def _is_up(root: Path, name: str, link: dict[str, Any]) -> bool:
 
 def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> Iterator[Finding]:
     """PEAK's adapters: plugged in, driver, `/proc/pcan`, PCAN-Basic. library: its name, if there is one. channels: `attached`."""
-    plugged = [path for path in _usb_devices(root) if _text(path / "idVendor") == PEAK_VENDOR]
-    by_kernel = (root / "sys/module/peak_usb").exists()
     driver = _text(root / "proc/pcan")
     if driver:
-        yield from _proc_pcan(driver, library)
-    elif plugged and not by_kernel:
-        yield Finding(
-            "PEAK adapter",
-            Health.WARNING,
-            f"{_count(len(plugged), 'USB adapter')} of PEAK is plugged in, and no driver is loaded",
-            ("sudo modprobe peak_usb   (the kernel's own: socketcan:can0)", "sudo modprobe pcan   (PEAK's: pcan:PCAN_USBBUS1)"),
-        )
-    elif plugged:
-        yield Finding("PEAK adapter", Health.OK, "the kernel's own driver, peak_usb, has it: use socketcan:can0")
+        yield from _proc_pcan(root, driver, library)
+    else:
+        yield from _plugged_in(root, _PEAK)
     if not library:
         health = Health.WARNING if driver and " NA " in driver else Health.NOTE
         steps = ("install PEAK's PCAN-Basic library (peak-system.com)",) if health is Health.WARNING else ()
@@ -189,7 +179,7 @@ _PROC_LINE: Final = re.compile(r"^\s*(\d+)\s+(\w+)\s+(-?\w+-?)\s", re.MULTILINE)
 _RELEASE: Final = re.compile(r"Release_\S+(?:\s*\(([^)]*)\))?")
 
 
-def _proc_pcan(text: str, library: str | None) -> Iterator[Finding]:
+def _proc_pcan(root: Path, text: str, library: str | None) -> Iterator[Finding]:
     release = _RELEASE.search(text)
     version = f"PEAK's driver {release[1] or release[0]}" if release else "PEAK's driver"
     channels = _PROC_LINE.findall(text)
@@ -200,6 +190,11 @@ def _proc_pcan(text: str, library: str | None) -> Iterator[Finding]:
         subject = f"/proc/pcan {minor}"
         if interface == "NA":
             locator = f"/dev/pcan{minor}"
+            device = root / locator[1:]
+            if device.exists() and not os.access(device, os.R_OK | os.W_OK):
+                steps = (f"sudo chmod a+rw {locator}   (until it is plugged in again; then a rule of udev)",)
+                yield Finding(subject, Health.WARNING, f"{version}, {kind}: this user may not open {locator}", steps, locator)
+                continue
             yield Finding(subject, Health.OK, f"{version}, {kind}, ndev NA: {locator}", (), locator if library else None)
         else:
             step = f"use socketcan:{interface}, or build the driver with `make NET=NO`"
@@ -211,8 +206,52 @@ def _proc_pcan(text: str, library: str | None) -> Iterator[Finding]:
             )
 
 
-def _usb_devices(root: Path) -> list[Path]:
-    return sorted(path.parent for path in (root / "sys/bus/usb/devices").glob("*/idVendor"))
+# ---- adapters at USB ----
+
+
+class _UsbAdapter(NamedTuple):
+    """ids: vendor:product, or vendor: for all that it makes. module: the kernel's own driver. other: another way to use it."""
+
+    maker: str
+    ids: tuple[str, ...]
+    module: str
+    other: str
+
+
+_PEAK: Final = _UsbAdapter("PEAK", ("0c72:",), "peak_usb", "sudo modprobe pcan   (PEAK's: pcan:PCAN_USBBUS1)")
+# The IDs are those of the Linux drivers.
+_USB_ADAPTERS: Final = (
+    _UsbAdapter("Kvaser", ("0bfd:",), "kvaser_usb", "install Kvaser's driver and its CANlib   (kvaser:0@500k)"),
+    _UsbAdapter(
+        "the candleLight kind (CANable, CANtact Pro)",
+        ("1d50:606f", "1209:2323"),
+        "gs_usb",
+        "pip install 'python-can[gs-usb]'   (gs_usb:0@500k)",
+    ),
+    _UsbAdapter("8devices (USB2CAN)", ("0483:1234",), "usb_8dev", ""),
+    _UsbAdapter("Microchip (CAN BUS Analyzer)", ("04d8:0a30",), "mcba_usb", ""),
+    _UsbAdapter("ETAS (ES58x)", ("108c:0159", "108c:0168", "108c:0169"), "etas_es58x", ""),
+)
+
+
+def check_usb(root: Path) -> Iterator[Finding]:
+    """Adapters of other makers that are plugged in: whether a driver has them."""
+    for adapter in _USB_ADAPTERS:
+        yield from _plugged_in(root, adapter)
+
+
+def _plugged_in(root: Path, adapter: _UsbAdapter) -> Iterator[Finding]:
+    paths = (root / "sys/bus/usb/devices").glob("*/idVendor")
+    plugged = [f"{_text(path)}:{_text(path.with_name('idProduct'))}" for path in paths]
+    count = sum(each.startswith(adapter.ids) for each in plugged)
+    subject = f"{adapter.maker} adapter"
+    if count and (root / "sys/module" / adapter.module).exists():
+        seen = f"the kernel's own driver, {adapter.module}, has it: use socketcan:can0"
+        yield Finding(subject, Health.OK, seen)
+    elif count:
+        seen = f"{_count(count, 'USB adapter')} of {adapter.maker} is plugged in, and no driver is loaded"
+        steps = (f"sudo modprobe {adapter.module}   (the kernel's own: socketcan:can0)", adapter.other)
+        yield Finding(subject, Health.WARNING, seen, tuple(filter(None, steps)))
 
 
 # ---- serial lines, vcan, multicast, python-can ----
