@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 import threading
-from collections.abc import Awaitable, Callable
 
 import can
 import pytest
@@ -15,7 +13,6 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_transports import (
     BusState,
-    BusStateChanged,
     FrameNotSent,
     PythonCanTransport,
     ReceiveOverrun,
@@ -26,28 +23,12 @@ from canopen_transports import (
 from canopen_transports.conformance.frames import END, number_of, numbered
 from canopen_transports.peak import attached
 from tests.pcan.stand_in import BUS_HEAVY, BUS_LIGHT, BUS_OFF, CHANNEL_1, OVERRUN, PASSIVE, QUEUE_OVERRUN
-from tests.transports.support import run
+from tests.transports.support import reported, trio_test
 
 ONE, TWO = "pcan:PCAN_USBBUS1@500k", "pcan:PCAN_USBBUS2@500k"
 
 
-def scenario(body: Callable[[ctypes.CDLL], Awaitable[None]]) -> Callable[[ctypes.CDLL], None]:
-    """A test in real time that gets the stand-in."""
-
-    @functools.wraps(body)
-    def test(peak: ctypes.CDLL) -> None:
-        run(lambda: body(peak), real_time=True)
-
-    return test
-
-
-async def reported(transport: Transport) -> BusStateChanged:
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
-
-
-@scenario
+@trio_test(real_time=True)
 async def test_the_manuals_device_file_is_the_first_usb_channel(peak: ctypes.CDLL) -> None:
     async with await open_transport("/dev/pcan32") as one, await open_transport(TWO) as other:
         await one.send(Frame.parse("60C#4041600000000000"))
@@ -59,7 +40,7 @@ async def test_the_manuals_device_file_is_the_first_usb_channel(peak: ctypes.CDL
         assert peak.stand_in_bitrate(CHANNEL_1) == 0x001C  # BTR0, BTR1 for 500 kbit/s
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_full_transmit_queue_is_waited_for(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         peak.stand_in_full(CHANNEL_1, 5)
@@ -67,7 +48,7 @@ async def test_a_full_transmit_queue_is_waited_for(peak: ctypes.CDLL) -> None:
         assert (await other.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_the_states_of_the_controller_are_told_once_each(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         for status, state, seen in (
@@ -82,7 +63,7 @@ async def test_the_states_of_the_controller_are_told_once_each(peak: ctypes.CDLL
         assert (await one.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_bus_off_is_told_and_left_by_initialising_anew(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         await other.send(numbered(1))
@@ -103,7 +84,7 @@ async def test_bus_off_is_told_and_left_by_initialising_anew(peak: ctypes.CDLL) 
         assert (await other.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_bus_off_may_be_left_to_the_driver(peak: ctypes.CDLL) -> None:
     async with await open_transport(f"{ONE}?auto_reset=true") as one, await open_transport(TWO) as other:
         peak.stand_in_status(CHANNEL_1, BUS_OFF)
@@ -113,7 +94,7 @@ async def test_bus_off_may_be_left_to_the_driver(peak: ctypes.CDLL) -> None:
         assert (await other.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_bus_of_somebody_elses_is_not_initialised_anew(peak: ctypes.CDLL) -> None:
     bus = can.Bus("PCAN_USBBUS1", interface="pcan", ignore_config=True)
     async with PythonCanTransport(bus) as one:
@@ -129,7 +110,7 @@ async def test_a_bus_of_somebody_elses_is_not_initialised_anew(peak: ctypes.CDLL
             await one.send(END)
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_unplugged_while_running_and_plugged_in_again(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         peak.stand_in_plug(CHANNEL_1, 0)
@@ -151,7 +132,7 @@ async def plug_in_again(peak: ctypes.CDLL, transport: Transport) -> None:
     peak.stand_in_plug(CHANNEL_1, 1)
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_sender_may_be_the_first_to_notice(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one:
         peak.stand_in_plug(CHANNEL_1, 0)
@@ -160,7 +141,7 @@ async def test_a_sender_may_be_the_first_to_notice(peak: ctypes.CDLL) -> None:
         assert (await reported(one)).state is BusState.DOWN
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_unplugged_at_bus_off(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one:
         peak.stand_in_status(CHANNEL_1, BUS_OFF)
@@ -171,7 +152,7 @@ async def test_unplugged_at_bus_off(peak: ctypes.CDLL) -> None:
         assert (await reported(one)).state is BusState.UP
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_closed_while_it_is_away(peak: ctypes.CDLL) -> None:
     one = await open_transport(ONE)
     peak.stand_in_plug(CHANNEL_1, 0)
@@ -188,7 +169,7 @@ async def test_closed_while_it_is_away(peak: ctypes.CDLL) -> None:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("receive ")]
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_an_overrun_is_told_and_more_is_received(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         for status in (OVERRUN, QUEUE_OVERRUN):
@@ -200,7 +181,7 @@ async def test_an_overrun_is_told_and_more_is_received(peak: ctypes.CDLL) -> Non
         assert (await one.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_queue_of_the_library_that_was_too_short(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         peak.stand_in_queue(0)
@@ -209,7 +190,7 @@ async def test_a_queue_of_the_library_that_was_too_short(peak: ctypes.CDLL) -> N
             await one.receive()
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_an_overrun_that_only_the_status_tells(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one:
         peak.stand_in_status(CHANNEL_1, OVERRUN)
@@ -217,7 +198,7 @@ async def test_an_overrun_that_only_the_status_tells(peak: ctypes.CDLL) -> None:
             await one.receive()
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_error_frames_say_what_they_saw(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport("pcan:PCAN_USBBUS2@250k") as other:
         await one.send(END)
@@ -227,7 +208,7 @@ async def test_error_frames_say_what_they_saw(peak: ctypes.CDLL) -> None:
         assert fault.seen == "stuff error while receiving, tx error counter 0, rx error counter 8"
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_listening_only_says_nothing(peak: ctypes.CDLL) -> None:
     async with await open_transport(f"{ONE}?listen_only=true") as one, await open_transport(TWO) as other:
         assert peak.stand_in_listens_only(CHANNEL_1) == 1

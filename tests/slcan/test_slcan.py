@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,12 +18,11 @@ from canopen_transports import (
     FrameNotSent,
     PythonCanTransport,
     ReceiveOverrun,
-    Transport,
     TransportError,
     open_transport,
 )
 from canopen_transports.conformance.frames import END
-from tests.transports.support import run
+from tests.transports.support import reported, trio_test
 
 if sys.platform == "win32":
     pytest.skip("pseudo-terminals are POSIX's alone", allow_module_level=True)
@@ -53,21 +51,7 @@ def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedBu
     simulated.close()
 
 
-def scenario(body: Callable[[SimulatedBus], Awaitable[None]]) -> Callable[[SimulatedBus], None]:
-    @functools.wraps(body)
-    def test(bus: SimulatedBus) -> None:
-        run(lambda: body(bus), real_time=True)
-
-    return test
-
-
-async def reported(transport: Transport) -> BusStateChanged:
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
-
-
-@scenario
+@trio_test(real_time=True)
 async def test_bit_rate_and_listening_only_reach_the_adapter(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter, "&listen_only=true") as transport:
@@ -82,7 +66,7 @@ async def test_bit_rate_and_listening_only_reach_the_adapter(bus: SimulatedBus) 
     assert "O" not in adapter.said
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_lines_that_are_no_frames(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter) as transport:
@@ -103,7 +87,7 @@ async def test_lines_that_are_no_frames(bus: SimulatedBus) -> None:
             assert (await transport.receive())[0] == Frame.parse("080#")
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_half_a_frame_is_waited_for(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter) as transport:
@@ -115,7 +99,7 @@ async def test_half_a_frame_is_waited_for(bus: SimulatedBus) -> None:
         assert (await transport.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_an_adapter_that_goes_away_and_comes_back(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter) as transport:
@@ -135,7 +119,7 @@ async def test_an_adapter_that_goes_away_and_comes_back(bus: SimulatedBus) -> No
         await transport.send(END)
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_sender_may_be_the_first_to_notice(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter) as transport, trio.open_nursery() as nursery:
@@ -146,7 +130,7 @@ async def test_a_sender_may_be_the_first_to_notice(bus: SimulatedBus) -> None:
         nursery.cancel_scope.cancel()
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_cancelled_while_it_comes_back_it_can_still_be_closed(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     transport = await open_transport(f"slcan:{adapter.link}@250k?sleep_after_open=0.1")

@@ -6,9 +6,11 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import ParamSpec
 
+import pytest
 import trio
 import trio.testing
 
+from canopen_transports import BusStateChanged, Transport
 from canopen_transports.conformance import CASES, Case, Site
 from canopen_transports.conformance.catalogue import HEARING, OPTIONAL
 from canopen_transports.conformance.opening_cases import what_cannot_be_opened_says_what_to_do as UNOPENABLE
@@ -49,3 +51,10 @@ def trio_test(real_time: bool = False) -> Callable[[Callable[P, Awaitable[None]]
         return test
 
     return decorate
+
+
+async def reported(transport: Transport) -> BusStateChanged:
+    """What the bus reports next, and no frame before it."""
+    with pytest.raises(BusStateChanged) as caught:
+        await transport.receive()
+    return caught.value

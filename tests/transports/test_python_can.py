@@ -16,17 +16,15 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_transports import (
     BusState,
-    BusStateChanged,
     FrameNotSent,
     PythonCanTransport,
     ReceiveOverrun,
-    Transport,
     TransportError,
     parse_locator,
 )
 from canopen_transports.python_can import ROOM_TIME
 from tests.transports.fake_bus import ScriptedBus
-from tests.transports.support import trio_test
+from tests.transports.support import reported, trio_test
 
 CAN0 = parse_locator("socketcan:can0@500k")
 SYNC = Frame.parse("080#")
@@ -49,12 +47,6 @@ def error_frame(classes: int, data: str) -> can.Message:
 
 def sync() -> can.Message:
     return can.Message(arbitration_id=0x80, is_extended_id=False)
-
-
-async def reported(transport: Transport) -> BusStateChanged:
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
 
 
 @pytest.fixture

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Iterator
 
 import pytest
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports import BusState, BusStateChanged, Transport, TransportError, open_transport, python_can
-from tests.transports.support import run
+from canopen_transports import BusState, Transport, TransportError, open_transport, python_can
+from tests.transports.support import reported, trio_test
 
 END = Frame.parse("7E5#0E")
 
@@ -69,27 +68,15 @@ async def joined(server: Server) -> Transport:
     return transports[0]
 
 
-def scenario(body: Callable[[Server], Awaitable[None]]) -> Callable[[pytest.MonkeyPatch], None]:
-    @functools.wraps(body)
-    def test(monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(python_can, "REOPEN_PAUSE", 0.02)
-        server = Server()
-        try:
-            run(lambda: body(server), real_time=True)
-        finally:
-            server.hang_up()
-
-    del test.__wrapped__  # pytest would ask it for the fixtures
-    return test
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setattr(python_can, "REOPEN_PAUSE", 0.02)
+    server = Server()
+    yield server
+    server.hang_up()
 
 
-async def reported(transport: Transport) -> BusStateChanged:
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
-
-
-@scenario
+@trio_test(real_time=True)
 async def test_frames_both_ways(server: Server) -> None:
     async with await joined(server) as transport:
         assert server.heard == ["< open can0 >", "< rawmode >"]
@@ -101,7 +88,7 @@ async def test_frames_both_ways(server: Server) -> None:
         assert await trio.to_thread.run_sync(server.client.recv, 100) == b"< send 60C 2 40 41 >"
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_server_that_goes_away_and_comes_back(server: Server) -> None:
     async with await joined(server) as transport:
         server.hang_up()  # of that, python-can says nothing
@@ -118,7 +105,7 @@ async def test_a_server_that_goes_away_and_comes_back(server: Server) -> None:
     again.hang_up()
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_what_is_no_frame_is_told_in_one_line(server: Server) -> None:
     async with await joined(server) as transport:
         server.say("< frame 7E5 noon 0E >")
@@ -129,7 +116,7 @@ async def test_what_is_no_frame_is_told_in_one_line(server: Server) -> None:
         assert (await transport.receive())[0] == END
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_no_server(server: Server) -> None:
     locator = server.locator
     server.hang_up()
@@ -139,7 +126,7 @@ async def test_no_server(server: Server) -> None:
     assert caught.value.tries[0] == "socketcand -v -i can0   (on the computer that has the adapter)"
 
 
-@scenario
+@trio_test(real_time=True)
 async def test_a_server_that_says_nothing_does_not_keep_us(server: Server) -> None:
     with trio.move_on_after(0.1) as scope:
         await open_transport(server.locator)
