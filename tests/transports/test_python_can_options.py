@@ -19,7 +19,11 @@ SYNC = Frame.parse("080#")
     ("interface", "options"),
     [
         ("pcan", {"state": can.BusState.PASSIVE}),
+        ("systec", {"state": can.BusState.PASSIVE}),
         ("slcan", {"listen_only": True}),
+        ("vector", {"listen_only": True}),
+        ("nixnet", {"listen_only": True}),
+        ("seeedstudio", {"operation_mode": "silent"}),
         ("kvaser", {"driver_mode": False}),
         ("cantact", {"monitor": True}),
         ("udp_multicast", {}),

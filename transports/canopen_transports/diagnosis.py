@@ -221,6 +221,17 @@ def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
     )
 
 
+def bitrate_is_set_elsewhere(locator: Locator) -> TransportError:
+    """A bit rate that python-can would take, and not pass on."""
+    return TransportError(
+        BAD_LOCATOR,
+        locator.text,
+        f"cannot open {locator.text}",
+        seen=f"{locator.interface} sets no bit rate: what is at the other end does",
+        tries=("leave the bit rate out",),
+    )
+
+
 def unknown_option(locator: Locator, option: str, known: list[str]) -> TransportError:
     """An option that our own transport of this interface does not have."""
     return TransportError(

@@ -39,6 +39,9 @@ MULTICAST_HOP_LIMIT: Final = 0
 CONNECT_TIME: Final = 3.0
 """Seconds that the server of socketcand has to accept a connection."""
 
+# python-can takes a bit rate for these, and does nothing with it.
+_BITRATE_ELSEWHERE: Final = ("serial", "socketcand")
+
 # Backends complain to the log before they raise, and Python prints that where nobody has set up logging. What matters is in our
 # errors; an application that does set up logging still gets it all.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -86,6 +89,8 @@ def _open_socketcan(locator: Locator) -> SocketCanTransport:
 def _open_bus(locator: Locator) -> can.BusABC:
     channel, options = locator.python_can_channel, listen_only.backend_options(locator)
     if locator.bitrate is not None:
+        if locator.interface in _BITRATE_ELSEWHERE:
+            raise diagnosis.bitrate_is_set_elsewhere(locator)
         options["bitrate"] = locator.bitrate
     try:
         if locator.interface == "socketcan":
