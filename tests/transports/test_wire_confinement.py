@@ -208,6 +208,7 @@ def test_a_frame_without_acknowledge_ends_with_its_ack_slot() -> None:
 
 def test_bus_off_and_back_after_128_times_11_recessive_bits() -> None:
     wire, (one, two, three) = made(3)
+    blame(wire, one, receive=50)
     wire.send(one, PDO, 0)
     wire.send(one, SYNC, 0)
     wire.handle_timeout(0)
@@ -223,6 +224,7 @@ def test_bus_off_and_back_after_128_times_11_recessive_bits() -> None:
     assert [(each.member, each.state) for each in reports] == [(one, BusState.BUS_OFF), (one, BusState.ACTIVE)]
     # The frame of `two` ends with 11 recessive bits; the other 127 times are waited for.
     assert reports[1].at == deliveries[0].at + 3 * BIT + 127 * 11 * BIT
+    assert counters(one) == [(0, 0)]
     wire.send(one, SYNC, SECOND)
     assert len(play(wire)[0]) == 1
 
