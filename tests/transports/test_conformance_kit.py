@@ -351,5 +351,8 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     ):
         assert main(locators) == status
         assert said in capsys.readouterr().out
-    assert main([]) == 2
-    assert "NEVER on a bus with drives" in capsys.readouterr().err
+    for locators, status, said in (([], 2, "NEVER on a bus with drives"), (["file:/no/trace.log"], 1, "CO101: cannot open")):
+        assert main(locators) == status
+        said_to = capsys.readouterr()
+        assert said in said_to.err
+        assert not said_to.out

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import sys
 
+import trio
+
 from canopen_proto.conformance.case import Result
 from canopen_transports.conformance.catalogue import run_all
 from canopen_transports.conformance.site import Site, at
+from canopen_transports.errors import TransportError
+from canopen_transports.opening import open_transport
 
 
 def main(locators: list[str]) -> int:
@@ -18,6 +22,11 @@ def main(locators: list[str]) -> int:
     if not locators or locators[0].startswith("-"):
         print(__doc__, file=sys.stderr)
         return 2
+    try:
+        trio.run(_open, locators)
+    except TransportError as error:  # one text, not one for each case
+        print(error, file=sys.stderr)
+        return 1
     failed = 0
     for case, verdict in run_all(Site(at(*locators))):
         failed += verdict.result is Result.FAILED
@@ -26,6 +35,11 @@ def main(locators: list[str]) -> int:
             print(f"{'':14}    {line}")
     print(f"{failed} failed" if failed else "none failed")
     return 1 if failed else 0
+
+
+async def _open(locators: list[str]) -> None:
+    for locator in locators:
+        await (await open_transport(locator)).aclose()
 
 
 if __name__ == "__main__":
