@@ -90,7 +90,6 @@ async def told(transport: PythonCanTransport) -> object:
         AttributeError("'NoneType' object has no attribute 'read'"),
         RuntimeError("USB error"),
         AssertionError(),
-        struct.error("unpack requires a buffer of 4 bytes"),
     ],
     ids=lambda failure: type(failure).__name__,
 )
@@ -103,7 +102,16 @@ def test_whatever_a_backend_raises_the_bus_is_down_and_is_opened_anew(failure: E
     body()
 
 
-@pytest.mark.parametrize("failure", [ValueError("no digit"), IndexError("too short"), TypeError("ord() expected a character")])
+@pytest.mark.parametrize(
+    "failure",
+    [
+        ValueError("no digit"),
+        IndexError("too short"),
+        TypeError("ord() expected a character"),
+        struct.error("unpack requires a buffer of 4 bytes"),
+    ],
+    ids=lambda failure: type(failure).__name__,
+)
 def test_what_is_no_frame_is_a_frame_lost_and_reading_goes_on(failure: Exception, fd: int | None) -> None:
     @trio_test(real_time=True)
     async def body() -> None:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import functools
 import secrets
+import struct
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -73,7 +74,7 @@ MAX_NONSENSE: Final = 100
 
 # Backends whose send only puts the frame into a queue.
 _SEND_DOES_NOT_BLOCK: Final = ("can.interfaces.virtual", "can.interfaces.pcan")
-_NONSENSE: Final = (ValueError, LookupError, TypeError)
+_NONSENSE: Final = (ValueError, LookupError, TypeError, struct.error)
 """What python-can's parsers of serial lines make of what is no frame."""
 _GARBLED: Final = "the serial line's speed (tty_baudrate) is wrong, or it is no such adapter"
 _AWAY: Final = (BusState.DOWN, BusState.BUS_OFF)
