@@ -39,6 +39,7 @@ from canopen_master.errors import (
     CHAIN_FAILED,
     CHAIN_HALTED,
     CHAIN_NOT_READY,
+    GIVEN_UP,
     NO_ANSWER,
     REFUSED,
     ChainError,
@@ -327,7 +328,7 @@ class Chain:
             code, network = NO_ANSWER, self._master.bus(device.node.bus).network
             seen, cause, tries = sdo_silence(network, device.node.remote, self._master.now())
         elif isinstance(error, SdoFailed):
-            code = REFUSED
+            code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
         failure = f"chain {self.name} could not {operation}: {device.where}: {error}"
         return ChainError(code, self.name, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 

@@ -212,7 +212,10 @@ class Node:
             f"node {self.node_id} answered reading {variable.label} with {len(uploaded.data)} bytes",
             seen=str(error),
             cause="the device is not the one that the dictionary describes",
-            tries=("read_bytes gives what it sent",),
+            tries=(
+                f"await node.read_bytes(0x{variable.index:04X}, {variable.subindex})",
+                f"canopen read {self.node_id} {variable.index:04X}:{variable.subindex:02X} -o FILE    (the bytes that it sent)",
+            ),
         )
 
     async def _download(self, submit: Callable[[Time], RequestId], attempt: str) -> None:

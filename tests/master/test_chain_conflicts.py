@@ -22,8 +22,10 @@ from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtState
+from canopen_transports import Transport, open_transport
 from tests.master.world import (
     BUS,
     arm_of,
@@ -210,6 +212,22 @@ async def test_a_device_that_refuses_what_initialise_asks() -> None:
         with pytest.raises(ChainError, match="node 3 refused reading 0x1000:00") as caught:
             await arm_of(master, 3, 4).initialise()
         assert (caught.value.code, caught.value.joint) == ("CO202", "joint1")
+
+
+@virtual_time
+async def test_a_device_whose_answer_is_not_taken() -> None:
+    async def answer(transport: Transport) -> None:
+        while True:
+            frame, _ = await transport.receive()
+            if frame.can_id == 0x603:
+                await transport.send(Frame.parse("583#41001000FFFFFFFF"))  # 4 GB are to follow
+
+    async with await open_transport(BUS) as device, trio.open_nursery() as nursery, open_master(BUS) as master:
+        nursery.start_soon(answer, device)
+        with pytest.raises(ChainError, match="of node 3 was given up: 0x05040005") as caught:
+            await arm_of(master, 3).initialise()
+        assert caught.value.code == "CO203", "nobody refused"
+        nursery.cancel_scope.cancel()
 
 
 @virtual_time

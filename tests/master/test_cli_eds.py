@@ -108,7 +108,10 @@ def test_what_describes_no_device_cannot_be_read(run: Run, content: bytes) -> No
     outcome = run("eds", "lint", "junk.eds", "--json")
     assert outcome.status == 6
     assert outcome.json["error"]["code"] == "CO301"
-    assert run("eds", "show", "junk.eds").err.startswith("error CO301: junk.eds describes no object")
+    told = run("eds", "show", "junk.eds").err
+    assert told.startswith("error CO301: junk.eds describes no object")
+    assert "line 0" not in told
+    assert "eds lint" not in told, "which has no more to say of such a file"
 
 
 def test_a_file_that_is_not_there(run: Run) -> None:

@@ -26,6 +26,7 @@ from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary.findings import DictionaryError, Finding, Severity
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted
@@ -51,9 +52,13 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (errors.ChainHalted("CO403", "arm", "it was halted"), ExitCode.DRIVE_FAULT, "CO403"),
         (errors.ChainError(errors.NO_ANSWER, "arm", "no answer"), ExitCode.NO_ANSWER, "CO201"),
         (errors.ChainError(errors.REFUSED, "arm", "refused"), ExitCode.SDO_ABORT, "CO202"),
+        (errors.ChainError(errors.GIVEN_UP, "arm", "given up"), ExitCode.SDO_ABORT, "CO203"),
         (errors.HaltNotConfirmed("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
         (SdoFailed(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
         (SdoFailed(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),
+        (SdoFailed(aborted(AbortOrigin.LOCAL), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (SdoFailed(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
         (DriveFault("drive 5 is in fault: x. Try: reset it"), ExitCode.DRIVE_FAULT, "CO402"),
         (HomingFailed("drive 5 reports a homing error: x"), ExitCode.DRIVE_FAULT, "CO403"),
         (ModeUnsupported("drive 5 does not support it: x"), ExitCode.DRIVE_FAULT, "CO401"),
@@ -81,6 +86,13 @@ def test_a_chain_error_knows_what_its_cause_knows() -> None:
     error.__cause__ = SdoFailed(aborted(AbortOrigin.PEER), "reading")
     problem = problem_of(error)
     assert (problem.node, problem.index, problem.subindex, problem.abort) == (5, 0x6041, 0, AbortCode.READ_ONLY)
+
+
+def test_a_chain_error_has_the_status_of_its_cause() -> None:
+    error = errors.ChainError(errors.CHAIN_FAILED, "arm", "chain arm could not initialise: joint1")
+    error.__cause__ = UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1")
+    problem = problem_of(error)
+    assert (problem.exit_code, problem.code) == (ExitCode.SDO_ABORT, "CO204")
 
 
 def test_notes_are_told_too() -> None:

@@ -159,6 +159,7 @@ async def test_an_answer_of_another_length_is_not_taken_for_a_value() -> None:
         with pytest.raises(UnexpectedAnswer, match="2 bytes") as caught:
             await node.read("torque_actual_value")
         assert isinstance(caught.value, ValueError)
+        assert caught.value.tries[0] == "await node.read_bytes(0x6077, 0)"
 
 
 @virtual_time

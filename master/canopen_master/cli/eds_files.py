@@ -52,13 +52,16 @@ def open_description(path: str) -> DescriptionFile:
     description = read_description(data, path)
     if not description.dictionary.objects:
         first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
+        seen = f"{len(data)} bytes"
+        if first is not None:
+            seen = f"line {first.line}: {first.message}" if first.line else first.message
         raise Problem(
             ExitCode.BAD_FILE,
             "CO301",
             f"{path} describes no object",
-            seen=f"line {first.line}: {first.message}" if first is not None else f"{len(data)} bytes",
+            seen=seen,
             cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
-            tries=(f"canopen eds lint {path}    (all that is wrong with it)",) if description.findings else (),
+            tries=("check the path", "ask the device's maker for its file"),
         )
     return DescriptionFile(path, data, description)
 

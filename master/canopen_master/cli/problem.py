@@ -24,8 +24,9 @@ from canopen_proto.dictionary import NotInDictionary
 from canopen_proto.dictionary.findings import DictionaryError
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
-from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
 from canopen_transports.log_files import LogFileError
@@ -276,7 +277,11 @@ def _spoken(error: TransportError | errors.MasterError, exit_code: ExitCode) -> 
     )
 
 
-_OF_CHAIN = {errors.NO_ANSWER: ExitCode.NO_ANSWER, errors.REFUSED: ExitCode.SDO_ABORT}
+_OF_CHAIN = {
+    errors.NO_ANSWER: ExitCode.NO_ANSWER,
+    errors.REFUSED: ExitCode.SDO_ABORT,
+    errors.GIVEN_UP: ExitCode.SDO_ABORT,
+}
 
 
 def _of_chain(error: errors.MasterError) -> Problem:
@@ -284,7 +289,7 @@ def _of_chain(error: errors.MasterError) -> Problem:
     problem = _spoken(error, _OF_CHAIN.get(error.code, ExitCode.DRIVE_FAULT))
     below = _of_expected(error.__cause__) if error.__cause__ is not None else None
     if below is not None:
-        problem.code = below.code
+        problem.exit_code, problem.code = below.exit_code, below.code
         problem.tries = problem.tries or below.tries
         problem.node = problem.node or below.node
         problem.index, problem.subindex, problem.abort = below.index, below.subindex, below.abort
@@ -292,11 +297,12 @@ def _of_chain(error: errors.MasterError) -> Problem:
 
 
 def _of_sdo(error: SdoFailed) -> Problem:
-    silent = error.origin is not AbortOrigin.PEER
+    silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # that was our own side
+    code = errors.NO_ANSWER if silent else errors.REFUSED if error.origin is AbortOrigin.PEER else errors.GIVEN_UP
     failed, _, seen = str(error).partition(": ")
     return Problem(
-        ExitCode.NO_ANSWER if silent else ExitCode.SDO_ABORT,
-        "CO201" if silent else "CO202",
+        ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
+        code,
         failed,
         seen=seen,
         cause="no device has this node-ID, its power is off, or it is stopped" if silent else "",
@@ -313,6 +319,9 @@ def _of_procedure(error: ProcedureError) -> Problem:
     what, _, seen = failed.partition(": ")
     tries = (hint,) if hint else ()
     match error:
+        case UnexpectedLength():
+            what, _, cause = failed.partition("; ")
+            return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
         case DriveFault():
             return Problem(ExitCode.DRIVE_FAULT, "CO402", what, seen=seen, tries=tries)
         case HomingFailed():
