@@ -245,7 +245,8 @@ def test_stats(run: Run, log: Path) -> None:
     assert run("log", "stats", str(log), "--json").json["ids"][0]["service"] == "heartbeat"
     log.write_text("")
     assert "0 frames in 0 s" in run("log", "stats", str(log)).out
-    assert run("log", "stats", str(log), "--bitrate", "2M").status == 2
+    outcome = run("log", "stats", str(log), "--bitrate", "2M", "--json")
+    assert (outcome.status, outcome.error["code"]) == (2, "CO001"), "as of `canopen plan`"
 
 
 def test_decode(run: Run, log: Path) -> None:

@@ -142,7 +142,7 @@ def write_file(path: str, data: bytes, *inputs: str) -> None:
     for each in inputs:
         with suppress(OSError):
             if target.exists() and target.samefile(each):
-                raise usage("CO341", f"{path} is the file that is read; it is not overwritten", tries=("another name after -o",))
+                raise usage("CO123", f"{path} is the file that is read; it is not overwritten", tries=("another name after -o",))
     beside = target.with_name(f"{target.name}.part")
     try:
         beside.write_bytes(data)

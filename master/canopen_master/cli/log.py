@@ -92,7 +92,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
     except ValueError:
         factor = 0.0
     if factor is not None and not 0 < factor < 1e9:
-        raise usage("CO123", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
+        raise usage("CO001", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
     reader = LogReader(source)
 
     async def play() -> int:
@@ -123,7 +123,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
     try:
         rate = parse_bitrate(bitrate)
     except ValueError as error:
-        raise usage("CO123", str(error), tries=("--bitrate 500k",)) from None
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
     reader, decoder = LogReader(source), Decoder()
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
