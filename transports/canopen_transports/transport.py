@@ -26,8 +26,9 @@ MAX_LENGTH = 8
 
 Received: TypeAlias = tuple[Frame, int | None]
 """A frame and its time stamp: ns on the transport's own clock, which does not run back unless somebody sets it; None where it has
-none. virtual: trio's clock, with physics the frame's last bit. socketcan: the kernel's (CLOCK_REALTIME) when it took the frame.
-Of python-can it is the backend's: since 1970, or since the adapter was started. file: that of the file. tcp: None.
+none. virtual: trio's clock, with physics the frame's last bit. socketcan: the kernel's (CLOCK_REALTIME) when it took the frame;
+in the first moments after opening, when it was read. Of python-can it is the backend's: since 1970, or since the adapter was
+started. file: that of the file. tcp: None.
 """
 
 

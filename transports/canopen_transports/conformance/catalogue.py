@@ -31,7 +31,6 @@ HEARING: Final = (
     opening_cases.what_cannot_be_opened_says_what_to_do,
     carrying_cases.every_kind_of_frame,
     flooding_cases.stream,
-    flooding_cases.time_stamps_in_a_stream,
     flooding_cases.two_receivers,
     cancelling_cases.storm_on_receive,
     closing_cases.closing_wakes_the_receiver,
