@@ -24,6 +24,7 @@ all other joints are halted, and everything that is asked of the chain raises Ch
 from __future__ import annotations
 
 import enum
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -61,7 +62,7 @@ from canopen_proto.cia402.axis import AxisStateChanged
 from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.cia402.states import State
 from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.described_pdos import described_pdos
 from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault, start_interpolation
@@ -78,7 +79,7 @@ MAX_MISSED_CYCLES: Final = 10
 """In a row; at the usual 10 ms a program that is 0.1 s late has lost control of the arm."""
 SILENT_CYCLES: Final = 10
 SILENT_TIME: Final = 100 * MILLISECOND
-"""A joint from which nothing came for this many cycles, and this long, is gone."""
+"""A joint from which nothing came behind this many SYNCs in a row, and this long, is gone."""
 
 
 class ChainState(enum.Enum):
@@ -134,6 +135,7 @@ class Chain:
         self.settings = settings
         self.state = ChainState.OFF
         self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
+        self._sync_times: deque[Time] = deque(maxlen=SILENT_CYCLES)  # while it follows
         self._supervised = False
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
@@ -226,6 +228,7 @@ class Chain:
         cycle_time = round(self.settings.cycle_time * SECOND)
         await self._for_all("enable interpolated position", lambda device: start_interpolation(device.axis, cycle_time))
         self._set_points.begin()
+        self._sync_times.clear()
         self.state, self._followed = ChainState.FOLLOWING, True
 
     async def halt(self) -> None:
@@ -460,10 +463,13 @@ class Chain:
             self._stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")
             return
         now = self._master.now()
-        limit = max(SILENT_TIME, round(SILENT_CYCLES * settings.cycle_time * SECOND))
+        asked = (
+            now - self._sync_times[0] if len(self._sync_times) == SILENT_CYCLES else 0
+        )  # a stall of ours is no silence of theirs
+        self._sync_times.append(now)
         for device in self.devices:
             silence = device.silence(now)
-            if silence is not None and silence > limit:
+            if silence is not None and silence > SILENT_TIME and 0 < asked <= silence:
                 self._joint_failed(device, f"is silent: no PDO with {_names(device)} for {silence / SECOND:.3g} s")
                 return
 

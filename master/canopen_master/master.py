@@ -2,8 +2,8 @@
 
 Theory of operation
 -------------------
-A `Master` has one core Network per bus, all with one Runner, and the pump that drives them (pump.py). Everything that it offers is
-one of three kinds:
+A `Master` has one core Network per bus, all with one Runner, and the pump that drives them (pump.py). Everything that it offers
+is one of three kinds:
 
 - a command that only mutates: it is called, `pump` follows, done;
 - a request with an outcome (an SDO transfer, a procedure): a task waits for the Outcome event of that id. If the task is

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import trio
+import trio.testing
 
 from canopen_master import Chain, ChainFault, ChainState, Host, open_master, powerballs, simulate
 from canopen_proto.cia402.states import State
@@ -225,6 +226,21 @@ def test_other_ways_to_fail(do: Callable[[Host], Any], reason: str) -> None:
             assert value(drives(host)[1], 0x6040_00) & 0x100
 
     test()
+
+
+@virtual_time
+async def test_a_stall_of_this_process_is_no_silence_of_the_joints() -> None:
+    """They send behind SYNC, and there was none."""
+
+    def stall() -> None:
+        clock = trio.lowlevel.current_clock()
+        assert isinstance(clock, trio.testing.MockClock)
+        clock.jump(0.3)
+
+    async with following_arm(3, 4) as (_, _, arm):
+        await follow(arm, at=50, do=stall)
+        assert arm.skipped_cycles >= 29
+        assert arm.state is ChainState.FOLLOWING
 
 
 @virtual_time
