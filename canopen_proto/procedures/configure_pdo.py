@@ -55,7 +55,7 @@ def read_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[P
     try:
         return PdoSettings.from_read(number, direction, answers)
     except MappingError as error:
-        raise StrangePdo(f"node {node.node_id}: {error}") from error
+        raise StrangePdo(f"a PDO of node {node.node_id} makes no sense: {error}") from error
 
 
 def _upload(node: RemoteNode, index: int, subindex: int, size: int) -> Procedure[bytes]:

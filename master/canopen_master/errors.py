@@ -42,6 +42,9 @@ CHAIN_FAILED: Final = "CO401"
 CHAIN_FAULT: Final = "CO402"
 CHAIN_HALTED: Final = "CO403"
 CHAIN_NOT_READY: Final = "CO404"
+MODE_UNSUPPORTED: Final = "CO405"
+HOMING_FAILED: Final = "CO406"
+PROCEDURE_FAILED: Final = "CO407"
 
 
 class MasterError(Exception):

@@ -150,7 +150,7 @@ def _silent(network: Network, heard: NodeHeard, now: Time) -> Diagnosis:
     check = f"check the node-ID {node_id} (0x{node_id:02X}), power and bit rate"
     last = network.last_heard
     if last is None and network.hears_all:
-        cause = "wrong bit rate, no power, or the wiring: CAN-H and CAN-L, termination"
+        cause = "nobody else is on it; or wrong bit rate, no power, or the wiring: CAN-H and CAN-L, termination"
         return Diagnosis("nothing at all was heard on this bus", cause, ("check bit rate, power and wiring", SCAN))
     seen, cause = "nothing was heard of it", "no device has this node-ID, its power is off, or it runs with another bit rate"
     if heard.pdo is not None:

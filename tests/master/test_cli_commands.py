@@ -360,7 +360,7 @@ def test_home(run: Run, fleets: list[Fleet]) -> None:
 def test_a_mode_that_the_drive_lacks(run: Run) -> None:
     outcome = run("home", "3", "--style", "standard", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
-    assert "CO401" in outcome.err
+    assert "CO405" in outcome.err
     assert "does not support homing" in outcome.err
     assert "interpolated position" in outcome.err
 
@@ -368,7 +368,7 @@ def test_a_mode_that_the_drive_lacks(run: Run) -> None:
 def test_homing_takes_too_long(run: Run, fleets: list[Fleet]) -> None:
     outcome = run("home", "3", "--limit", "100ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
-    assert "CO404" in outcome.err
+    assert "CO407" in outcome.err
     assert "the drives were halted" in outcome.err
     assert "a longer --limit (now 0.1 s)" in outcome.err
     assert all(stands(drive) for drive in fleets[0].drives.values())

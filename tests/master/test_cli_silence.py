@@ -138,7 +138,7 @@ def test_what_else_a_passive_scan_heard(run: Run, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_scan_on_a_bus_without_nodes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "Nothing at all was heard. Are they powered, and is the bit rate right?" in run("scan", *ON_BUS).err
+    assert "Nothing at all was heard. Is anybody there, with power and the same bit rate?" in run("scan", *ON_BUS).err
     populate(monkeypatch, saying((0.1, "7E4#5000000000000000")))
     assert "Devices without a node-ID (LSS) are not found" in run("scan", *ON_BUS).err
 

@@ -323,10 +323,10 @@ def _of_procedure(error: ProcedureError) -> Problem:
             what, _, cause = failed.partition("; ")
             return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
         case DriveFault():
-            return Problem(ExitCode.DRIVE_FAULT, "CO402", what, seen=seen, tries=tries)
+            return Problem(ExitCode.DRIVE_FAULT, errors.CHAIN_FAULT, what, seen=seen, tries=tries)
         case HomingFailed():
             tries = ("look whether the axis can move freely, and at its homing method (0x6098)",)
-            return Problem(ExitCode.DRIVE_FAULT, "CO403", what, seen=seen, tries=tries)
+            return Problem(ExitCode.DRIVE_FAULT, errors.HOMING_FAILED, what, seen=seen, tries=tries)
         case ModeUnsupported():
-            return Problem(ExitCode.DRIVE_FAULT, "CO401", what, seen=seen, tries=("choose a mode that it has",))
-    return Problem(ExitCode.DRIVE_FAULT, "CO404", what, seen=seen, tries=tries)
+            return Problem(ExitCode.DRIVE_FAULT, errors.MODE_UNSUPPORTED, what, seen=seen, tries=("choose a mode that it has",))
+    return Problem(ExitCode.DRIVE_FAULT, errors.PROCEDURE_FAILED, what, seen=seen, tries=tries)

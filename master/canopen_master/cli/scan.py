@@ -68,7 +68,9 @@ def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
         return f"{text}. Nodes without a heartbeat are silent: the same without --passive asks them."
     if network.last_heard is not None:
         return f"{text}. Devices without a node-ID (LSS) are not found by a scan."
-    return f"{text}. Are they powered, and is the bit rate right? One device alone needs a second one to acknowledge its frames."
+    return (
+        f"{text}. Is anybody there, with power and the same bit rate? One device alone needs a second to acknowledge its frames."
+    )
 
 
 async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
