@@ -134,6 +134,43 @@ def test_nonsense_and_nothing_else_is_a_bus_that_is_down(fd: int | None) -> None
     body()
 
 
+class MulticastBus(ScriptedBus):
+    __module__ = "can.interfaces.udp_multicast.bus"
+
+
+def test_a_socket_that_select_refuses_is_no_datagram_of_somebody_elses(fd: int | None) -> None:
+    @trio_test(real_time=True)
+    async def body() -> None:
+        refusal = ValueError("filedescriptor out of range in select()")
+        bus = MulticastBus(received=[refusal] * (python_can.MAX_NONSENSE + 1), fd=fd)
+        async with PythonCanTransport(bus) as transport:
+            assert [await told(transport) for _ in range(python_can.MAX_NONSENSE)] == [1] * python_can.MAX_NONSENSE
+            with trio.fail_after(5), pytest.raises(TransportError, match="out of range in select"):
+                await transport.receive()
+
+    body()
+
+
+class UnpluggedLine(ScriptedBus):
+    """What came last was garbled, and there is nothing more to flush."""
+
+    def flush(self) -> None:
+        raise can.CanOperationError("Could not flush: Input/output error")
+
+
+def test_unplugged_amid_a_line_the_bus_is_down(fd: int | None) -> None:
+    @trio_test(real_time=True)
+    async def body() -> None:
+        async with PythonCanTransport(UnpluggedLine(received=[sync(), ValueError("no digit")], fd=fd)) as transport:
+            with trio.fail_after(5):
+                assert [await told(transport) for _ in range(2)] == [SYNC, 1]
+                with pytest.raises(TransportError) as caught:
+                    await transport.receive()
+            assert (caught.value.code, caught.value.seen) == ("CO111", "Could not flush: Input/output error")
+
+    body()
+
+
 def test_a_bus_of_somebody_elses_ends_there(fd: int | None) -> None:
     @trio_test(real_time=True)
     async def body() -> None:

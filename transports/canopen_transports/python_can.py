@@ -241,7 +241,10 @@ class PythonCanTransport(trio.abc.AsyncResource):
                 self._next_look = began + READ_POLL
                 self._follow(self._peak, self._peak.look())
         except diagnosis.DRIVER_ERRORS as error:
-            self._on_failed_read(error)
+            try:
+                self._on_failed_read(error)
+            except diagnosis.DRIVER_ERRORS as worse:  # what has failed may fail at its clearing up, too: an unplugged line
+                self._end(worse)
             if timeout:
                 time.sleep(IDLE_PAUSE)  # should each read fail
         return not (self._closed or self._is_over)
@@ -252,15 +255,15 @@ class PythonCanTransport(trio.abc.AsyncResource):
         nonsense = error if isinstance(error, _NONSENSE) else error.__cause__
         if self._peak is not None and status and not peak.is_lost(status):
             self._follow(self._peak, status | self._peak.look())
-        elif self._mark is not None and not isinstance(error.__cause__, OSError):
+        elif self._mark is not None and isinstance(error, can.CanError) and not isinstance(error.__cause__, OSError):
             self._refuse(f"{error}: {error.__cause__}")  # a datagram that is not python-can's
         elif isinstance(nonsense, _NONSENSE) and self._nonsense < MAX_NONSENSE:
             self._nonsense += 1
             self._refuse(f"{type(nonsense).__name__}: {nonsense}")
-            drop_garbage(self._bus)
             seen = f"what came is no frame: {self.last_refusal}"
             cause = _GARBLED if self._is_serial_line else "there is something else at the other end, or its driver is faulty"
             self._queue.report(ReceiveOverrun(self.locator, 1, seen, cause=cause))
+            drop_garbage(self._bus)
         else:
             self._end(error)
 
