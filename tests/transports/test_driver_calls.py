@@ -90,6 +90,20 @@ def test_a_driver_that_does_not_come_back_from_closing_is_left_behind() -> None:
     body()
 
 
+@pytest.mark.usefixtures("impatient")
+def test_the_thread_that_a_driver_keeps_is_not_missing_elsewhere() -> None:
+    @trio_test(real_time=True)
+    async def body() -> None:
+        trio.to_thread.current_default_thread_limiter().total_tokens = 1
+        bus = SlowBus("shutdown")
+        await PythonCanTransport(bus).aclose()
+        with trio.fail_after(5):
+            assert await trio.to_thread.run_sync(len, "abc") == 3
+        bus.release.set()
+
+    body()
+
+
 class Opening:
     """Stands in for python-can's `can.Bus`: opens when it is released."""
 

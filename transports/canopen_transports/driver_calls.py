@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Final, TypeVarTuple
 
 import can
 import trio
@@ -19,6 +19,8 @@ from canopen_transports.leftovers import shut_down
 DRIVER_TIME: Final = 2.0
 """Seconds that a driver has to come back. Those that wait on their own do so for about 1 s (libusb, a serial line's limit)."""
 
+Ts = TypeVarTuple("Ts")
+
 
 async def call(function: Callable[[], None]) -> None:
     """Run `function` in a thread, to its end, even if cancelled: what it does to the bus is done or not, but not half.
@@ -26,7 +28,7 @@ async def call(function: Callable[[], None]) -> None:
     TimeoutError when it has not come back in DRIVER_TIME.
     """
     with trio.move_on_after(DRIVER_TIME, shield=True) as scope:
-        await trio.to_thread.run_sync(function, abandon_on_cancel=True)
+        await _in_thread(function)
     if scope.cancelled_caught:
         raise TimeoutError(f"the driver has not come back for {DRIVER_TIME:g} s")
 
@@ -56,14 +58,19 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
                 token.run_sync_soon(finished.set)
 
     try:
-        await trio.to_thread.run_sync(work, abandon_on_cancel=True)
+        await _in_thread(work)
     except BaseException:  # above all a cancel, and Ctrl-C
         with lock:
             is_wanted = False
             too_late = list(opened)  # it came while we were cancelled
         with trio.move_on_after(DRIVER_TIME, shield=True):
             for bus in too_late:
-                await trio.to_thread.run_sync(shut_down, bus, abandon_on_cancel=True)
+                await _in_thread(shut_down, bus)
             await finished.wait()
         raise
     return opened[0]
+
+
+async def _in_thread(function: Callable[[*Ts], None], *args: *Ts) -> None:
+    # Not one of trio's 40: a driver that hangs each time would take them all, and with them the files and names of the program.
+    await trio.to_thread.run_sync(function, *args, abandon_on_cancel=True, limiter=trio.CapacityLimiter(1))
