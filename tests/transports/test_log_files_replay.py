@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -167,6 +168,16 @@ async def test_files_that_cannot_be_replayed(tmp_path: Path) -> None:
         assert bus.ended
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="asks Linux which files are open")
+def test_closed_amid_a_file_it_does_not_hold_the_file(log: str) -> None:
+    async def body() -> None:
+        async with await opened(log) as bus:
+            await bus.receive()
+        assert log.removeprefix("file:") not in [os.path.realpath(each) for each in Path("/proc/self/fd").iterdir()]
+
+    run(body)
+
+
 # ---- recording ----
 
 
@@ -211,6 +222,18 @@ async def test_what_is_said_is_recorded_once_and_in_order(tmp_path: Path) -> Non
     times = [record.time for record in LogReader(path)]
     assert times[3] - times[0] == pytest.approx(10**9, abs=2000)
     assert not isinstance(await open_transport("virtual:a"), TracingTransport)
+
+
+@trio_test()
+async def test_a_transport_outlives_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    with recording(log_writer(path)) as trace:
+        master = await open_transport("virtual:a")
+        await master.send(Frame.parse("601#40"))
+    async with master:
+        await master.send(Frame.parse("601#41"))
+    assert (trace.recorded, trace.failure) == (1, None)
+    assert lines(path) == ["virtual0 601#40 T"]
 
 
 @trio_test()

@@ -19,7 +19,7 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, NamedTuple, Protocol, TextIO
 
@@ -111,7 +111,7 @@ def kind_of(path: Path) -> str:
 
 
 class LogReader:
-    """The records of a file, once, in its order. Iterating raises LogFileError.
+    """The records of a file, once, in its order. Iterating raises LogFileError, and holds the file open until its end or `close`.
 
     skipped: how many entries were no frames of classical CAN, so far; last_skip: why the last one was none.
     """
@@ -122,7 +122,7 @@ class LogReader:
         self.last_skip = ""
         self._kind = kind_of(path)
 
-    def __iter__(self) -> Iterator[Record]:
+    def __iter__(self) -> Generator[Record]:
         # Opened here, as python-can's readers leave a file open when they raise.
         try:
             if self._kind == ".blf":

@@ -15,7 +15,7 @@ Frames of all buses in the file come, and those that the recorder sent too: who 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Final
 
@@ -52,7 +52,7 @@ class ReplayTransport(trio.abc.AsyncResource):
             self._reader = LogReader(path)
         except LogFileError as error:
             raise self._not_understood(error) from error
-        self._records: Iterator[Record] = iter(self._reader)
+        self._records: Generator[Record] = iter(self._reader)
         self._start = trio.current_time()
         self._next: Record | None = None
         self._granted = 0
@@ -124,6 +124,7 @@ class ReplayTransport(trio.abc.AsyncResource):
     async def aclose(self) -> None:
         """Close the file."""
         self._closed.set()
+        self._records.close()
         self._stepped.unpark_all()
         await trio.lowlevel.checkpoint()
 

@@ -61,8 +61,8 @@ class Trace:
         return now + self._zero
 
     def record(self, record: Record) -> None:
-        """Add a frame; raises nothing."""
-        if self.failure is None:
+        """Add a frame, as long as it is open; raises nothing."""
+        if self.failure is None and not self._closed:
             try:
                 self._writer.write(record)
             except OSError as error:
