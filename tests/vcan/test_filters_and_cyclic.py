@@ -133,6 +133,23 @@ async def test_no_cyclic_frames_on_an_interface_that_is_gone() -> None:
 
 
 @trio_test(real_time=True)
+async def test_cyclic_frames_go_on_when_the_adapter_is_plugged_in_again() -> None:
+    with interface() as name:
+        one = joined(name)
+        one.start_cyclic([END], 5_000_000)
+    async with one:
+        states: list[BusState] = []
+        with interface(), trio.fail_after(5):
+            while BusState.UP not in states:
+                try:
+                    await one.receive()
+                except BusStateChanged as report:
+                    states.append(report.state)
+            assert (await one.receive())[0] == END
+        assert states == [BusState.DOWN, BusState.UP]
+
+
+@trio_test(real_time=True)
 async def test_cyclic_frames_go_on_when_the_interface_is_up_again_and_end_when_it_is_closed() -> None:
     with interface() as name:
         async with joined(name) as one, joined(name) as other:

@@ -48,14 +48,25 @@ class Broadcast:
         seconds, microseconds = divmod(period // 1000, 1_000_000)
         flags = socket.CAN_BCM_SETTIMER | socket.CAN_BCM_STARTTIMER
         head = _HEAD.pack(socket.CAN_BCM_TX_SETUP, flags, 0, 0, 0, seconds, microseconds, name, len(frames))
-        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_DGRAM, socket.CAN_BCM)
+        self._interface = interface
+        self._order = head + _PADDING + b"".join(map(pack, frames))
+        self._socket = self._begun()
+
+    def restart(self) -> None:
+        """Begin anew, on a new interface of that name: the kernel goes on with the one that is gone. Raises OSError."""
+        self._socket.close()
+        self._socket = self._begun()
+
+    def _begun(self) -> socket.socket:
+        sock = socket.socket(socket.AF_CAN, socket.SOCK_DGRAM, socket.CAN_BCM)
         try:
-            self._socket.setblocking(False)
-            self._socket.connect((interface,))
-            self._socket.send(head + _PADDING + b"".join(map(pack, frames)))
+            sock.setblocking(False)
+            sock.connect((self._interface,))
+            sock.send(self._order)
         except BaseException:
-            self._socket.close()
+            sock.close()
             raise
+        return sock
 
     def close(self) -> None:
         """Send no more, and leave the interface."""

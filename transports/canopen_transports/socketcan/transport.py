@@ -353,6 +353,8 @@ class SocketCanTransport(trio.abc.AsyncResource):
         if self._socket.getsockname() != (name,):  # its index is no sign: a new one may have the same
             old = self._socket
             try:
+                if self._broadcast is not None:
+                    self._broadcast.restart()
                 self._open()
             except OSError:  # it went away again under our hands
                 return False
