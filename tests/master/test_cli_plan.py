@@ -44,6 +44,15 @@ def test_six_joints_fit_into_4_ms(run: Run) -> None:
     assert any(line.startswith("verdict           fits: ") for line in lines)
 
 
+@pytest.mark.parametrize("width", ["40", "60", "76"])
+def test_no_number_is_cut_on_a_narrow_terminal(run: Run, monkeypatch: pytest.MonkeyPatch, width: str) -> None:
+    monkeypatch.setenv("COLUMNS", width)
+    outcome = run("plan", "--chains", "multiple_devices.csv", "--cycle", "4ms", "--bitrate", "1M")
+    assert "…" not in outcome.out
+    assert "3.81 ms" in outcome.out
+    assert max(map(len, outcome.out.splitlines())) <= int(width)
+
+
 def test_what_does_not_fit_says_so_and_what_would(run: Run) -> None:
     outcome = run("plan", "--chains", "multiple_devices.csv", "--cycle", "4ms", "--bitrate", "125k", "--emcy", "0")
     assert outcome.status == 1

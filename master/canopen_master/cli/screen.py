@@ -96,9 +96,7 @@ class Screen:
         sizes = []
         for column, (_, *cells) in zip(table.columns, columns, strict=True):
             measures = [Measurement.get(self.out, wide, cell) for cell in (column.header, *cells)]
-            least = max(
-                measures[0].maximum if column.no_wrap else measures[0].minimum, *(each.minimum for each in measures[1:]), 1
-            )
+            least = max(1, *(each.maximum if column.no_wrap else each.minimum for each in measures))
             sizes.append((least, max(each.maximum for each in measures)))
         spare = self.out.width - GAP * (len(sizes) - 1) - sum(least for least, _ in sizes)
         if spare < 0:
