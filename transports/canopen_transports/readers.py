@@ -107,7 +107,7 @@ class DescriptorReader(Reader):
 
 
 class ThreadReader(Reader):
-    """Reads in a thread, which ends when the transport is closed or the bus went away; left open, with the first frame after the run."""
+    """Reads in a thread, until the transport is closed or the bus went away; left open, until the first frame after the run."""
 
     def __init__(self, locator: str, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._queue = queue
