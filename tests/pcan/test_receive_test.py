@@ -48,6 +48,17 @@ def test_what_is_heard(peak: ctypes.CDLL) -> None:
     run(body, real_time=True)
 
 
+def test_each_frame_counts_however_many_can_ids_there_are() -> None:
+    async def body() -> None:
+        async with await open_transport("virtual:all") as talker, await open_transport("virtual:all") as transport:
+            for can_id in (*range(0x800), 0x7FF):
+                await talker.send(Frame(can_id))
+            heard = await listen_on(transport, "here", 1)
+            assert (heard.frames, heard.ids.total(), heard.ids[0x7FF]) == (2049, 2049, 2)
+
+    run(body)
+
+
 def test_what_a_bus_reports(peak: ctypes.CDLL) -> None:
     async def body() -> None:
         async with await open_transport("pcan:PCAN_USBBUS1@500k") as transport:

@@ -21,6 +21,7 @@ from canopen_transports import (
 )
 from canopen_transports.conformance.frames import IMPOSSIBLE, numbered
 from canopen_transports.log_files import LogReader, Record, log_writer
+from canopen_transports.receive_test import listen_on
 from canopen_transports.tracing import Trace, TracingTransport, current_trace, for_devices, recording
 from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport
 from tests.transports.support import run, trio_test
@@ -252,6 +253,7 @@ class Slow(VirtualTransport):
     sends_sync = True
     failing = False
     has_room = True
+    errors = 3
 
     async def send(self, frame: Frame) -> None:
         await super().send(frame)
@@ -300,6 +302,14 @@ async def test_an_answer_stands_behind_its_request_and_what_fails_was_not_sent(t
             with pytest.raises(TransportError):
                 await tap.send(Frame.parse("601#41"))
     assert lines(path) == ["virtual0 601#40 T", "virtual0 581#43 R", "virtual0 581#43 R"]
+
+
+@trio_test()
+async def test_a_receive_test_counts_error_frames_while_it_is_recorded(tmp_path: Path) -> None:
+    with recording(log_writer(tmp_path / "a.log")) as trace:
+        async with trace.wrap(Slow("a")) as tap, trace.wrap(VirtualTransport("a")) as plain:
+            assert (await listen_on(tap, "here", 0.1)).faults == 3
+            assert (await listen_on(plain, "here", 0.1)).faults == 0
 
 
 @trio_test()

@@ -125,6 +125,12 @@ class TracingTransport(trio.abc.AsyncResource):
         self._sending = 0
         self._held: list[Record] = []
 
+    @property
+    def errors(self) -> int:
+        """How many error frames came, as far as the transport below counts them."""
+        errors: int = getattr(self.transport, "errors", 0)
+        return errors
+
     async def send(self, frame: Frame) -> None:
         """As the transport below."""
         record = self._record_of(frame, self._ours)
