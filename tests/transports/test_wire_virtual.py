@@ -189,6 +189,26 @@ async def test_opening_takes_as_long_as_what_was_queued_before() -> None:
 
 
 @trio_test()
+async def test_what_is_queued_behind_an_opening_is_heard_though_the_process_stalls() -> None:
+    clock = trio.lowlevel.current_clock()
+    assert isinstance(clock, trio.testing.MockClock)
+    (alone,) = await opened("virtual:a?bitrate=125k", 1)
+    await alone.send(SYNC)
+    await trio.sleep(1)
+
+    async def stall() -> None:
+        await trio.sleep(0.0001)
+        await alone.send(END)
+        clock.jump(0.1)
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(stall)
+        (late,) = await opened("virtual:a", 1)
+    with trio.fail_after(1):
+        assert (await late.receive())[0] == END
+
+
+@trio_test()
 async def test_opening_does_not_wait_for_what_never_gets_out() -> None:
     one, _ = await opened("virtual:a?bitrate=50k")
     one.bus.babble(SYNC, 100)

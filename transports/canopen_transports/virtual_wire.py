@@ -170,7 +170,7 @@ class PhysicalBus:
             received = (delivery.frame, delivery.at)
             for member in delivery.receivers:
                 transport = self._transports.get(member)
-                if transport is not None and transport.is_open:
+                if transport is not None and (transport.is_open or delivery.queued > transport.joined_at):
                     transport.queue.put(received)
                     touched[transport] = None
         for event in events:
@@ -192,8 +192,8 @@ class PhysicalBus:
 class WireTransport(trio.abc.AsyncResource):
     """A member of a PhysicalBus, from now until `aclose`; made by `open_wire`.
 
-    bus: to break it. member: its controller, with state, error counters and transmit queue; read only. is_open: whether it hears.
-    Time stamps are the end of a frame, on trio's clock.
+    bus: to break it. member: its controller, with state, error counters and transmit queue; read only. is_open: whether it
+    hears all, and not only what was queued after joined_at. Time stamps: the end of a frame; both in ns of trio's clock.
     """
 
     def __init__(self, locator: str, bus: PhysicalBus, order: QueueOrder, queue_size: int) -> None:
@@ -201,6 +201,7 @@ class WireTransport(trio.abc.AsyncResource):
         self.bus = bus
         self.queue = ReceiveQueue(locator, RECEIVE_QUEUE_SIZE)
         self.is_open = False
+        self.joined_at = _clock()
         self.member = bus.join(self, order, queue_size)
         self._sending = trio.StrictFIFOLock()
         self._closed = False
