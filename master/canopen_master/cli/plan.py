@@ -71,6 +71,7 @@ def plan(
     """Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits.
 
     No bus is opened. "worst" is the bound of the worst-case analysis for CAN, "simulated" what a simulated bus showed at worst.
+    "margin" is what is left of the time until the next SYNC (PDOs), of 100 ms (each frame of an SDO), or until it comes again.
     PDOs are those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle,
     synchronous TPDOs at each SYNC, the others once per inhibit time or event timer.
 
@@ -155,6 +156,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
     for row in _rows(network.streams):
         worst, stream = row[0], row[0].stream
         name = stream.name if len(row) == 1 else f"{stream.kind}, worst of {len(row)}"
+        seen = [each.simulated for each in row if each.simulated is not None]
         margin = "[red]none[/]" if not worst.fits else milliseconds(worst.margin)
         rows.append(
             (
@@ -163,7 +165,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
                 str(stream.size),
                 milliseconds(stream.period),
                 milliseconds(worst.worst),
-                "not seen" if worst.simulated is None else milliseconds(worst.simulated),
+                milliseconds(max(seen)) if seen else "not seen",
                 margin,
             )
         )
