@@ -50,7 +50,7 @@ def test_a_list_that_runs_backwards() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "ns"), [("500ms", 500_000_000), ("2s", 2 * 10**9), (".5", 5 * 10**8), ("1500us", 1_500_000), ("1min", 60 * 10**9)]
+    ("text", "ns"), [("500ms", 500_000_000), ("2s", 2 * 10**9), (".5s", 5 * 10**8), ("1500us", 1_500_000), ("1min", 60 * 10**9)]
 )
 def test_times(text: str, ns: int) -> None:
     assert Duration().convert(text, None, None) == ns
@@ -61,6 +61,13 @@ def test_times(text: str, ns: int) -> None:
 def test_what_is_no_time(text: str) -> None:
     with pytest.raises(click.BadParameter):
         Duration().convert(text, None, None)
+
+
+@pytest.mark.parametrize("text", ["4", "0.5", "10"])
+def test_a_time_without_its_unit_is_not_guessed(text: str) -> None:
+    with pytest.raises(click.BadParameter, match=f"'{text}' has no unit: {text}ms or {text}s"):
+        Duration().convert(text, None, None)
+    assert Duration(0).convert("0", None, None) == 0
 
 
 def test_a_fault_is_a_node_and_a_time() -> None:
