@@ -104,6 +104,18 @@ def test_a_queue_that_nobody_empties_stays_small() -> None:
     assert [each for each in taken if each.isdecimal()][-1] == "999"
 
 
+def test_overruns_that_the_driver_reports_add_up_where_nobody_takes_them() -> None:
+    queue = ReceiveQueue("here", 1)
+    queue.put((SYNC, None))
+    for number in range(1000):
+        queue.report(ReceiveOverrun("here", 3, "the adapter's buffer was full"))
+        queue.report(report(number))
+    taken = trio.run(_all_of, queue)
+    assert len(taken) <= 3 + MAX_EXTRA
+    assert sum(int(each.split()[0]) for each in taken if each.endswith("lost")) == 3000
+    assert [each for each in taken if each.isdecimal()][-1] == "999"
+
+
 def test_a_queue_holds_something() -> None:
     with pytest.raises(ValueError, match="can hold nothing"):
         ReceiveQueue("here", 0)

@@ -62,9 +62,11 @@ class ReceiveQueue:
         """Add what `get` raises at this place."""
         with self._lock:
             items = self._items
-            last = self._latest(TransportError) if len(items) >= self._size + MAX_EXTRA - 1 else None
+            last = self._latest(type(report)) if len(items) >= self._size + MAX_EXTRA - 1 else None
             if last is not None:
                 items.remove(last)
+                if isinstance(report, ReceiveOverrun) and isinstance(last, ReceiveOverrun):
+                    report = ReceiveOverrun(self._locator, last.lost + report.lost, report.seen)
             items.append(report)
 
     def _latest(self, kind: type[K]) -> K | None:
