@@ -163,6 +163,19 @@ def test_convert(run: Run, log: Path) -> None:
     assert Path("c.log").read_text() == LOG
 
 
+def test_a_conversion_as_json(run: Run, log: Path) -> None:
+    target = log.with_suffix(".asc")
+    found = run("log", "convert", str(log), str(target), "--json").json
+    frames = run("log", "stats", str(target), "--json").json["frames"]
+    assert found == {"file": str(log), "output": str(target), "frames": frames, "left_out": 0, "skipped": 0}
+
+
+def test_a_replay_as_json(run: Run, log: Path) -> None:
+    frames = run("log", "stats", str(log), "--json").json["frames"]
+    found = run("log", "replay", str(log), "-b", "virtual:replay", "--speed", "max", "--json").json
+    assert found == {"file": str(log), "bus": "virtual:replay", "frames": frames, "skipped": 0}
+
+
 def test_convert_says_what_it_leaves_out(run: Run, log: Path) -> None:
     outcome = run("log", "convert", str(log), "b.trc")
     assert outcome.status == 7

@@ -67,6 +67,9 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
     if LOSSES[kind]:
         screen.say(f"[dim]{kind}: {LOSSES[kind]}[/]")
     _tell_skipped(screen, reader)
+    if settings.json:
+        counts = {"frames": count - writer.left_out, "left_out": writer.left_out, "skipped": reader.skipped}
+        screen.json({"file": str(source), "output": str(target), **counts})
     if writer.left_out:
         screen.say(f"[yellow]{writer.left_out} remote frames are left out[/]; .log holds them")
         return ExitCode.PARTIAL
@@ -108,8 +111,11 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
                     count += 1
         return count
 
-    screen.say(f"{run(settings, screen, play, reads=source)} frames sent on {escape(bus)}")
+    count = run(settings, screen, play, reads=source)
+    screen.say(f"{count} frames sent on {escape(bus)}")
     _tell_skipped(screen, reader)
+    if settings.json:
+        screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
 
 
 @log.command()
