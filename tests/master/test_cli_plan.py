@@ -154,9 +154,11 @@ def test_the_devices_own_file_says_which_pdos(run: Run, chains: str, tmp_path: P
             0x1801: (0x280, 1, 0, 0),
             0x1802: (0x380, 254, 0, 20),
             0x1803: (0x480, 255, 0, 0),
+            0x1804: (0x2000_0480, 1, 0, 0),
         },
     )
-    outcome = run("plan", "--chains", chains, "--cycle", "2ms", "--bitrate", "1M", "--json", "-e", f"3={eds}")
+    devices = ("-e", f"3={eds}", "-e", f"99={eds}")
+    outcome = run("plan", "--chains", chains, "--cycle", "2ms", "--bitrate", "1M", "--json", *devices)
     _, second = outcome.json
     kinds = ("RPDO", "TPDO", "event")
     pdos = [
@@ -170,6 +172,8 @@ def test_the_devices_own_file_says_which_pdos(run: Run, chains: str, tmp_path: P
         ("event", 0x383, 2, 20),  # its event timer
     ]
     assert "arm.joint3: TPDO 483 has no inhibit time and no event timer: it is left out" in outcome.err
+    assert "arm.joint3: PDO 00000483 has a 29-bit identifier: it is left out" in outcome.err
+    assert "no joint of these chains has node-ID 99: its file is left out" in outcome.err
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,9 @@ def plan(
         for joint in chain.joints:
             exchange = _exchange(joint, f"{chain.name}.{joint.name}", dictionary, (rpdo, tpdo), files, screen)
             by_bus.setdefault(joint.bus, []).append(exchange)
+    planned = {exchange.node_id for joints in by_bus.values() for exchange in joints}
+    for node_id in sorted({each for each in files if each is not None} - planned):
+        screen.say(f"[yellow]no joint of these chains has node-ID {node_id}: its file is left out[/]")
     plans = [plan_network(bus, joints, cycle, rate, background) for bus, joints in by_bus.items()]
     if settings.json:
         screen.json([_as_json(each) for each in plans])
@@ -127,7 +130,10 @@ def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Sc
         bits = sum(_number(description.dictionary, index + 0x200, entry, node_id) & 0xFF for entry in range(1, count + 1))
         can_id, size = cob_id & 0x7FF, (bits + 7) // 8
         distance = inhibit_100us * 100 * MICROSECOND or timer_ms * MILLISECOND
-        if cob_id & (COB_ID_INVALID | COB_ID_EXTENDED) or not 0 < bits <= 64:
+        if cob_id & COB_ID_INVALID or not 0 < bits <= 64:
+            continue
+        if cob_id & COB_ID_EXTENDED:
+            screen.say(f"[yellow]{name}: PDO {cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier: it is left out[/]")
             continue
         if index < 0x1800:
             received.append((can_id, size))
