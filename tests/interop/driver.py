@@ -13,12 +13,13 @@ from typing import Any, TypeVar
 import can
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
-from canopen_proto.machine import Event, Outcome, RequestId, Time
+from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 
 E = TypeVar("E", bound=Event)
+M = TypeVar("M", bound=Machine)
 R = TypeVar("R")
 
 LIMIT = 20.0  # seconds; what takes longer than this has failed
@@ -60,6 +61,13 @@ class Driver:
             result = command(self.now())
             self._pump()
             return result
+
+    def add(self, make: Callable[[Outbox], M]) -> M:
+        """Make a machine and attach it. Not without the lock: the thread may be at the network."""
+        with self._changed:
+            machine = make(self.network.out)
+            self.network.attach(machine)
+            return machine
 
     def wait(self, condition: Callable[[], R]) -> R:
         """Wait until what the condition returns is true; that."""

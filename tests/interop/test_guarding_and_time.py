@@ -31,8 +31,7 @@ class Rig:
             standard_object(0x1028, highest=OTHER, defaults={OTHER: 0x80 + OTHER}),
         ]
         self.driver, self.peer = driver, peer
-        self.device = LocalNode(driver.network.out, NODE, io_device(NODE).with_objects(own))
-        driver.network.attach(self.device)
+        self.device = driver.add(lambda out: LocalNode(out, NODE, io_device(NODE).with_objects(own)))
         dictionary = peer_dictionary(self.device.dictionary, NODE)
         self.remote = peer.add_node(canopen.RemoteNode(NODE, dictionary))
         self.other = peer.create_node(OTHER, peer_dictionary(io_device(OTHER), OTHER))

@@ -37,8 +37,7 @@ class Rig:
     ) -> None:
         self.driver = driver
         self.peer = peer
-        self.device = make(driver.network.out)
-        driver.network.attach(self.device)
+        self.device = driver.add(make)
         self.remote = peer.add_node(view(NODE, peer_dictionary(self.device.dictionary, NODE)))
         self.remote.sdo.RESPONSE_TIMEOUT = 20
         driver.do(self.device.boot)

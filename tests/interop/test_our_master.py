@@ -45,12 +45,10 @@ class Rig:
         self.driver = driver
         self.peer = peer
         dictionary = described()
-        out = driver.network.out
-        self.nmt = NmtMaster(out)
-        self.sync = SyncProducer(out)
-        self.remote = RemoteNode(out, NODE, dictionary, sdo_timeout=5 * SECOND)
-        for machine in (self.remote, self.nmt, self.sync, SyncConsumer(out)):
-            driver.network.attach(machine)
+        self.remote = driver.add(lambda out: RemoteNode(out, NODE, dictionary, sdo_timeout=5 * SECOND))
+        self.nmt = driver.add(NmtMaster)
+        self.sync = driver.add(SyncProducer)
+        driver.add(SyncConsumer)
         self.device = peer.create_node(NODE, peer_dictionary(dictionary, NODE))
 
 

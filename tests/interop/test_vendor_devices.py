@@ -52,8 +52,7 @@ def test_the_peer_reads_the_same_values(name: str) -> None:
     channel = new_channel()
     driver = Driver(channel)
     with peer_network(channel) as peer, driver:
-        node = LocalNode(driver.network.out, NODE, dictionary)
-        driver.network.attach(node)
+        node = driver.add(lambda out: LocalNode(out, NODE, dictionary))
         remote = peer.add_node(canopen.RemoteNode(NODE, theirs_of(name, dictionary)))
         remote.sdo.RESPONSE_TIMEOUT = 20
         driver.do(node.boot)
