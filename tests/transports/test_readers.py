@@ -254,7 +254,7 @@ class Stuck(ScriptedBus):
 
 
 def test_a_reader_that_hangs_in_its_driver_does_not_hold_up_closing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readers, "CLOSE_TIME", 0.02)
+    monkeypatch.setattr(readers, "DRIVER_TIME", 0.02)
 
     @trio_test(real_time=True)
     async def body() -> None:

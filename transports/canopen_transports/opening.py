@@ -77,9 +77,7 @@ def _open_socketcan(locator: Locator) -> SocketCanTransport:
         raise listen_only.refused(locator)
     try:
         _check_net_device(locator)
-    except TransportError:
-        raise
-    except diagnosis.DRIVER_ERRORS as error:  # no SocketCAN here
+    except (OSError, AttributeError) as error:  # no SocketCAN here
         raise diagnosis.cannot_open(locator, error) from error
     from canopen_transports.socketcan import open_socketcan  # only now, as it is Linux's alone
 

@@ -23,14 +23,13 @@ from typing import Final
 import can
 import trio
 
+from canopen_transports.driver_calls import DRIVER_TIME
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.receive_queue import ReceiveQueue
 from canopen_transports.transport import Received
 
 READ_POLL: Final = 0.05
 """Seconds between a reader thread's looks at whether it shall end, and at the adapter's status."""
-CLOSE_TIME: Final = 2.0
-"""Seconds that closing waits for a reader thread whose driver does not come back."""
 RECEIVE_BUFFER: Final = 2 << 20
 """Bytes asked of the kernel for received frames. Its usual 208 KiB hold only some 250 frames; it gives what rmem_max allows."""
 
@@ -126,7 +125,7 @@ class ThreadReader(Reader):
         """Nothing to do: it looks up by itself."""
 
     async def stop(self) -> None:
-        await trio.to_thread.run_sync(self._thread.join, CLOSE_TIME)
+        await trio.to_thread.run_sync(self._thread.join, DRIVER_TIME)
 
     def _run(self) -> None:
         with suppress(trio.RunFinishedError):  # nobody closed us, and the run is over

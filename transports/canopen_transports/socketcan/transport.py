@@ -228,6 +228,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     def _read(self) -> None:
         """Take in a batch."""
+        dropped = self._dropped
         try:
             count = self._take()
         except OSError as error:
@@ -241,6 +242,8 @@ class SocketCanTransport(trio.abc.AsyncResource):
             self._note_dropped(self._dropped_at_look)  # all that was there at the last look has been taken in
             self._dropped_at_look = self._drop_counter()
             self._is_burst = self._dropped_at_look != self._dropped  # first comes what has come since and stands before that
+        if self._dropped != dropped:  # an error frame may be among what was lost
+            self._look_at_carrier()
 
     def _take(self) -> int:
         count = self._batch.receive(self._socket.fileno())
@@ -274,7 +277,6 @@ class SocketCanTransport(trio.abc.AsyncResource):
         if 0 < lost <= _COUNTER >> 1:  # else it comes from before our last look
             self._dropped = dropped
             self._items.append(ReceiveOverrun(self.locator, lost, "the kernel's receive buffer for this socket was full"))
-            self._look_at_carrier()
 
     def _drop_counter(self) -> int:
         counters: tuple[int, ...] = kernel.MEMINFO.unpack(
