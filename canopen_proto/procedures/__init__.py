@@ -4,7 +4,7 @@
     runner.py          `Runner`, which runs them; `Network.run` is the usual way in
     streams.py         read and write what nobody holds whole: firmware images, recordings
     objects.py         read and write a node's objects by name and value
-    drive.py           the manual's sequences for a CiA 402 drive: homing, interpolation, halt ...
+    drive/             the manual's sequences for a CiA 402 drive: homing, interpolation, halt ...
     configure_pdo.py   `define_pdo` and what it is made of
     scan.py            who is on the bus
     backup.py          read all that a node holds; walk.py: of one of which nobody knows what it has

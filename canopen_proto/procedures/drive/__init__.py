@@ -1,0 +1,58 @@
+"""The manual's sequences for a CiA 402 drive, as procedures over an `Axis`.
+
+    reset_fault   0x0000, then 0x0080: the reset is a rising edge             manual: faultReset
+    enable        up to Operation enabled, step by step                       manual: initDevice
+    set_mode      0x6502 checked, 0x6060 written, 0x6061 awaited              manual: driveMode
+    home          homing, to its end                                          manual: homing
+    start_interpolation, start_cyclic_position                                manual: enableIPmode
+    halt          bit 8: the drive stops by 0x605D and stays enabled
+    quick_stop    the drive stops by 0x605A
+    engage_brake  down to Ready to switch on                                  manual: enableBreak
+    shut_down     unpowered (Switch on disabled)                              manual: shutdownDevice, with NMT stop
+
+A procedure that moves the drive halts it when it is cancelled or fails. Bit 4 is cleared before each homing and each start of
+interpolation: both begin on its rising edge.
+
+statusword.py waits and commands; state.py leads through states and modes; halting.py stops; homing.py, motion.py move.
+
+Source: IEC 61800-7-201 (CiA 402-2).
+"""
+
+from canopen_proto.procedures.drive.halting import halt, halt_after
+from canopen_proto.procedures.drive.homing import HomingFailed, home
+from canopen_proto.procedures.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
+from canopen_proto.procedures.drive.state import (
+    ModeUnsupported,
+    change_state,
+    enable,
+    engage_brake,
+    quick_stop,
+    reset_fault,
+    set_mode,
+    shut_down,
+)
+from canopen_proto.procedures.drive.statusword import DriveFault, command, fault_of, read_statusword, wait_for_statusword
+
+__all__ = [
+    "DriveFault",
+    "HomingFailed",
+    "ModeUnsupported",
+    "change_state",
+    "command",
+    "enable",
+    "engage_brake",
+    "fault_of",
+    "halt",
+    "halt_after",
+    "home",
+    "move_to",
+    "quick_stop",
+    "read_position",
+    "read_statusword",
+    "reset_fault",
+    "set_mode",
+    "shut_down",
+    "start_cyclic_position",
+    "start_interpolation",
+    "wait_for_statusword",
+]

@@ -1,0 +1,127 @@
+"""Lead a drive through its states and modes of operation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.modes import ModeControl, mode_name, supported, supported_modes
+from canopen_proto.cia402.states import Command, State, next_command, state_of
+from canopen_proto.procedures.drive.statusword import (
+    POLL_INTERVAL,
+    command,
+    fault_of,
+    name_of,
+    read_statusword,
+    wait_for_statusword,
+)
+from canopen_proto.procedures.objects import read_if_present, read_int, write
+from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, current_time, sleep
+
+
+class ModeUnsupported(ProcedureError):
+    """The drive does not have a mode of operation (0x6502), or did not take it."""
+
+
+def _leaves(state: State) -> Callable[[int], bool]:
+    return lambda statusword: state_of(statusword) is not state
+
+
+def change_state(axis: Axis, target: State) -> Procedure[int]:
+    """Lead the drive to a state, one command after the other; the statusword. Raises DriveFault, StepTimeout.
+
+    A drive in fault is not reset: that is `reset_fault`, a decision of the user's.
+    """
+    statusword = yield from read_statusword(axis)
+    while (state := state_of(statusword)) is not target:
+        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            raise (yield from fault_of(axis, f"and cannot go to {target}"))
+        step = next_command(state, target)
+        if step is not None:
+            yield from command(axis, int(step))
+        statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
+    return statusword
+
+
+def reset_fault(axis: Axis) -> Procedure[None]:
+    """Clear a fault by a rising edge of bit 7; a drive without one is left as it is, at most without power.
+
+    Returns when the drive is out of Fault. Raises DriveFault where it stays: the cause is still there.
+    """
+    statusword = yield from wait_for_statusword(
+        axis,
+        lambda word: state_of(word) is not State.FAULT_REACTION_ACTIVE,
+        axis.settings.state_timeout,
+        "the end of its fault reaction",
+        accept_fault=True,
+    )
+    if state_of(statusword) is not State.FAULT:
+        return
+    yield from command(axis, 0)
+    yield from command(axis, int(Command.FAULT_RESET))
+    try:
+        yield from wait_for_statusword(
+            axis,
+            lambda word: state_of(word) is not State.FAULT,
+            axis.settings.state_timeout,
+            "the end of its fault",
+            accept_fault=True,
+        )
+    except StepTimeout as stuck:
+        raise (yield from fault_of(axis, "that a fault reset did not clear")) from stuck
+    yield from command(axis, 0)
+
+
+def enable(axis: Axis) -> Procedure[None]:
+    """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed."""
+    yield from change_state(axis, State.OPERATION_ENABLED)
+
+
+def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
+    """Select a mode of operation and wait until the drive shows it.
+
+    Raises ModeUnsupported, with nothing written, where 0x6502 lacks the mode (a drive without 0x6502 is asked by doing), and
+    where the drive does not take it up. waive_check: for drives that can do what 0x6502 denies (Schunk's homing).
+    """
+    if not waive_check:
+        modes = yield from read_if_present(axis.node, "0x6502")
+        if isinstance(modes, int) and not supported(modes, mode):
+            has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
+            raise ModeUnsupported(f"{name_of(axis)} does not support {mode_name(mode)}: 0x6502 = 0x{modes:08X}, which is {has}")
+    # Bit 4 means something else in each mode: what interpolates must not begin to home because it still stands.
+    bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
+    if bears_bit_4 and state_of((yield from read_statusword(axis))) is State.OPERATION_ENABLED:
+        yield from command(axis, int(Command.ENABLE_OPERATION))
+    yield from write(axis.node, "0x6060", mode)
+    deadline = (yield from current_time()) + axis.settings.state_timeout
+    while True:
+        shown = yield from read_int(axis.node, "0x6061")
+        if shown == mode:
+            return
+        if (yield from current_time()) >= deadline:
+            raise ModeUnsupported(
+                f"{name_of(axis)} did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061: {axis.describe()}"
+            )
+        yield from sleep(POLL_INTERVAL)
+
+
+def quick_stop(axis: Axis) -> Procedure[None]:
+    """Command a quick stop and wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
+    yield from command(axis, int(Command.QUICK_STOP))
+    stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
+    yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
+
+
+def engage_brake(axis: Axis) -> Procedure[None]:
+    """From any state without fault to Ready to switch on: no torque, brake engaged."""
+    yield from change_state(axis, State.READY_TO_SWITCH_ON)
+
+
+def shut_down(axis: Axis) -> Procedure[None]:
+    """To Switch on disabled: no power. A drive in fault has none, and stays there. RPDOs are sent no more."""
+    statusword = yield from read_statusword(axis)
+    if state_of(statusword) not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        yield from change_state(axis, State.SWITCH_ON_DISABLED)
+    now = yield from current_time()
+    for number in axis.node.rpdos:
+        axis.node.enable_rpdo(number, now, False)
