@@ -11,6 +11,7 @@ from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import MILLISECOND, SECOND, Outbox
 from canopen_proto.procedures import drive
+from canopen_proto.procedures.steps import StepTimeout
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.rig import CYCLE, Rig
 
@@ -75,7 +76,7 @@ def test_an_axis_that_does_not_stop_in_csp_is_told() -> None:
     for step in range(20):
         rig.node.values.store[0x607A00] = rig.axis.to_counts(rig.axis.position) + 200 * step
         rig.bus.run(CYCLE)
-    with pytest.raises(drive.StepTimeout, match=r"did not reach standstill after a halt within 0.8 s"):
+    with pytest.raises(StepTimeout, match=r"did not reach standstill after a halt within 0.8 s"):
         rig.run(drive.halt(rig.axis))
 
 
