@@ -14,15 +14,17 @@ refuses. The value is right in type and limits already.
     number of objects    while the PDO is valid: 0x08000022. Together more than 64 bits, more entries than there are: 0x06040042.
                          An entry that is refused by itself (below): its code. 0xFE and 0xFF make an MPDO: source address mode is
                          for devices that have the list for it (else 0x06040042), and for one event-driven TPDO (else 0x06040043)
-    mapping entry        while the PDO is valid or the mapping enabled (sub 0 is not 0): 0x08000022. No such object: 0x06020000.
-                         Not mappable, not in this direction, not in this width: 0x06040041. Too wide for any PDO: 0x06040042.
-                         Dummy entries are for RPDOs only
+    mapping entry        while the mapping is enabled (sub 0 is not 0): 0x06010000. While the PDO is valid: 0x08000022. No such
+                         object: 0x06020000. Not mappable, not in this direction, not in this width: 0x06040041. Too wide for any
+                         PDO: 0x06040042. Dummy entries are for RPDOs only
     scanner list         no such object: 0x06020000. One that no MPDO can send: 0x06040041. No block size: 0x06090030
     dispatching list     the same for our own object; no producer's node-ID: 0x06090030
     window (0x1007)      nothing is refused
 
-A write that changes nothing is always allowed. So is destroying a PDO by bit 31, whatever the other bits are: many masters
-write a bare 0x80000000, and nothing is lost by it. An entry may be cleared with 0, but not counted then.
+A write that changes nothing is allowed, but for the entry of an enabled mapping, which refuses its own value too: so a master
+that forgot to write 0 to sub 0 learns of it at the first entry, and CiA's conformance test (case 3.23) wants it so. Destroying a
+PDO by bit 31 is allowed whatever the other bits are: many masters write a bare 0x80000000, and nothing is lost by it. An entry
+may be cleared with 0, but not counted then.
 """
 
 from __future__ import annotations
@@ -108,9 +110,11 @@ class PdoRules:
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """What forbids writing this value there, or None. None for everything that is not a PDO parameter. Changes nothing."""
+        place = place_of(index)
+        if place is not None and place.is_mapping and subindex and self._count(place):
+            return AbortCode.UNSUPPORTED_ACCESS
         if not isinstance(value, int) or value == self._values.store.get(index << 8 | subindex):
             return None
-        place = place_of(index)
         if place is None:
             return self._check_listed(index, value) if subindex and value else None
         if place.is_mapping:
@@ -188,7 +192,7 @@ class PdoRules:
         return AbortCode.PARAMETER_INCOMPATIBLE if has_one else None
 
     def _check_entry(self, place: PdoPlace, entry: int) -> AbortCode | None:
-        if self._count(place) or self._is_valid(place):
+        if self._is_valid(place):
             return AbortCode.DEVICE_STATE
         return self._check_mapped(place.direction, entry) if entry else None
 

@@ -363,7 +363,7 @@ def test_a_pdo_is_remapped_by_sdo() -> None:
     ("step", "abort_code"),
     [
         ((0x1600, 0, 0, 1), AbortCode.DEVICE_STATE),  # the PDO is valid
-        ((0x1600, 1, 0x20020008, 4), AbortCode.DEVICE_STATE),
+        ((0x1600, 1, 0x20020008, 4), AbortCode.UNSUPPORTED_ACCESS),  # the mapping is enabled
         ((0x1400, 1, 0x206, 4), AbortCode.DEVICE_STATE),
         ((0x1400, 2, 250, 1), AbortCode.INVALID_VALUE),
         ((0x1400, 0, 1, 1), AbortCode.READ_ONLY),

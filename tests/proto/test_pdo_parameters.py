@@ -24,6 +24,7 @@ RPDO, TPDO = Direction.RPDO, Direction.TPDO
 
 INVALID_VALUE = AbortCode.INVALID_VALUE  # 0x06090030
 DEVICE_STATE = AbortCode.DEVICE_STATE  # 0x08000022
+ENABLED = AbortCode.UNSUPPORTED_ACCESS  # 0x06010000
 NO_SUCH_OBJECT = AbortCode.NO_SUCH_OBJECT  # 0x06020000
 CANNOT_BE_MAPPED = AbortCode.CANNOT_BE_MAPPED  # 0x06040041
 LENGTH_EXCEEDED = AbortCode.PDO_LENGTH_EXCEEDED  # 0x06040042
@@ -112,7 +113,7 @@ def test_records_without_their_other_half() -> None:
     assert list(pdos.consumers) == [1]
     assert pdos.consumers[1].key is None  # nothing is mapped
     pdos.apply(0x1A00, 0, 0)
-    assert pdos.check_write(0x1A00, 1, 0x00060010) == DEVICE_STATE
+    assert pdos.check_write(0x1A00, 1, 0x00060010) == ENABLED
     assert pdos.check_write(0x1A00, 0, 0) is None
 
 
@@ -231,11 +232,13 @@ def test_a_mapping_changes_only_while_the_pdo_is_not_valid_and_sub_0_is_0(
     communication_at: int, mapping_at: int, device: Device
 ) -> None:
     entry = 0x20000008
-    for subindex, value in ((0, 0), (0, 1), (1, entry), (8, entry)):
-        assert device.write(mapping_at, subindex, value) == DEVICE_STATE
-    device.write_all((communication_at, 1, OFF))
-    for subindex in (1, 8):
-        assert device.write(mapping_at, subindex, entry) == DEVICE_STATE  # it is still enabled
+    for value in (0, 1):
+        assert device.write(mapping_at, 0, value) == DEVICE_STATE
+    for _ in ("valid", "not valid"):
+        for subindex in (1, 8):
+            for value in (entry, device.values[mapping_at << 8 | subindex], 0):
+                assert device.write(mapping_at, subindex, value) == ENABLED, "even its own value"
+        device.write_all((communication_at, 1, OFF))
     device.write_all((mapping_at, 0, 0), (mapping_at, 1, entry), (mapping_at, 8, entry), (mapping_at, 8, 0), (mapping_at, 0, 1))
     machine = (device.pdos.consumers if mapping_at == 0x1600 else device.pdos.producers)[1]
     assert machine.mapping.parameters == (entry,)
