@@ -66,11 +66,11 @@ class PdoReceived(Event):
 
     @property
     def values(self) -> dict[str, Value]:
-        """The values by the names of their objects."""
-        return {entry.name: value for entry, value in zip(self.mapping.components, self.components, strict=True)}
+        """The values by `mapping.labels`: the names of their objects, or "6401:01" where several share a name."""
+        return dict(zip(self.mapping.labels, self.components, strict=True))
 
     def get(self, key: Key) -> Value | None:
-        """The value of one object, None where this PDO does not carry it. key: as `Mapping.find_component` takes it."""
+        """The value of one object, None where this PDO does not carry it. key, errors: as of `Mapping.find_component`."""
         position = self.mapping.position_of(key)
         return None if position is None else self.components[position]
 

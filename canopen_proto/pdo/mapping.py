@@ -26,8 +26,10 @@ from __future__ import annotations
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as ReadOnlyDict
+from itertools import chain, count
 from typing import Final
 
 from canopen_proto.datatypes import (
@@ -130,10 +132,12 @@ class Mapping:
     """The entries of one PDO, and how its bytes become values and values its bytes. Never changes after it was made.
 
     entries: all of them. components: those that carry a value, dummies left out; `unpack` and `pack` speak of these, in this
-    order; muxes: theirs. Raises MappingError for more than 64 bits.
+    order; muxes: theirs. labels: what each component is called here, no two alike: the name of its object, or "6401:01" where
+    several components have that name, or "6401:01#2" for an object that is mapped a second time. Raises MappingError for more
+    than 64 bits.
     """
 
-    __slots__ = ("_fields", "_layout", "_positions", "bit_length", "byte_length", "components", "entries", "muxes")
+    __slots__ = ("_fields", "_layout", "_places", "bit_length", "byte_length", "components", "entries", "labels", "muxes")
 
     def __init__(self, entries: Iterable[MappedEntry] = ()) -> None:
         self.entries: tuple[MappedEntry, ...] = tuple(entries)
@@ -144,11 +148,14 @@ class Mapping:
         self.byte_length = (self.bit_length + 7) // 8
         self.components: tuple[MappedEntry, ...] = tuple(entry for entry in self.entries if not entry.is_dummy)
         self.muxes = tuple(entry.mux for entry in self.components)
-        self._positions: dict[str | int, int] = {}  # by name and by mux; of an object that is mapped twice, the first one
-        for position, entry in enumerate(self.components):
-            self._positions.setdefault(entry.mux, position)
-            for name in entry.names:
-                self._positions.setdefault(name, position)
+        self.labels = _labels(self.components)
+        self._places: dict[
+            str | int, list[int]
+        ] = {}  # by mux, label and name: positions among the components, the first one first
+        for position, (entry, label) in enumerate(zip(self.components, self.labels, strict=True)):
+            keys: tuple[str | int, ...] = (entry.mux, label, *entry.names)
+            for key in dict.fromkeys(keys):
+                self._places.setdefault(key, []).append(position)
         self._fields: list[_Field] = []
         offset = 0
         for entry in self.entries:
@@ -184,8 +191,9 @@ class Mapping:
     def find_component(self, key: Key) -> MappedEntry | None:
         """Whether the PDO carries an object: its entry, or None.
 
-        key: a name, (index, subindex), "6041:00", or an index alone, which stands for subindex 0 or else for the only mapped
-        subindex of that index. Raises LocalProtocolError where an index alone could mean several: picking one would be a guess.
+        key: a name or label, (index, subindex), "6041:00", or an index alone, which stands for subindex 0 or else for the only
+        mapped subindex of that index. Of an object that is mapped twice, the first one is found. Raises LocalProtocolError where
+        a name or an index alone could mean several objects: picking one would be a guess.
         """
         position = self.position_of(key)
         return None if position is None else self.components[position]
@@ -193,25 +201,37 @@ class Mapping:
     def position_of(self, key: Key) -> int | None:
         """The place of an object among the components, or None. key and errors: as `find_component`."""
         if isinstance(key, str):
-            position = self._positions.get(key)
-            number = _NUMBER.fullmatch(key.strip()) if position is None else None
+            if key in self._places:
+                return self._named(key)
+            number = _NUMBER.fullmatch(key.strip())
             if number is None:
-                return position
+                return None
             index = int(number[1], 16)
-            return self._of_index(index) if number[2] is None else self._positions.get(index << 8 | int(number[2], 16))
+            return self._of_index(index) if number[2] is None else self._of_mux(index << 8 | int(number[2], 16))
         if isinstance(key, int):
             return self._of_index(key)
         index, subindex = (key.index, key.subindex) if isinstance(key, Variable) else key
-        return self._positions.get(index << 8 | subindex)
+        return self._of_mux(index << 8 | subindex)
+
+    def _named(self, name: str) -> int:
+        places = self._places[name]
+        labels = [self.labels[place] for place in places]
+        if name not in labels and len({self.muxes[place] for place in places}) > 1:
+            raise LocalProtocolError(f"this PDO maps several objects {name!r}: name one, as {labels[0]!r} ({', '.join(labels)})")
+        return places[labels.index(name) if name in labels else 0]
+
+    def _of_mux(self, mux: int) -> int | None:
+        places = self._places.get(mux)
+        return None if places is None else places[0]
 
     def _of_index(self, index: int) -> int | None:
         mapped = {mux & 0xFF for mux in self.muxes if mux >> 8 == index}
         if 0 in mapped or not mapped:
-            return self._positions.get(index << 8)
+            return self._of_mux(index << 8)
         if len(mapped) > 1:
             subindices = ", ".join(str(subindex) for subindex in sorted(mapped))
             raise LocalProtocolError(f"this PDO maps subindex {subindices} of 0x{index:04X}: name one, as (0x{index:04X}, 1)")
-        return self._positions[index << 8 | mapped.pop()]
+        return self._of_mux(index << 8 | mapped.pop())
 
     # ---- bytes -> values ----
 
@@ -237,8 +257,8 @@ class Mapping:
         return values
 
     def unpack_named(self, data: bytes) -> dict[str, Value]:
-        """The values by name. Raises as `unpack` does."""
-        return dict(zip([entry.name for entry in self.components], self.unpack(data), strict=True))
+        """The values by `labels`. Raises as `unpack` does."""
+        return dict(zip(self.labels, self.unpack(data), strict=True))
 
     # ---- values -> bytes ----
 
@@ -267,22 +287,23 @@ class Mapping:
             return self.pack([store.get(entry.mux, zero_of(entry.data_type)) for entry in self.components])
 
     def pack_named(self, values: ReadOnlyDict[str, Value]) -> bytes:
-        """The PDO's bytes from values by name: all components and nothing else.
+        """The PDO's bytes from values by name or label: all components and nothing else. An object that is mapped twice may be
+        given once, for both.
 
         Raises LocalProtocolError for a name that the PDO does not carry and for a missing one: a control word that silently
         went out as 0 would switch a drive off. Raises ValueRangeError as `pack` does.
         """
-        given = {}
+        given: dict[int, Value] = {}
         for name, value in values.items():
-            entry = self.find_component(name)
-            if entry is None:
-                mapped = ", ".join(each.name for each in self.components)
-                raise LocalProtocolError(f"{name!r} is not mapped to this PDO; it carries {mapped}")
-            given[entry.mux] = value
-        missing = [entry.name for entry in self.components if entry.mux not in given]
+            position = self.position_of(name)
+            if position is None:
+                raise LocalProtocolError(f"{name!r} is not mapped to this PDO; it carries {', '.join(self.labels)}")
+            given[position] = value
+        of_object = {self.muxes[position]: value for position, value in reversed(given.items())}
+        missing = [label for label, mux in zip(self.labels, self.muxes, strict=True) if mux not in of_object]
         if missing:
             raise LocalProtocolError(f"no value was given for {', '.join(missing)}")
-        return self.pack_from(given)
+        return self.pack([given.get(position, of_object[mux]) for position, mux in enumerate(self.muxes)])
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mapping) and self.entries == other.entries
@@ -292,6 +313,18 @@ class Mapping:
 
     def __repr__(self) -> str:
         return f"<Mapping {' '.join(f'{entry.name}/{entry.bit_length}' for entry in self.entries)}>"
+
+
+def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
+    """See `Mapping.labels`."""
+    shared = Counter(entry.name for entry in components)
+    labels: dict[str, None] = {}
+    for entry in components:
+        place = f"{entry.index:04X}:{entry.subindex:02X}"
+        again = (f"{place}#{number}" for number in count(2))
+        named = (entry.name, place) if shared[entry.name] == 1 else (place,)
+        labels[next(each for each in chain(named, again) if each not in labels)] = None
+    return tuple(labels)
 
 
 def may_have_width(data_type: DataType, bit_length: int) -> bool:

@@ -233,6 +233,18 @@ def test_an_object_mapped_twice() -> None:
     assert pdo.unpack_into(store, b"\1\2") == (1, 2)
     assert store == {0x200000: 2}
     assert pdo.position_of("v") == 0
+    assert pdo.unpack_named(b"\1\2") == {"2000:00": 1, "2000:00#2": 2}
+    assert pdo.pack_named({"v": 7}) == b"\7\7"
+    assert pdo.pack_named({"2000:00#2": 8, "v": 7}) == b"\7\10"
+
+
+def test_entries_of_an_array_that_share_a_name() -> None:
+    pdo = Mapping([entry(0x6401, 1, 16, I16, "analogue_input"), entry(0x6401, 2, 16, I16, "analogue_input")])
+    assert pdo.unpack_named(hex_of("0100 0200")) == {"6401:01": 1, "6401:02": 2}
+    assert pdo.pack_named({"6401:02": 2, "6401:01": 1}) == hex_of("0100 0200")
+    assert pdo.position_of("6401:02") == 1
+    with pytest.raises(LocalProtocolError, match=r"'analogue_input': name one, as '6401:01' \(6401:01, 6401:02\)"):
+        pdo.position_of("analogue_input")
 
 
 # ---- find_component (R55)
@@ -400,6 +412,23 @@ def test_pack_gives_back_what_was_unpacked(pdo: Mapping, data: bytes) -> None:
     pdo.unpack_into(store, data)
     assert pdo.pack_from(store) == bytes_of(kept)
     assert pdo.pack_named(pdo.unpack_named(data)) == bytes_of(kept)
+
+
+@st.composite
+def mappings_of_like_names(draw: st.DrawFn) -> Mapping:
+    """Few objects, mapped again and again, under few names, some of which look like labels."""
+    names = st.sampled_from(["a", "b", "2000:00", "2000:01", "2000:00#2", "2001:00#2", ""])
+    places = st.tuples(st.sampled_from([0x2000, 0x2001]), st.integers(0, 1))
+    several = st.lists(st.tuples(places, names, names), min_size=1, max_size=8)
+    return Mapping(entry(index, sub, 8, U8, name, alias) for (index, sub), name, alias in draw(several))
+
+
+@given(mappings_of_like_names(), st.binary(min_size=8, max_size=8))
+def test_whatever_the_names_no_two_components_collide(pdo: Mapping, data: bytes) -> None:
+    named = pdo.unpack_named(data)
+    assert tuple(named.values()) == pdo.unpack(data)
+    assert [pdo.position_of(label) for label in pdo.labels] == list(range(len(pdo.components)))
+    assert pdo.pack_named(named) == data[: pdo.byte_length]
 
 
 @given(mappings(), st.data())

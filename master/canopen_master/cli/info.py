@@ -163,7 +163,8 @@ def _pdo(settings: PdoSettings, description: DeviceDescription | None) -> tuple[
     can_id = settings.cob_id & 0x1FFFFFFF
     raw = {"can_id": can_id, "transmission_type": settings.transmission_type, "objects": objects}
     dictionary = None if description is None else description.dictionary
-    names = [_object_name(dictionary, entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
+    called = [_object_name(dictionary, entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
+    names = [name if called.count(name) == 1 else f"{place} {name}" for name, place in zip(called, objects, strict=True)]
     return raw, f"0x{can_id:X}, type {settings.transmission_type}: {', '.join(names) or 'nothing'}"
 
 
