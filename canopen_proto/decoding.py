@@ -2,11 +2,10 @@
 
 A `Decoder` is told all frames in their order and answers each with a `Meaning`. It goes by the predefined connection set (CiA 301
 v4.2.0, 7.3.3) and by the devices' dictionaries: names and types of objects, and the PDOs that they describe. SDO transfers are
-followed through their segments and blocks.
+followed through their segments and blocks, and PDO parameters that the recording shows count from there on (pdo/overheard.py).
 
-Left out: COB-IDs and mappings that were changed at run time (the recording would have to show it from the beginning; the file
-says what a device is set up for), SDO channels beyond the first, and what LSS and services of other
-standards say in detail.
+Left out: COB-IDs of other services that were changed at run time, SDO channels beyond the first, and what LSS and services of
+other standards say in detail.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import (
     EMCY,
@@ -32,11 +31,10 @@ from canopen_proto.frame import (
     TPDO1,
     TPDO4,
     Frame,
-    key_of_cob_id,
 )
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.pdo.mapping import Mapping, MappingError
-from canopen_proto.procedures.described_pdos import described_pdos
+from canopen_proto.pdo.mapping import MappedEntry
+from canopen_proto.pdo.overheard import OverheardPdo, OverheardPdos
 from canopen_proto.sdo.overheard import OverheardChannel, bytes_text, shown_value
 from canopen_proto.time_stamp import time_of
 
@@ -53,7 +51,7 @@ _NMT_WORDS: Final = {
     NmtCommand.RESET_NODE: "reset node",
     NmtCommand.RESET_COMMUNICATION: "reset communication",
 }
-_BOOT_UP: Final = 0
+_BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
 
 
@@ -65,36 +63,19 @@ class Meaning(NamedTuple):
     text: str
 
 
-class _Pdo(NamedTuple):
-    node_id: int
-    name: str
-    mapping: Mapping
-    dictionary: ObjectDictionary
-
-
 class Decoder:
     """Puts frames in words. dictionary_of: the dictionary of a node-ID, or None."""
 
     def __init__(self, dictionary_of: Callable[[int], ObjectDictionary | None] = lambda node_id: None) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
         self._channels: dict[int, OverheardChannel] = {}
-        self._pdos: dict[int, _Pdo] = {}
-        for node_id, dictionary in self._dictionaries.items():
-            if dictionary is not _EMPTY:
-                self._add_pdos(node_id, dictionary)
-
-    def _add_pdos(self, node_id: int, dictionary: ObjectDictionary) -> None:
-        for settings in described_pdos(dictionary, node_id):
-            mapping = Mapping.from_parameters(settings.entries, dictionary)
-            name = f"{'TPDO' if settings.direction is Direction.TPDO else 'RPDO'} {settings.number}"
-            # One file for all nodes may give a fixed COB-ID to each of them: the first has it.
-            self._pdos.setdefault(key_of_cob_id(settings.cob_id), _Pdo(node_id, name, mapping, dictionary))
+        self._pdos = OverheardPdos(self._dictionaries)
 
     def decode(self, frame: Frame) -> Meaning:
         """What the frame means, after all that were told before."""
-        pdo = self._pdos.get(frame.key & ~(REMOTE << 29))
+        pdo = self._pdos.find(frame.key & ~(REMOTE << 29), frame.can_id & 0x7F, len(frame.data))
         if pdo is not None:
-            return _of_pdo(pdo, frame)
+            return _of_pdo(pdo, self._dictionaries[pdo.node_id], frame)
         if frame.flags & EXTENDED:
             return Meaning("?", 0, "29-bit identifier, which no file here assigns")
         function, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
@@ -116,12 +97,21 @@ class Decoder:
             if function == SDO_CLIENT_TO_SERVER:
                 return Meaning("SDO", node_id, self._channel(node_id).client(data))
             if function == SDO_SERVER_TO_CLIENT:
-                return Meaning("SDO", node_id, self._channel(node_id).server(data))
+                return Meaning("SDO", node_id, self._answer(node_id, data))
             if function == ERROR_CONTROL:
+                if data == _BOOT_UP:
+                    self._pdos.booted(node_id)
                 return _of_error_control(node_id, data)
             if function >> 7 in _PDO_FUNCTIONS:
                 return Meaning(_pdo_name(function), node_id, bytes_text(data))
         return Meaning("?", 0, bytes_text(data))
+
+    def _answer(self, node_id: int, data: bytes) -> str:
+        channel = self._channel(node_id)
+        text = channel.server(data)
+        if channel.settled is not None:
+            self._pdos.settle(node_id, *channel.settled.place, channel.settled.data)
+        return text
 
     def _channel(self, node_id: int) -> OverheardChannel:
         if node_id not in self._channels:
@@ -135,16 +125,29 @@ def _pdo_name(function: int) -> str:
     return f"{'RPDO' if number % 2 else 'TPDO'} {number // 2 + 1}"
 
 
-def _of_pdo(pdo: _Pdo, frame: Frame) -> Meaning:
+def _of_pdo(pdo: OverheardPdo, dictionary: ObjectDictionary, frame: Frame) -> Meaning:
     if frame.flags & REMOTE:
         return Meaning(pdo.name, pdo.node_id, "requested by a remote frame")
+    mapping, size = pdo.mapping, len(frame.data)
     try:
-        values = pdo.mapping.unpack(frame.data)
-    except (MappingError, ValueRangeError):
-        return Meaning(pdo.name, pdo.node_id, f"shorter than it is mapped: {frame.data.hex(' ') or 'no data'}")
-    entries = zip(pdo.mapping.entries, values, strict=True)
-    texts = [f"{entry.name} = {shown_value(pdo.dictionary, entry.index, entry.subindex, value)}" for entry, value in entries]
+        values = mapping.unpack(frame.data)
+    except ValueRangeError as error:
+        why = f"shorter than it is mapped, {mapping.byte_length} bytes" if size < mapping.byte_length else str(error)
+        return Meaning(pdo.name, pdo.node_id, f"{why}: {frame.data.hex(' ') or 'no data'}")
+    texts = [
+        f"{_name_of(entry, label)} = {shown_value(dictionary, entry.index, entry.subindex, value)}"
+        for entry, label, value in zip(mapping.components, mapping.labels, values, strict=True)
+    ]
+    if size > mapping.byte_length:
+        texts.append(
+            f"longer than it is mapped, {mapping.byte_length} bytes: {frame.data[mapping.byte_length :].hex(' ')} left over"
+        )
     return Meaning(pdo.name, pdo.node_id, ", ".join(texts))
+
+
+def _name_of(entry: MappedEntry, label: str) -> str:
+    """Where several objects of the PDO have that name, the place too."""
+    return label if label == entry.name else f"{label} {entry.name}"
 
 
 def _of_remote(frame: Frame, function: int, node_id: int) -> Meaning:
@@ -167,7 +170,7 @@ def _of_nmt(data: bytes) -> Meaning:
 def _of_error_control(node_id: int, data: bytes) -> Meaning:
     if len(data) != 1:
         return Meaning("heartbeat", node_id, f"of a strange length: {data.hex(' ') or 'no data'}")
-    if data[0] == _BOOT_UP:
+    if data == _BOOT_UP:
         return Meaning("boot-up", node_id, "")
     state = data[0] & ~_TOGGLE
     word = NmtState(state).name.lower().replace("_", "-") if state in set(NmtState) else f"unknown state 0x{state:02X}"

@@ -10,7 +10,7 @@ Source: CiA 301 v4.2.0, 7.2.4.3.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
 from canopen_proto.dictionary import ObjectDictionary
@@ -41,10 +41,21 @@ MAX_SHOWN: Final = 32
 _NUMBERS: Final = (1, 2, 4, 8)
 
 
+class Settled(NamedTuple):
+    """A value that a device is known to hold: it was read, or a write of it was confirmed. place: index and subindex."""
+
+    place: tuple[int, int]
+    data: bytes
+
+
 class OverheardChannel:
-    """The transfers between one client and one server. dictionary: of the server's device, for names and types; may be empty."""
+    """The transfers between one client and one server. dictionary: of the server's device, for names and types; may be empty.
+
+    settled: the value that the last frame has shown the device to hold, or None.
+    """
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
+        self.settled: Settled | None = None
         self._dictionary = dictionary
         self._is_upload: bool
         self._verb: str
@@ -62,6 +73,7 @@ class OverheardChannel:
 
     def client(self, data: bytes) -> str:
         """What a frame of the client's says."""
+        self.settled = None
         if self._in_block and not self._is_upload:
             return self._block_segment(data)
         frame = complete(data, LEAST_REQUEST)
@@ -86,6 +98,7 @@ class OverheardChannel:
 
     def server(self, data: bytes) -> str:
         """What a frame of the server's says."""
+        self.settled = None
         if self._in_block and self._is_upload:
             return self._block_segment(data)
         frame = complete(data, LEAST_RESPONSE)
@@ -99,7 +112,7 @@ class OverheardChannel:
             return self._initiate(frame, is_upload=True)
         if specifier == INITIATE_DOWNLOAD_RESPONSE:
             self._object = self._object or self._named(frame)
-            return f"written {self._object}" if self._is_whole else f"write {self._object}: go on"
+            return self._written() if self._is_whole else f"write {self._object}: go on"
         if specifier == INITIATE_DOWNLOAD:
             return self._confirmed()
         if specifier == BLOCK_UPLOAD:
@@ -131,7 +144,7 @@ class OverheardChannel:
     def _confirmed(self) -> str:
         if not self._object:
             return "a segment is confirmed"
-        return f"written {self._object}" if self._is_whole else f"write {self._object}: segment confirmed"
+        return self._written() if self._is_whole else f"write {self._object}: segment confirmed"
 
     # ---- blocks ----
 
@@ -158,7 +171,7 @@ class OverheardChannel:
         if frame[0] & KIND == ACKNOWLEDGEMENT:
             return self._acknowledged(frame)
         if frame[0] & KIND == END_RESPONSE:
-            return f"written {self._object}" if self._object else "a block transfer is confirmed"
+            return self._written() if self._object else "a block transfer is confirmed"
         self._object = self._object or self._named(frame)
         self._block_size, self._in_block = frame[4], True
         return f"write {self._object}: go on, {frame[4]} segments a block"
@@ -228,8 +241,19 @@ class OverheardChannel:
         if len(self._data) < MAX_KEPT:
             self._data += data
 
+    def _written(self) -> str:
+        if self._is_whole and not self._is_upload:
+            self._settle()
+        return f"written {self._object}"
+
+    def _settle(self) -> None:
+        if self._length == len(self._data):
+            self.settled = Settled(self._place, bytes(self._data))
+
     def _value(self) -> str:
         self._is_whole = True
+        if self._is_upload:
+            self._settle()
         if self._length > len(self._data):
             return f"{self._verb} {self._object}: {self._length} bytes"
         return f"{self._verb} {self._object} = {value_text(self._dictionary, *self._place, bytes(self._data))}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import signal
@@ -296,3 +297,18 @@ def test_a_bus_server_records_too(run: Run) -> None:
     outcome = run("bus", "serve", "--port", "0", "--seconds", "0", "--trace", "t.log")
     assert outcome.status == 0
     assert "0 frames recorded: t.log" in outcome.err
+
+
+def test_decode_reads_what_candump_shows_from_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = "  can0  603   [8]  40 41 60 00 00 00 00 00\n\n  can0  183   [8]  37 02 00 00 64 00 00 00\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(said))
+    outcome = run("log", "decode", "-")
+    assert outcome.status == 0
+    read, pdo = outcome.out.splitlines()
+    assert read.endswith("read 6041:00 statusword")
+    assert "schunk_default_tPDO" in pdo  # PDOs.csv, as no file is given
+    assert "position_actual_value = 100" in pdo
+    monkeypatch.setattr("sys.stdin", io.StringIO("what is this\n"))
+    outcome = run("log", "stats", "-")
+    assert outcome.status == 6
+    assert "standard input:1 is not understood" in outcome.err

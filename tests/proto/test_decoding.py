@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType
 from canopen_proto.decoding import Decoder
-from canopen_proto.dictionary import Constant, ObjectDictionary, Variable
+from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.dictionary.objects import Object, ObjectType
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.sdo.overheard import MAX_KEPT, OverheardChannel, bytes_text
@@ -68,7 +68,11 @@ def meanings(*frames: str, of: int | None = 5) -> list[str]:
         ("705#", "heartbeat 5 of a strange length: no data"),
         ("705#R1", "guarding 5 the master asks for the state"),
         ("185#6F0039300000", "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039)"),
-        ("185#6F", "TPDO 1 5 shorter than it is mapped: 6f"),
+        ("185#6F", "TPDO 1 5 shorter than it is mapped, 6 bytes: 6f"),
+        (
+            "185#6F003930000007",
+            "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039), longer than it is mapped, 6 bytes: 07 left over",
+        ),
         ("185#R", "TPDO 1 5 requested by a remote frame"),
         ("205#0000", "RPDO 1 5 statusword = 0"),
         ("285#AABB", "TPDO 2 5 aa bb"),
@@ -93,6 +97,60 @@ def test_an_emergency_is_told_in_full() -> None:
     (seen,) = meanings("085#1081014200000000")
     assert seen.startswith("EMCY 5 0x8110 CAN overrun")
     assert seen.endswith("error register 0x01 (generic), 42 00 00 00 00")
+
+
+MAPPED_ANEW = (
+    "605#2300180185010080", "585#6000180100000000",  # the PDO is destroyed
+    "605#2F001A0000000000", "585#60001A0000000000",
+    "605#23001A0199999999", "585#80001A0141000406",  # refused: it does not count
+    "605#23001A0110004160", "585#60001A0100000000",
+    "605#23001A0208002222", "585#60001A0200000000",
+    "605#2F001A0002000000", "585#60001A0000000000",
+    "605#2300180186010000", "585#6000180100000000",
+)  # fmt: skip
+
+
+def test_pdo_parameters_that_the_recording_shows_count_until_the_next_boot_up() -> None:
+    before, *_, old, new = meanings("185#6F0039300000", *MAPPED_ANEW, "185#6F0039300000", "186#6F0005")
+    assert before == "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039)"
+    assert old == "TPDO 1 5 6f 00 39 30 00 00"  # nothing that we know has this COB-ID now
+    assert new == "TPDO 1 5 statusword = 111 (ready), 0x2222:00 = 5"  # an object that the file lacks
+    *_, after, gone = meanings(*MAPPED_ANEW, "705#00", "185#6F0039300000", "186#6F0005")
+    assert (after, gone) == (before, "TPDO 1 6 6f 00 05")
+
+
+def test_pdo_parameters_count_for_a_device_without_a_file_as_well() -> None:
+    reads = ("605#40001A0000000000", "585#4F001A0001000000", "605#40001A0100000000", "585#43001A0110004160")
+    *_, meaning = meanings(*reads, "185#6F00", of=None)
+    assert meaning == "TPDO 1 5 0x6041:00 = 111"  # its COB-ID is the standard's until another is seen
+
+
+def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
+    variables = [Variable(0x6040, 0, "controlword", U16), Variable(0x6064, 0, "position", DataType.INTEGER32)]
+    control, position = variables
+    pdos = [
+        PdoDescription("short", 0x200, Direction.RPDO, 1, (control,)),
+        PdoDescription("long", 0x200, Direction.RPDO, 1, (control, Filler("notused16", 16), position)),
+    ]
+    dictionary = ObjectDictionary([Object(0x6040, "c", ObjectType.VAR, {0: control})], pdos=pdos)
+    decoder = Decoder(lambda node_id: dictionary)
+    seen = [decoder.decode(Frame.parse(text)) for text in ("205#0F00", "205#0F00000001000000", "205#0F", "285#0F00", "180#")]
+    assert [f"{each.service} {each.text}" for each in seen] == [
+        "short controlword = 15",
+        "long controlword = 15, position = 1",
+        "short shorter than it is mapped, 2 bytes: 0f",
+        "TPDO 2 0f 00",
+        "? nothing",
+    ]
+
+
+def test_names_that_repeat_are_told_with_their_place() -> None:
+    inputs = {sub: Variable(0x6401, sub, "input", U8) for sub in (1, 2)}
+    entries = obj(0x1A00, (U8, 2), (U32, 0x6401_0108), (U32, 0x6401_0208))
+    dictionary = ObjectDictionary(
+        [Object(0x6401, "inputs", ObjectType.ARRAY, inputs), obj(0x1800, (U8, 2), (U32, 0x185)), entries]
+    )
+    assert Decoder(lambda node_id: dictionary).decode(Frame.parse("185#0102")).text == "6401:01 input = 1, 6401:02 input = 2"
 
 
 def sdo(*frames: str) -> list[str]:

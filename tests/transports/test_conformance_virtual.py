@@ -13,7 +13,8 @@ from canopen_proto.frame import Frame
 from canopen_transports import Transport, open_transport
 from canopen_transports.conformance import Bus, Case, NotApplicable, Site, at, openings
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.log_files import Record, log_writer
+from canopen_transports.log_files import log_writer
+from canopen_transports.record import Record
 from canopen_transports.tracing import recording
 from tests.transports.support import cases
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from canopen_proto.frame import REMOTE, Frame
 from canopen_transports.conformance.frames import EVERY_KIND
-from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, Record, kind_of, log_writer
+from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, kind_of, log_writer
+from canopen_transports.record import Record
 from tests.interop.recorded import FOLDER, VARIABLE
 from tests.transports.test_tcp_framing import frames
 

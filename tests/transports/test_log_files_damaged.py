@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_transports.log_files import LOSSES, LogFileError, LogReader, Record, log_writer
+from canopen_transports.log_files import LOSSES, LogFileError, LogReader, log_writer
+from canopen_transports.record import Record
 
 NOW = 1_795_225_377_712_000_000
 ASC = """\
@@ -86,7 +87,7 @@ def test_what_is_no_frame_is_counted(tmp_path: Path) -> None:
         ("a.log", b"(1.5) can0 9FF#40\n", "identifier out of range", 1),
         ("a.log", b"(1.5) can0 601#R9\n", "not a classical CAN frame", 1),
         ("a.log", b"\xff\xfe\x00", "is no line of candump's", 1),
-        ("a.log", b" (2026-11-21 23:00:00.000000)  can0  601   [1]  40\n", "is no line of candump's", 1),
+        ("a.log", b" (2026-11-21 23:00:00.000000)  can0  601   [1]  4\n", "1 bytes are announced", 1),
         ("a.blf", b"LOGG nonsense", "unpack requires", 0),
         ("a.blf", b"", "unpack requires", 0),
         ("a.blf", bytes(range(256)), "Unexpected file format", 0),

@@ -20,8 +20,9 @@ from canopen_transports import (
     open_transport,
 )
 from canopen_transports.conformance.frames import IMPOSSIBLE, numbered
-from canopen_transports.log_files import LogReader, Record, log_writer
+from canopen_transports.log_files import LogReader, log_writer
 from canopen_transports.receive_test import listen_on
+from canopen_transports.record import Record
 from canopen_transports.tracing import Trace, TracingTransport, current_trace, for_devices, recording
 from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport
 from tests.transports.support import run, trio_test
@@ -152,7 +153,7 @@ async def test_files_that_cannot_be_replayed(tmp_path: Path) -> None:
     for locator, seen in (
         ("file:", "it names no file"),
         (f"file:{tmp_path}/none.log", "No such file"),
-        (f"file:{tmp_path}/none.txt", "its name does not say"),
+        (f"file:{tmp_path}/none.csv", "its name does not say"),
     ):
         with pytest.raises(TransportError, match=seen):
             await open_transport(locator)

@@ -5,7 +5,8 @@ a line, and nothing that CANopen has is lost, except what is below a microsecond
 
     (1436509053.850870) can0 605#4041600000000000 T
 
-T or R at the end, as `candump -L -x` writes it: sent by whoever recorded, or received. Files without it are read too.
+T or R at the end, as `candump -L -x` writes it: sent by whoever recorded, or received. Files without it are read too, and so is
+what candump shows on a screen (candump_text.py), in files that end in `.log` or `.txt`, and from standard input.
 
 What the others lose is in LOSSES, measured with python-can 4.6 (see the tests). Entries that are no classical CAN frames (error
 frames, CAN FD, a measuring program's own events) are passed over when a file is read, and counted. What is no log of its kind, or
@@ -19,15 +20,17 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final, NamedTuple, Protocol, TextIO
+from typing import IO, Any, BinaryIO, Final, Protocol, TextIO
 
 import can
 from can.io.blf import BLFParseError
 
-from canopen_proto.frame import REMOTE, Frame
+from canopen_proto.frame import REMOTE
+from canopen_transports.candump_text import EXAMPLE, NotAFrame, parse_line
 from canopen_transports.messages import RefusedMessage, frame_of, message_of
+from canopen_transports.record import Record
 
 DEFAULT_CHANNEL: Final = "can0"
 
@@ -53,16 +56,12 @@ _READING_ERRORS: Final = (
 )
 """What python-can's readers raise over files that are none."""
 
-_LINE: Final = re.compile(r"\(([0-9]{1,11})\.([0-9]{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]+#\S*)(?:\s+([RT]))?\s*")
-_RAW_DLC: Final = re.compile(r"_[0-9A-Fa-f]$")  # candump's way to show a DLC of 9 to 15, which means 8 bytes
-_ERROR_FRAME: Final = 0x20000000
 _ENTRY: Final = {
     ".asc": re.compile(r"\s*[0-9]+\.[0-9]+\s+(?!Start of measurement)"),
     ".trc": re.compile(r"\s*[^\s;]"),
 }
 """Lines that say what happened, as against headers and comments."""
 _HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
-_EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (what a line looks like; `candump -L` writes such)"
 _OTHER_KIND: Final = "is it really a log of this kind? (its name's ending says which)"
 _UTF16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -74,15 +73,6 @@ def _old_code_page(error: UnicodeError) -> tuple[str, int]:
 
 
 codecs.register_error("canopen-old-code-page", _old_code_page)
-
-
-class Record(NamedTuple):
-    """A frame in a log. time: ns since 1970, or since the file begins. sent: by whoever recorded it."""
-
-    time: int
-    channel: str
-    frame: Frame
-    sent: bool = False
 
 
 class LogFileError(Exception):
@@ -113,19 +103,24 @@ def kind_of(path: Path) -> str:
 class LogReader:
     """The records of a file, once, in its order. Iterating raises LogFileError, and holds the file open until its end or `close`.
 
-    skipped: how many entries were no frames of classical CAN, so far; last_skip: why the last one was none.
+    path: its ending says the kind; `.txt` is text of candump's, as `.log` is. lines: candump's lines from elsewhere, such as
+    standard input, in place of a file; path then only names them. skipped: how many entries were no frames of classical CAN, so
+    far; last_skip: why the last one was none.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, lines: Iterable[str] | None = None) -> None:
         self.path = path
         self.skipped = 0
         self.last_skip = ""
-        self._kind = kind_of(path)
+        self._lines = lines
+        self._kind = ".log" if lines is not None or path.suffix.lower() == ".txt" else kind_of(path)
 
     def __iter__(self) -> Generator[Record]:
         # Opened here, as python-can's readers leave a file open when they raise.
         try:
-            if self._kind == ".blf":
+            if self._lines is not None:
+                yield from self._candump_records(self._lines)
+            elif self._kind == ".blf":
                 with open(self.path, "rb") as file:
                     yield from self._binary_records(file)
             else:
@@ -144,30 +139,16 @@ class LogReader:
 
     # ---- .log ----
 
-    def _candump_records(self, file: TextIO) -> Iterator[Record]:
-        for number, line in enumerate(file, 1):
-            if line.strip():
-                record = self._record_of(number, line.strip())
-                if record is not None:
-                    yield record
-
-    def _record_of(self, number: int, line: str) -> Record | None:
-        match = _LINE.fullmatch(line)
-        if match is None:
-            raise self._not_understood(f"{line[:60]!r} is no line of candump's", number, _EXAMPLE)
-        seconds, fraction, channel, text, direction = match.groups()
-        identifier, _, data = text.partition("#")
-        if data.startswith("#"):
-            self._skip("a CAN FD frame")
-            return None
-        if len(identifier) == 8 and int(identifier, 16) & _ERROR_FRAME:
-            self._skip("an error frame")
-            return None
-        try:
-            frame = Frame.parse(_RAW_DLC.sub("", text))
-        except ValueError as error:
-            raise self._not_understood(str(error), number, _EXAMPLE) from error
-        return Record(int(seconds) * 10**9 + int(fraction.ljust(9, "0")), channel, frame, direction == "T")
+    def _candump_records(self, lines: Iterable[str]) -> Iterator[Record]:
+        for number, line in enumerate(lines, 1):
+            if not line.strip():
+                continue
+            try:
+                yield parse_line(line.strip())
+            except NotAFrame as reason:
+                self._skip(str(reason))
+            except ValueError as error:
+                raise self._not_understood(str(error), number, EXAMPLE) from error
 
     # ---- the others, by python-can's readers ----
 

@@ -24,7 +24,8 @@ import trio
 from canopen_proto.frame import Frame
 from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, TransportError
 from canopen_transports.locator import Option
-from canopen_transports.log_files import LogFileError, LogReader, Record
+from canopen_transports.log_files import LogFileError, LogReader
+from canopen_transports.record import Record
 from canopen_transports.transport import Received, check_frame
 
 MAX: Final = math.inf

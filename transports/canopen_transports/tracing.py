@@ -24,7 +24,8 @@ import trio
 from canopen_proto.frame import Frame
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.locator import parse_locator
-from canopen_transports.log_files import LogWriter, Record
+from canopen_transports.log_files import LogWriter
+from canopen_transports.record import Record
 from canopen_transports.transport import CyclicTransport, EagerTransport, Received
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
 from canopen_master.cli.running import run
 from canopen_proto.frame import Frame
-from canopen_transports.log_files import Record
+from canopen_transports.record import Record
 from canopen_transports.tcp import BusServer, serve_bus
 from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopback, joining
 from canopen_transports.tracing import current_trace

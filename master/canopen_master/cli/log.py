@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from itertools import islice
 from pathlib import Path
@@ -27,11 +28,17 @@ from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_o
 from canopen_transports.wire.frame_bits import frame_bits
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
+FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
+
+
+def _reader(source: Path) -> LogReader:
+    """Of a file, or of standard input (-): what candump says."""
+    return LogReader(Path("standard input"), sys.stdin) if str(source) == "-" else LogReader(source)
 
 
 @click.group()
 def log() -> None:
-    """Log files of CAN buses: .log (candump's), .asc, .blf, .trc. Record one by --trace FILE of any command."""
+    """Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc. Record one by --trace FILE of any command."""
 
 
 @log.command()
@@ -119,7 +126,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
 
 
 @log.command()
-@click.argument("source", metavar="FILE", type=FILE)
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("--bitrate", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
 @common
 @click.pass_obj
@@ -130,7 +137,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
         rate = parse_bitrate(bitrate)
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
-    reader, decoder = LogReader(source), Decoder()
+    reader, decoder = _reader(source), Decoder()
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
@@ -168,17 +175,20 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
 
 
 @log.command()
-@click.argument("source", metavar="FILE", type=FILE)
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
 @click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8.")
 @click.option("--service", "services", multiple=True, metavar="NAME", help="Only these: nmt, sdo, pdo, emcy, sync, heartbeat ...")
 @common
 @click.pass_obj
 def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, services: tuple[str, ...]) -> None:
-    """Say what each frame in a file means. With the devices' own files also PDOs are read, and names are theirs.
+    """Say what each frame in a file means; - is standard input.
+
+    PDOs are read as the recording shows them set up, else as the devices' own files say, else as PDOs.csv does.
 
     \b
     canopen log decode trace.log
     canopen log decode trace.log -e 5=drive.eds --node 5 --service sdo
+    candump can0 | canopen log decode -
     """
     screen = settings.screen()
     names = read_dictionary(screen)
@@ -188,7 +198,7 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
         description = description_of(files, node_id)
         return names if description is None else description.dictionary
 
-    reader, decoder = LogReader(source), Decoder(dictionary_of)
+    reader, decoder = _reader(source), Decoder(dictionary_of)
     wanted = tuple(service.lower() for service in services)
     first = None
     for number, record in enumerate(reader):

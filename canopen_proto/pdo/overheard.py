@@ -1,0 +1,146 @@
+"""The PDOs of all devices on a bus as somebody knows them who takes no part: which one a frame is, and what its bytes mean.
+
+Theory of operation
+-------------------
+Three sources say how a device's PDOs are set up, the surer one first:
+
+1. the recording: PDO parameters (0x1400 to 0x1BFF) that were written to the device, or read from it. A boot-up ends that: the
+   device has its power-on values again.
+2. the device's own file: the defaults of an EDS, the values of a DCF.
+3. the PDO descriptions of the dictionary (PDOs.csv), where a device has neither: of those with the frame's CAN-ID, the first one
+   with its length.
+
+A PDO whose mapping is known and whose COB-ID is not has the one of the predefined connection set (CiA 301 v4.2.0, 7.3.5). Where
+two devices have one COB-ID, the recording counts before a file, the sender before a receiver, and then the lower node-ID.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, NamedTuple
+
+from canopen_proto.datatypes import integer_type
+from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.frame import COB_ID_INVALID, RPDO1, TPDO1, key_of_cob_id
+from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError
+from canopen_proto.pdo.mapping import Mapping as PdoMapping
+from canopen_proto.pdo.settings import COB_ID, communication_index, mapping_index, place_of
+
+PREDEFINED_PDOS: Final = 4
+_FIRST_COB_ID: Final = {Direction.TPDO: TPDO1, Direction.RPDO: RPDO1}
+_NEXT_PDO: Final = 0x100  # from the function code of a PDO to that of the next in its direction
+
+
+class OverheardPdo(NamedTuple):
+    """A PDO of a device. name: "TPDO 1", or how PDOs.csv calls it."""
+
+    node_id: int
+    name: str
+    direction: Direction
+    mapping: PdoMapping
+    is_recorded: bool
+
+
+class OverheardPdos:
+    """See this module's text. dictionaries: by node-ID."""
+
+    def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
+        self._dictionaries = dictionaries
+        self._recorded: dict[int, dict[int, int]] = {}  # by node-ID: mux -> value
+        self._of_node = {node_id: self._pdos_of(node_id) for node_id in dictionaries}  # with their routing keys
+        self._by_key: dict[int, OverheardPdo] | None = None
+
+    def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """The device is known to hold this value. Does nothing for objects that are no PDO parameters."""
+        if place_of(index) is not None and len(data) <= 4:
+            self._recorded.setdefault(node_id, {})[index << 8 | subindex] = int.from_bytes(data, "little")
+            self._renew(node_id)
+
+    def booted(self, node_id: int) -> None:
+        """The device has its power-on values again."""
+        if self._recorded.pop(node_id, None):
+            self._renew(node_id)
+
+    def find(self, key: int, node_id: int, length: int) -> OverheardPdo | None:
+        """The PDO with a routing key, or None. node_id: what the CAN-ID says; length: bytes of the frame; both for PDOs.csv."""
+        if self._by_key is None:
+            self._by_key = {}
+            known = [pair for pairs in self._of_node.values() for pair in pairs]
+            known.sort(key=lambda pair: (not pair[1].is_recorded, pair[1].direction is Direction.RPDO))
+            for each, pdo in known:
+                self._by_key.setdefault(each, pdo)
+        if key in self._by_key or self._of_node.get(node_id):
+            return self._by_key.get(key)
+        return self._of_csv(key, node_id, length)
+
+    def _renew(self, node_id: int) -> None:
+        self._of_node[node_id] = self._pdos_of(node_id)
+        self._by_key = None
+
+    def _of_csv(self, key: int, node_id: int, length: int) -> OverheardPdo | None:
+        pdos = self._dictionaries[node_id].pdos if node_id in self._dictionaries else ()
+        candidates = [each for each in pdos if each.can_id(node_id) == key]
+        if not candidates:
+            return None
+        best = next((each for each in candidates if (each.bit_length + 7) // 8 == length), candidates[0])
+        try:
+            return OverheardPdo(node_id, best.name, best.direction, PdoMapping.from_description(best), False)
+        except MappingError:
+            return None
+
+    def _pdos_of(self, node_id: int) -> list[tuple[int, OverheardPdo]]:
+        """The valid PDOs of a device that the recording and its file tell, with their routing keys."""
+        recorded = set(_pdos_at(mux >> 8 for mux in self._recorded.get(node_id, ())))
+        found = []
+        for direction, number in sorted({*recorded, *_pdos_at(self._dictionaries[node_id].objects)}):
+            cob_id, mapping = self._cob_id(node_id, direction, number), self._mapping(node_id, direction, number)
+            if cob_id and not cob_id & COB_ID_INVALID and mapping is not None:
+                pdo = OverheardPdo(node_id, f"{direction} {number}", direction, mapping, (direction, number) in recorded)
+                found.append((key_of_cob_id(cob_id), pdo))
+        return found
+
+    def _cob_id(self, node_id: int, direction: Direction, number: int) -> int | None:
+        stored = self._value(node_id, communication_index(direction, number), COB_ID)
+        if stored is None and number <= PREDEFINED_PDOS:
+            return _FIRST_COB_ID[direction] + _NEXT_PDO * (number - 1) + node_id
+        return stored
+
+    def _mapping(self, node_id: int, direction: Direction, number: int) -> PdoMapping | None:
+        """None where it is empty, not known, or cannot be: the device has refused it then."""
+        index = mapping_index(direction, number)
+        count = self._value(node_id, index, 0) or 0
+        if not 0 < count <= MAX_ENTRIES:
+            return None
+        entries = [self._value(node_id, index, subindex) for subindex in range(1, count + 1)]
+        if not all(entries):
+            return None
+        try:
+            return PdoMapping(_entries(filter(None, entries), self._dictionaries[node_id]))
+        except MappingError:
+            return None
+
+    def _value(self, node_id: int, index: int, subindex: int) -> int | None:
+        recorded = self._recorded.get(node_id, {}).get(index << 8 | subindex)
+        if recorded is not None:
+            return recorded
+        variable = self._dictionaries[node_id].get(index, subindex)
+        value = None if variable is None else variable.initial_of(node_id)
+        return value if isinstance(value, int) else None
+
+
+def _pdos_at(indices: Iterable[int]) -> Iterator[tuple[Direction, int]]:
+    """The PDOs whose parameters stand at these indices."""
+    for index in indices:
+        place = place_of(index)
+        if place is not None:
+            yield place.direction, place.number
+
+
+def _entries(parameters: Iterable[int], dictionary: ObjectDictionary) -> Iterator[MappedEntry]:
+    """The entries; an object that the dictionary lacks is an unsigned number."""
+    for parameter in parameters:
+        index, subindex, bits = parameter >> 16, parameter >> 8 & 0xFF, parameter & 0xFF
+        if dictionary.get(index, subindex) is None and 0 < bits <= 64 and index > 0x1B:
+            yield MappedEntry(index, subindex, bits, integer_type((bits + 7) // 8))
+        else:
+            yield MappedEntry.from_parameter(parameter, dictionary)
