@@ -14,7 +14,8 @@ by side; if one fails, the others are cancelled (what they moved is halted), and
 **Cycle.** SYNC goes out, right behind it one PDO per joint with the set-points as they are then. A set-point given in cycle n so
 goes out behind SYNC n+1, acts at SYNC n+2, and is reached at the SYNC after it. If none was given in a cycle, the last one is
 repeated, and the cycle counts as missed; after `max_missed_cycles` in a row the chain is halted. It stays halted until
-`enable_interpolated_position` or `recover`, which begin where the joints stand: nothing jumps.
+`enable_interpolated_position` or `recover`, which begin where the joints stand: nothing jumps. Nor does a path jump that is read
+at `cycle.time`: it advances only with SYNCs that took set-points along, so a late loop makes the path slower (see cycles.py).
 
 **Supervision**, from the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, loses its heartbeat, or,
 while set-points are followed, leaves Operation enabled or sends no PDO any more, stops its whole chain: what runs is cancelled,
@@ -269,7 +270,7 @@ class Chain:
         self._raise_first("shut down", failures)
 
     def cycles(self) -> Cycles:
-        """The SYNC cycles from now on, as an async iterator. A loop that is late gets the newest cycle, with `skipped`.
+        """The SYNC cycles from now on, as an async iterator; read the path at `Cycle.time`. A late loop gets the newest cycle.
 
         Raises ChainFault when a joint fails, ChainHalted when the chain is halted, once the other joints stand.
         """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import os
+import re
 import signal
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 import trio
+from trio.testing import MockClock
 
 from canopen_master.cli import demonstration
 from canopen_master.cli.fleet import Fleet, simulated_fleet
@@ -65,6 +67,34 @@ def test_the_result_as_json(run: Run) -> None:
         assert joint["homed"]
         assert 0 < joint["largest_following_error_degrees"] < 2
         assert joint["sdo_round_trips"] > 10
+
+
+@pytest.mark.parametrize(("times", "status"), [(1, ExitCode.OK), (6, ExitCode.PARTIAL)])
+def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alarm: Alarm, times: int, status: int) -> None:
+    async def stall(fleet: Fleet) -> None:
+        """Stop the whole process, again and again, while the arm moves."""
+        await trio.sleep(2.7)
+        for _ in range(times):
+            await trio.sleep(0.1)
+            clock = trio.lowlevel.current_clock()
+            assert isinstance(clock, MockClock)
+            clock.jump(0.065)
+
+    alarm.task = stall
+    for arguments in ((), ("--json",)):
+        outcome = run("demo", "--seconds", "2", "--cycle", "20ms", *arguments)
+        assert outcome.status == status
+        assert_all_stand(fleets)
+        fleets.clear()
+        assert ("this computer could not keep a cycle of 20 ms" in outcome.err) is (status != ExitCode.OK)
+        if arguments:
+            sent, skipped = outcome.json["sync_cycles"], outcome.json["skipped_cycles"]
+            assert 2.1 / 0.02 <= sent <= 2.1 / 0.02 + 3  # the path takes as many SYNCs as it ever did
+            assert 2 * times <= skipped <= 4 * times
+            assert outcome.json["late_share"] == pytest.approx(skipped / (sent + skipped), abs=1e-6)
+        else:
+            assert "0 missed, " in outcome.err
+            assert re.search("SYNC cycles +missed +skipped +late\n.*\n +107 +0 +[0-9]+ +[0-9.]+ %", outcome.out)
 
 
 def test_quiet_says_nothing_but_the_result(run: Run) -> None:

@@ -83,6 +83,24 @@ def test_a_chain_is_led_from_a_clients_thread(session: Session, arm: Devices) ->
     assert {node.drive.state for node in map(arm.node, (3, 12))} == {State.SWITCH_ON_DISABLED}
 
 
+def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
+    session.init_master_thread()
+    chain = session.chain_map["arm"]
+    with pytest.raises(ChainError, match="cannot give cycles"):
+        next(chain.cycles())
+    assert chain.init()
+    assert chain.ip_mode()
+    start = chain.get_current_pos()
+    for number, cycle in enumerate(chain.cycles()):
+        assert cycle.number == number
+        assert cycle.time == pytest.approx(0.01 * number)  # however late this thread was
+        chain.set_pos([position + round(10_000 * cycle.time) for position in start])
+        if number == 5:
+            break
+    assert chain.get_desired_pos() == [position + 500 for position in start]
+    assert chain.halt()
+
+
 def test_sync_is_the_masters(session: Session, arm: Devices) -> None:
     session.init_master_thread(sync_interval=200)
     session.send_sync(0)

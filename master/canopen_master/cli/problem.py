@@ -44,7 +44,7 @@ class ExitCode(IntEnum):
     NO_ANSWER = 5
     BAD_FILE = 6
     PARTIAL = 7
-    """Finished, but not all that should be there could be read."""
+    """Finished, but not all that should be there could be read, or too many cycles were late."""
     PERMISSION = 9
     INTERNAL = 10
     SDO_ABORT = 11

@@ -16,7 +16,7 @@ from canopen_master.demos.running import Options, check, parse, run
 
 USAGE = "Please call the program with one CAN deviceID at most, e.g. './canopenmaster_single_device 12'"
 
-STEP = 100  # millidegrees a cycle: 10 degrees per second
+SPEED = 10_000  # millidegrees per second
 INTERVAL = 0.01  # seconds, as the master's cycle
 
 
@@ -48,16 +48,18 @@ def command(options: Options) -> None:
     print(f"homing {', '.join(chain.joints)}")
     check(chain.homing(), "Homing was not successful; aborting.")
     check(chain.ip_mode(), "The chain could not be put into IP mode; aborting.")
-    positions = chain.get_current_pos()
-    print(f"referenced, at {positions} mdeg")
+    start = chain.get_current_pos()
+    print(f"referenced, at {start} mdeg")
     time.sleep(options.pause)
 
-    for _ in range(options.steps):
-        positions = [position + STEP for position in positions]
-        chain.set_pos(positions)
-        time.sleep(INTERVAL)
-    time.sleep(10 * INTERVAL)  # the last set-points are reached two cycles later
-    print(f"sent to {positions} mdeg, ends at {chain.get_current_pos()} mdeg")
+    duration = options.steps * INTERVAL
+    end = [position + round(SPEED * duration) for position in start]
+    for cycle in chain.cycles():  # its time waits for a client that is late, so that the path never jumps
+        now = min(cycle.time, duration)
+        chain.set_pos([position + round(SPEED * now) for position in start])
+        if cycle.time >= duration + 5 * INTERVAL:  # the last set-points are reached two cycles later
+            break
+    print(f"sent to {end} mdeg, ends at {chain.get_current_pos()} mdeg")
     check(chain.shut_down(), "The chain could not be shut down.")
 
 

@@ -7,11 +7,12 @@ another process calls them from threads of his own. What takes time and may fail
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from typing import TypeVar
 
 from canopen_master.chain import Chain, ChainState
 from canopen_master.chain_file import ChainDescription
+from canopen_master.cycles import Cycle, Cycles
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import find_homing_style
 from canopen_master.master import Master
@@ -63,6 +64,24 @@ class ChainCalls:
     def shut_down(self) -> bool:
         """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop)."""
         return self._attempt(Chain.shut_down)
+
+    def cycles(self) -> Iterator[Cycle]:
+        """The SYNC cycles from now on: `for cycle in chain.cycles(): chain.set_pos(...)`. Each `next` waits for one.
+
+        A path that is read at `cycle.time` takes longer when this thread is late, and never jumps. From the first cycle on a
+        set-point is due in each: after 10 in a row without one the chain is halted. Raises ChainFault, ChainHalted, and
+        ChainError for a chain that is not in IP mode.
+        """
+
+        async def begin(chain: Chain) -> Cycles:
+            return chain.cycles()
+
+        async def wait(chain: Chain) -> Cycle:
+            return await anext(cycles)
+
+        cycles = self._call(begin)
+        while True:
+            yield self._call(wait)
 
     def set_pos(self, positions: Sequence[int]) -> None:
         """Give the set-points that go out behind the next SYNC. Until others are given, they are repeated.
