@@ -14,7 +14,7 @@ should turn into an EMCY comes as `DriveFault` and `DriveFaultCleared`.
   and at the end of a motion that something waits for; else never. `refresh(now)` brings the store up to date before a TPDO is
   built or an SDO reads.
 - Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
-  3; this is how CiA 402 has it.)
+  3; this is how CiA 402 has it.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
 
 Left out: torque modes, csv, limit switches outside of homing, jerk.
 
@@ -27,18 +27,12 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import ALLOWED_VALUES
-from canopen_proto.cia402.drive_modes import (
-    CyclicPosition,
-    InterpolatedPosition,
-    OperationMode,
-    ProfilePosition,
-    ProfileVelocity,
-    Velocity,
-)
+from canopen_proto.cia402.drive_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
 from canopen_proto.cia402.homing_run import Homing
 from canopen_proto.cia402.modes import Mode, ModeStatus, supported
 from canopen_proto.cia402.servo import UNLIMITED, DriveSettings, Servo, Shape
 from canopen_proto.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, StatusBit, command_of
+from canopen_proto.cia402.synchronous_modes import CyclicPosition, InterpolatedPosition
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.error_codes import register_bits_of
@@ -250,6 +244,14 @@ class Drive(Machine):
         self._publish()
         self._schedule()
 
+    def rpdo_overdue(self, now: Time) -> None:
+        """An RPDO did not come within its event time: ip and csp stop following and brake."""
+        self._advance(now)
+        if self._acts:
+            self._mode.rpdo_lost()
+        self._publish()
+        self._schedule()
+
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
         """Something is wrong in the drive (what a test or demo wants to see): transition 13, DriveFault.
 
@@ -277,6 +279,8 @@ class Drive(Machine):
         if now < self.deadline:
             return
         self._advance(now)
+        if self._acts and now >= self._mode.due:  # here only: a SYNC that waited while our own process slept is in time
+            self._mode.sync_lost()
         self._publish()
         self._schedule()
 
@@ -476,10 +480,12 @@ class Drive(Machine):
         servo = self._servo
         if self.state is State.NOT_READY_TO_SWITCH_ON:
             self._arm(self._ready_at)
-        elif servo.is_settled and not (self._acts and self._mode.is_waiting):
-            self._arm(NEVER)
+            return
+        due = self._mode.due if self._acts else NEVER
+        if servo.is_settled and not (self._acts and self._mode.is_waiting):
+            self._arm(due)
         else:
-            wake, end = servo.time + step, servo.demand.end
+            wake, end = min(servo.time + step, due), servo.demand.end
             awaits_end = self._after_stop is not None or self._mode.awaits_end
             self._arm(end if awaits_end and servo.time < end < wake else wake)
 

@@ -13,6 +13,9 @@ the predefined connection set.
     TPDO3    6041, 6064                                            off
     TPDO4    6064, 606C, type 1                                    off
 
+By which a drive notices that its master is gone they differ as the real ones' files do. Standard: SYNC period, four heartbeat
+consumers, event times of RPDOs, 6007. Powerball: three heartbeat consumers, guarding, no 6007.
+
 The defaults of speeds and ramps are those of servo.FALLBACKS: an arm's joint in millidegrees.
 
 Sources: CiA 301 v4.2.0, 7.5.2; CiA 402-4 (PDO mapping); the manual's files.
@@ -87,10 +90,15 @@ _ONLY: Final = {
         0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x607F, 0x6084, 0x6085, 0x6098, 0x6099, 0x609A, 0x60C5, 0x60C6, 0x60F2,
         0x60FF,
     ),
-    Shape.SCHUNK_POWERBALL: (0x6007, 0x6042, 0x6098, 0x60B2),
+    Shape.SCHUNK_POWERBALL: (0x6042, 0x6098, 0x60B2),
 }  # fmt: skip
 """The CiA 402 objects of each shape. (The real Powerball has some more, which say nothing to a simulation.)"""
 
+_ONLY_COMMUNICATION: Final = {Shape.STANDARD: (0x1006, 0x1019), Shape.SCHUNK_POWERBALL: (0x100C, 0x100D)}
+_HEARTBEAT_CONSUMERS: Final = {Shape.STANDARD: 4, Shape.SCHUNK_POWERBALL: 3}
+_RPDO_SUBINDICES: Final = {Shape.STANDARD: (1, 2, 3, 5), Shape.SCHUNK_POWERBALL: (1, 2)}
+"""With 5, the event time, a drive notices that its RPDO stays away."""
+_TPDO_SUBINDICES: Final = (1, 2, 3, 5, 6)
 _SUPPORTED_MODES: Final = {Shape.STANDARD: 0xE5, Shape.SCHUNK_POWERBALL: 0x43}  # pp pv hm ip csp; pp vl ip
 _BUFFER_SIZE: Final = {Shape.STANDARD: 16, Shape.SCHUNK_POWERBALL: 1}
 _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBALL: "Simulated Schunk Powerball joint"}
@@ -126,33 +134,31 @@ def _communication(shape: Shape) -> list[Object]:
         0x1000: _DEVICE_TYPE,
         0x1001: None,
         0x1005: None,
-        0x1006: None,
         0x1008: _NAMES[shape],
         0x1009: "simulation",
         0x100A: "1",
         0x1014: None,
         0x1015: None,
         0x1017: None,
-        0x1019: None,
     }
+    single |= dict.fromkeys(_ONLY_COMMUNICATION[shape])
     described = [standard_object(index, value) for index, value in single.items()]
     described += [
         standard_object(0x1003, highest=8),
-        standard_object(0x1016, highest=4),
+        standard_object(0x1016, highest=_HEARTBEAT_CONSUMERS[shape]),
         standard_object(0x1018, highest=4, defaults={1: 0, 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}),
         standard_object(0x1200, highest=2),
     ]
     for number in range(4):
-        described += _pdo(0x1400 + number, RPDO1 + number * _CHANNEL, 0, _RPDOS[shape][number])
-        described += _pdo(0x1800 + number, TPDO1 + number * _CHANNEL, COB_ID_NO_RTR, _TPDOS[shape][number])
+        rpdo, tpdo = RPDO1 + number * _CHANNEL, (TPDO1 + number * _CHANNEL) | COB_ID_NO_RTR
+        described += _pdo(0x1400 + number, rpdo, _RPDO_SUBINDICES[shape], _RPDOS[shape][number])
+        described += _pdo(0x1800 + number, tpdo, _TPDO_SUBINDICES, _TPDOS[shape][number])
     return described
 
 
-def _pdo(index: int, can_id: int, flags: int, pdo: _Pdo) -> list[Object]:
+def _pdo(index: int, cob_id: int, subindices: tuple[int, ...], pdo: _Pdo) -> list[Object]:
     """Communication and mapping record of one PDO."""
-    cob_id = can_id | flags | (0 if pdo.is_valid else COB_ID_INVALID)
-    is_tpdo = index >= 0x1800
-    subindices = (1, 2, 3, 5, 6) if is_tpdo else (1, 2, 3, 5)
+    cob_id |= 0 if pdo.is_valid else COB_ID_INVALID
     fields = [standard_variable(index, subindex) for subindex in subindices]
     fields[0] = replace(fields[0], default=cob_id, adds_node_id=True)
     fields[1] = replace(fields[1], default=pdo.transmission_type)

@@ -1,55 +1,35 @@
-"""What the simulated drive does in each mode of operation: profile position, interpolated position, csp, and the velocity modes.
+"""What the simulated drive does in a mode of operation: profile position and the velocity modes.
 
 Theory of operation
 -------------------
 While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
 object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and says which mode bits
-the statusword bears. Homing has a file of its own.
+the statusword bears. Homing has a file of its own (homing_run.py), and so have ip and csp (synchronous_modes.py).
 
 Profile position: a set-point is taken on the rising edge of bit 4 and acknowledged by bit 12 until bit 4 falls. With bit 5 it
 starts at once; without, it waits for the running one to end. One can wait; while one does, bit 12 stays and a further edge is
 not taken. Halt stops the axis and keeps the set-point, which goes on when halt is taken back.
 
-Interpolated position: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. The buffer is
-what 60C4h says: disabled (60C4h:06 = 0, the default) it keeps the latest set-point only; enabled it is a FIFO of 60C4h:01
-records, and a set-point too many is lost (a ring drives out the oldest) and reported. **Underrun**: a SYNC finds no set-point
-while the axis moves. The axis stops by the halt option code (605Dh), bit 12 falls, the warning bit rises, `SetPointUnderrun` is
-reported; bit 4 has to be given anew. An axis that stands has nothing to run out of: it just keeps standing. Without SYNC no
-set-point is due, and the axis stands at the last one.
+Left out: change on set-point (bit 9), end velocity (6082h).
 
-Left out: change on set-point (bit 9), end velocity (6082h), ip sub-modes other than linear (60C0h).
-
-Source: IEC 61800-7-201 (CiA 402-2): profile position, velocity, profile velocity, interpolated position, cyclic sync position.
+Source: IEC 61800-7-201 (CiA 402-2): profile position, velocity, profile velocity.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl, ModeStatus
 from canopen_proto.cia402.servo import UNLIMITED, Servo
 from canopen_proto.cia402.states import ControlBit, StatusBit
-from canopen_proto.machine import MILLISECOND, Event, Outbox, Time, event
-
-
-@event
-class SetPointUnderrun(Event):
-    """A SYNC found no set-point while the axis moved. It stops by the halt option code, and interpolation is over."""
-
-
-@event
-class SetPointLost(Event):
-    """A set-point came while the buffer was full. set_point: the one that will not be driven."""
-
-    set_point: int
+from canopen_proto.machine import MILLISECOND, NEVER, Outbox, Time
 
 
 class OperationMode:
     """What all modes have; by itself it is "no mode", in which the axis stands. See this module's text."""
 
-    __slots__ = ("controlword", "node_id", "out", "servo")
+    __slots__ = ("controlword", "due", "node_id", "out", "servo")
 
     listens_to: frozenset[int] = frozenset()
     """The objects whose being written means something; all others are read when they are needed."""
@@ -59,6 +39,8 @@ class OperationMode:
         self.out = out
         self.node_id = node_id
         self.controlword = 0
+        self.due: Time = NEVER
+        """When the next SYNC is overdue; NEVER where the mode goes by none."""
         self.enter()  # chosen while the drive is on a ramp down, a mode is asked for its status before it begins to act
 
     def enter(self) -> None:
@@ -79,6 +61,12 @@ class OperationMode:
 
     def tick(self) -> None:
         """The servo has advanced."""
+
+    def sync_lost(self) -> None:
+        """No SYNC came until `due`."""
+
+    def rpdo_lost(self) -> None:
+        """An RPDO did not come within its event time."""
 
     @property
     def status(self) -> int:
@@ -213,117 +201,6 @@ class ProfilePosition(OperationMode):
     @property
     def awaits_end(self) -> bool:
         return self._next is not None and not self.is_halted
-
-
-_INTERPOLATE: Final = ModeControl.ENABLE_INTERPOLATION
-
-
-class InterpolatedPosition(OperationMode):
-    """Interpolated position mode (ip)."""
-
-    __slots__ = ("_active", "_buffer", "_warning")
-
-    listens_to = frozenset((objects.INTERPOLATION_SET_POINT, objects.BUFFER_CLEAR))
-
-    def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
-        super().__init__(servo, out, node_id)
-        self._buffer: deque[int] = deque()
-        self._active = False
-        self._warning = False
-
-    def enter(self) -> None:
-        self._active = self._warning = False
-
-    def leave(self) -> None:
-        self._active = self._warning = False
-        self._buffer.clear()
-        self._show_size()
-
-    def control(self, controlword: int, previous: int) -> None:
-        self.controlword = controlword
-        runs = controlword & _INTERPOLATE and not controlword & ControlBit.HALT
-        ran = previous & _INTERPOLATE and not previous & ControlBit.HALT
-        if runs and not ran:
-            self._active = True
-            self._warning = False
-        elif self._active and not runs:
-            self._active = False
-            self._halt()
-
-    @property
-    def is_full(self) -> bool:
-        """True if the FIFO takes no further set-point. (A ring takes each one.)"""
-        return self._queues and not self._is_ring and len(self._buffer) >= self._size
-
-    @property
-    def _queues(self) -> bool:
-        """Whether the buffer is enabled, perhaps long before this mode acts."""
-        return bool(self.servo.parameter(objects.BUFFER_CLEAR))
-
-    @property
-    def _is_ring(self) -> bool:
-        return self.servo.parameter(objects.BUFFER_ORGANISATION) == 1
-
-    @property
-    def _size(self) -> int:
-        return max(1, self.servo.parameter(objects.MAXIMUM_BUFFER_SIZE)) if self._queues else 1
-
-    def written(self, key: int) -> None:
-        if key == objects.INTERPOLATION_SET_POINT:
-            self._push(self.servo.parameter(key))
-        elif not self._queues:
-            self._buffer.clear()
-        self._show_size()
-
-    def _push(self, set_point: int) -> None:
-        buffer = self._buffer
-        if len(buffer) >= self._size:
-            drives_out = self._is_ring or not self._queues
-            lost = buffer.popleft() if drives_out else set_point
-            if self._queues:
-                self.out.events.append(SetPointLost(self.node_id, lost))
-            if not drives_out:
-                return
-        buffer.append(set_point)
-
-    def _show_size(self) -> None:
-        self.servo.store[objects.ACTUAL_BUFFER_SIZE] = len(self._buffer)
-
-    def on_sync(self) -> None:
-        if not self._active:
-            return
-        servo = self.servo
-        if self._buffer:
-            servo.interpolate(self._buffer.popleft() + servo.zero)
-            self._show_size()
-        elif servo.moving_at:
-            self._active = False
-            self._warning = True
-            self._halt()
-            self.out.events.append(SetPointUnderrun(self.node_id))
-
-    @property
-    def status(self) -> int:
-        return self._active * ModeStatus.IP_MODE_ACTIVE | self._warning * StatusBit.WARNING | self._reached()
-
-
-class CyclicPosition(OperationMode):
-    """Cyclic synchronous position mode (csp): each SYNC takes 607Ah as it is then."""
-
-    __slots__ = ()
-
-    def control(self, controlword: int, previous: int) -> None:
-        self.controlword = controlword
-        if controlword & ~previous & ControlBit.HALT:
-            self._halt()
-
-    def on_sync(self) -> None:
-        if not self.is_halted:
-            self.servo.interpolate(self.servo.parameter(objects.TARGET_POSITION) + self.servo.zero)
-
-    @property
-    def status(self) -> int:
-        return 0 if self.is_halted else ModeStatus.FOLLOWS_COMMAND
 
 
 class ProfileVelocity(OperationMode):

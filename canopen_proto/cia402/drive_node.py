@@ -1,7 +1,8 @@
 """`DriveNode`: a simulated drive on the bus, which is a `LocalNode` with a `Drive` as its application.
 
 What follows from what the drive reports: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, a fault reset takes it
-back, and a statusword that changes sends the event-driven TPDOs that carry it; so does entering Operational.
+back, and a statusword that changes sends the event-driven TPDOs that carry it; so does entering Operational. The drive hears of
+an RPDO that is overdue.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.nmt import NmtState, NmtStateChanged
+from canopen_proto.pdo.consumer import PdoOverdue
 
 
 class DriveNode(LocalNode):
@@ -34,6 +36,7 @@ class DriveNode(LocalNode):
                 DriveFaultCleared: self._on_fault_cleared,
                 StatuswordChanged: self._on_statusword,
                 NmtStateChanged: self._on_drive_state,
+                PdoOverdue: self._on_rpdo_overdue,
             }
         )
 
@@ -62,6 +65,10 @@ class DriveNode(LocalNode):
 
     def _on_statusword(self, change: StatuswordChanged, now: Time) -> None:
         self.pdos.trigger(STATUSWORD, now)
+
+    def _on_rpdo_overdue(self, overdue: PdoOverdue, now: Time) -> None:
+        self._on_pdo_error(overdue, now)
+        self.drive.rpdo_overdue(now)
 
     def _on_drive_state(self, change: NmtStateChanged, now: Time) -> None:
         self._on_state(change, now)

@@ -101,9 +101,18 @@ def hold(start: Time, position: float) -> Profile:
     return Profile(start, ((0.0, position, 0.0, 0.0),))
 
 
-def line(start: Time, position: float, target: float, duration: float) -> Profile:
-    """From `position` to `target` at constant speed in `duration` seconds (above 0), then rest: one step of an interpolation."""
-    return Profile(start, ((0.0, position, (target - position) / duration, 0.0), (duration, target, 0.0, 0.0)))
+def line(
+    start: Time, position: float, target: float, duration: float, leaving: float = 0.0, deceleration: float = 1.0
+) -> Profile:
+    """From `position` to `target` at constant speed in `duration` seconds (above 0): one step of an interpolation.
+
+    Then it brakes from the velocity `leaving` at `deceleration` (above 0); it rests at `target` where `leaving` is 0.
+    """
+    plan = _Plan(target, leaving)
+    plan.pieces.append((0.0, position, (target - position) / duration, 0.0))
+    plan.time = duration
+    plan.ramp(0.0, deceleration)
+    return plan.finish(start, plan.position)
 
 
 def stop(start: Time, position: float, velocity: float, deceleration: float) -> Profile:

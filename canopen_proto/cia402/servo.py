@@ -148,7 +148,7 @@ class Servo:
         self.is_powered = False
         self.internal_limit = False
         self._lag = settings.lag / SECOND
-        self._step: motion.Profile | None = None
+        self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
 
     # ---- the dictionary's numbers ----
 
@@ -232,7 +232,7 @@ class Servo:
         speed = min(velocity, self.rate(objects.MAX_PROFILE_VELOCITY))
         if limited:
             target = self._clip(target)
-        here, now_at = self.demand_position, self.moving_at
+        here, now_at = self.demand_position, self.demand_velocity
         self._plan(motion.move(self.time, here, now_at, target, speed, *self._clip_rates(acceleration, deceleration)))
         return target
 
@@ -241,7 +241,7 @@ class Servo:
         fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
         velocity = max(-fastest, min(fastest, velocity))
         rates = self._clip_rates(acceleration, deceleration)
-        here, now_at = self.demand_position, self.moving_at
+        here, now_at = self.demand_position, self.demand_velocity
         low, high = self.limits()
         bound = max(high, here) if velocity > 0 else min(low, here)
         if velocity and limited and math.isfinite(bound):
@@ -253,7 +253,9 @@ class Servo:
     def interpolate(self, target: float) -> None:
         """One step of ip or csp: be at `target` one interpolation period from now, in a straight line.
 
-        A step beyond the drive's speed or acceleration is approached by a profile instead, as fast as it may: internal limit.
+        An axis that was moving already passes `target` and brakes by the quick stop ramp, until the next step takes it along: it
+        cannot know whether there will be one. A step beyond the drive's speed or acceleration is approached by a profile instead,
+        as fast as it may: internal limit.
         """
         target = self._clip(target)
         period = self.interpolation_period()
@@ -266,12 +268,14 @@ class Servo:
             self.internal_limit = True
             self._plan(motion.move(self.time, here, now_at, target, fastest, acceleration, deceleration))
         else:
-            self._plan(motion.line(self.time, here, target, period))
-            self._step = self.demand
+            passes = velocity * now_at > 0.0 and not self.internal_limit
+            leaving = math.copysign(min(abs(velocity), abs(now_at)), velocity) if passes else 0.0
+            self._plan(motion.line(self.time, here, target, period, leaving, self.ramp(2)))
+            self._step = self.time + math.ceil(2.0 * period * SECOND), velocity
 
     def brake(self, deceleration: float) -> None:
         """Stop where that ramp ends."""
-        self._plan(motion.stop(self.time, self.demand_position, self.moving_at, deceleration))
+        self._plan(motion.stop(self.time, self.demand_position, self.demand_velocity, deceleration))
 
     def release(self) -> None:
         """Take the power off: the brake holds the axis where it is, and the demand is there too."""
@@ -289,10 +293,9 @@ class Servo:
 
     @property
     def moving_at(self) -> float:
-        """The demand's velocity. An interpolation step that has just ended still counts as under way: the next one joins it."""
-        step = self._step
-        if step is not None and step.end <= self.time < 2 * step.end - step.start:
-            return step.pieces[0][2]
+        """The velocity from which the next interpolation step sets out: until one period after its end, that of the last one."""
+        if self._step is not None and self.time < self._step[0]:
+            return self._step[1]
         return self.demand_velocity
 
     def _plan(self, profile: motion.Profile) -> None:

@@ -65,6 +65,15 @@ def test_the_powerball_has_the_manuals_pdos() -> None:
     assert values.read((0x1401, 1)) == 0x8000_030C
 
 
+def test_the_powerball_has_what_its_file_has_for_a_lost_master() -> None:
+    """Its DCF: three heartbeat consumers, guarding; no abort connection option code, no event time of an RPDO, no SYNC period."""
+    dictionary = drive_dictionary(Shape.SCHUNK_POWERBALL)
+    assert sorted(dictionary.objects[0x1016].variables) == [0, 1, 2, 3]
+    assert {0x100C, 0x100D} <= dictionary.objects.keys()
+    assert not {0x1006, 0x6007, 0x6085} & dictionary.objects.keys()
+    assert sorted(dictionary.objects[0x1400].variables) == [0, 1, 2]
+
+
 def test_a_drive_with_nothing_but_the_manuals_objects_works_on_fallbacks() -> None:
     keys = ((0x6040, 0), (0x6041, 0), (0x6060, 0), (0x6061, 0), (0x6064, 0), (0x60C1, 1), (0x6502, 0))
     objects = [Object.of(f"object_{index:04X}", [standard_variable(index, subindex)]) for index, subindex in keys]
@@ -73,10 +82,10 @@ def test_a_drive_with_nothing_but_the_manuals_objects_works_on_fallbacks() -> No
     bench.enable(7)
     bench.put(0x60C1, 0, 1)
     bench.control(0x1F)
-    for target in range(0, 1_000, 50):
+    for target in (*range(0, 1_000, 50), 950, 950):
         bench.put(0x60C1, target, 1)
         bench.sync(8)
-    bench.run(100)
+    bench.run(200)
     assert bench.position == 950
     assert bench.drive.deadline == NEVER
 

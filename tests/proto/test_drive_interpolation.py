@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_proto.cia402.drive_modes import SetPointLost, SetPointUnderrun
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
-from canopen_proto.machine import MILLISECOND, NEVER
+from canopen_proto.cia402.synchronous_modes import SetPointLost, SetPointUnderrun
+from canopen_proto.machine import MILLISECOND
 from canopen_proto.sdo.abort import AbortCode
 from tests.proto.drive_bench import NODE_ID, Bench
 
@@ -123,18 +123,6 @@ def test_underrun_stops_by_the_halt_option_code_and_is_reported(option: int, dec
     bench.control(0x1F)
     assert bench.has(ACTIVE)
     assert not bench.has(WARNING)
-
-
-def test_without_sync_nothing_is_due() -> None:
-    bench = interpolating()
-    bench.sync()
-    bench.put(0x60C1, 1_100, 1)
-    bench.sync()
-    bench.run(5_000)
-    assert bench.position == 1_100
-    assert bench.has(ACTIVE, REACHED)
-    assert bench.reported(SetPointUnderrun) == []
-    assert bench.drive.deadline == NEVER
 
 
 def test_a_late_sync_joins_at_the_speed_it_had() -> None:

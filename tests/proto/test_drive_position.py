@@ -293,9 +293,6 @@ def test_csp_takes_the_target_at_each_sync_and_is_there_one_period_later() -> No
     assert bench.position == 4850
     bench.run(5)
     assert bench.position == 4900
-    bench.run(500)  # no SYNC: it stands there
-    assert bench.position == 4900
-    assert bench.drive.deadline == NEVER
 
 
 def test_csp_halts_and_ignores_its_target_then() -> None:

@@ -1,0 +1,232 @@
+"""The simulated drive's modes that take a set-point at each SYNC: interpolated position (ip), cyclic synchronous position (csp).
+
+Theory of operation
+-------------------
+ip: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. The buffer is what 60C4h says:
+disabled (60C4h:06 = 0, the default) it keeps the latest set-point only; enabled it is a FIFO of 60C4h:01 records, and a set-point
+too many is lost (a ring drives out the oldest) and reported. **Underrun**: a SYNC finds no set-point while the axis moves. The
+axis stops by the halt option code (605Dh), and the mode stops following, see below; `SetPointUnderrun` is reported. An axis that
+stands has nothing to run out of: it just keeps standing.
+
+csp: each SYNC takes 607Ah as it is then. One that was not written since the last SYNC is not taken while the axis moves.
+
+**No axis stops dead.** An axis that passes a set-point brakes behind it by the quick stop ramp (6085h), until the next SYNC takes
+it along (`Servo.interpolate`). So it brakes from the first SYNC, or csp's first target, that stays away.
+
+**SYNC or an RPDO is lost.** SYNC is lost when none has come for three of its periods (1006h; where that is 0, 60C2h), and for
+SYNC_TOLERANCE at least. The watch begins with the first SYNC that the mode acts on. An RPDO is lost when it does not come within
+its event time (1400h:05), whatever it carries. Either stops the following; the axis brakes by the quick stop ramp.
+
+**The mode stops following**: bit 12 falls, and the warning bit rises; the drive stays in Operation enabled. ip follows again
+after bit 4 was given anew; csp at the first SYNC that finds 607Ah where the axis stands (within 6067h), so that it never jumps.
+
+Left out: ip sub-modes other than linear (60C0h).
+
+Source: IEC 61800-7-201 (CiA 402-2): interpolated position, cyclic synchronous position. What a drive does without SYNC is left to
+its maker there.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_modes import OperationMode
+from canopen_proto.cia402.modes import ModeControl, ModeStatus
+from canopen_proto.cia402.servo import UNLIMITED, Servo
+from canopen_proto.cia402.states import ControlBit, StatusBit
+from canopen_proto.communication_objects import CYCLE_PERIOD
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time, event
+
+SYNC_TOLERANCE: Final = 100 * MILLISECOND
+"""SYNC that stays away for less is late, not lost. The axis brakes meanwhile; the next SYNC of a busy master takes it along again."""
+_MISSED_SYNCS: Final = 3
+
+
+@event
+class SetPointUnderrun(Event):
+    """A SYNC found no set-point while the axis moved. It stops by the halt option code, and interpolation is over."""
+
+
+@event
+class SetPointLost(Event):
+    """A set-point came while the buffer was full. set_point: the one that will not be driven."""
+
+    set_point: int
+
+
+@event
+class SyncOverdue(Event):
+    """In ip or csp no SYNC came for `timeout` ns. The axis brakes by the quick stop ramp, and set-points are not followed."""
+
+    timeout: Time
+
+
+class SynchronousMode(OperationMode):
+    """What ip and csp have in common: whether they follow, and what ends that."""
+
+    __slots__ = ("_follows", "_sync_timeout", "_warning")
+
+    def enter(self) -> None:
+        self.due = NEVER
+        self._sync_timeout: Time = 0
+        self._follows = False
+        self._warning = False
+
+    def _begin_following(self) -> None:
+        self._follows = True
+        self._warning = False
+
+    def _await_sync(self) -> None:
+        """A SYNC came that the mode acts on: the next one has to come in time."""
+        period = self.servo.parameter(CYCLE_PERIOD) * MICROSECOND or round(self.servo.interpolation_period() * SECOND)
+        self._sync_timeout = max(_MISSED_SYNCS * period, SYNC_TOLERANCE)
+        self.due = self.servo.time + self._sync_timeout
+
+    def _stop_following(self) -> None:
+        self.due = NEVER
+        self._warning = self._warning or self._follows
+        self._follows = False
+
+    def sync_lost(self) -> None:
+        self.out.events.append(SyncOverdue(self.node_id, self._sync_timeout))
+        self.rpdo_lost()
+
+    def rpdo_lost(self) -> None:
+        self._stop_following()
+        if not self.servo.is_settled:
+            self.servo.brake(self.servo.ramp(2))
+
+
+_INTERPOLATE: Final = ModeControl.ENABLE_INTERPOLATION
+
+
+class InterpolatedPosition(SynchronousMode):
+    """Interpolated position mode (ip)."""
+
+    __slots__ = ("_buffer",)
+
+    listens_to = frozenset((objects.INTERPOLATION_SET_POINT, objects.BUFFER_CLEAR))
+
+    def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
+        super().__init__(servo, out, node_id)
+        self._buffer: deque[int] = deque()
+
+    def leave(self) -> None:
+        self._follows = self._warning = False
+        self._buffer.clear()
+        self._show_size()
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        runs = controlword & _INTERPOLATE and not controlword & ControlBit.HALT
+        ran = previous & _INTERPOLATE and not previous & ControlBit.HALT
+        if runs and not ran:
+            self._begin_following()
+        elif self._follows and not runs:
+            self._follows = False
+            self.due = NEVER
+            self._halt()
+
+    @property
+    def is_full(self) -> bool:
+        """True if the FIFO takes no further set-point. (A ring takes each one.)"""
+        return self._queues and not self._is_ring and len(self._buffer) >= self._size
+
+    @property
+    def _queues(self) -> bool:
+        """Whether the buffer is enabled, perhaps long before this mode acts."""
+        return bool(self.servo.parameter(objects.BUFFER_CLEAR))
+
+    @property
+    def _is_ring(self) -> bool:
+        return self.servo.parameter(objects.BUFFER_ORGANISATION) == 1
+
+    @property
+    def _size(self) -> int:
+        return max(1, self.servo.parameter(objects.MAXIMUM_BUFFER_SIZE)) if self._queues else 1
+
+    def written(self, key: int) -> None:
+        if key == objects.INTERPOLATION_SET_POINT:
+            self._push(self.servo.parameter(key))
+        elif not self._queues:
+            self._buffer.clear()
+        self._show_size()
+
+    def _push(self, set_point: int) -> None:
+        buffer = self._buffer
+        if len(buffer) >= self._size:
+            drives_out = self._is_ring or not self._queues
+            lost = buffer.popleft() if drives_out else set_point
+            if self._queues:
+                self.out.events.append(SetPointLost(self.node_id, lost))
+            if not drives_out:
+                return
+        buffer.append(set_point)
+
+    def _show_size(self) -> None:
+        self.servo.store[objects.ACTUAL_BUFFER_SIZE] = len(self._buffer)
+
+    def on_sync(self) -> None:
+        if not self._follows:
+            return
+        servo = self.servo
+        self._await_sync()
+        if self._buffer:
+            servo.interpolate(self._buffer.popleft() + servo.zero)
+            self._show_size()
+        elif servo.moving_at:
+            self._stop_following()
+            self._halt()
+            self.out.events.append(SetPointUnderrun(self.node_id))
+
+    @property
+    def status(self) -> int:
+        return self._follows * ModeStatus.IP_MODE_ACTIVE | self._warning * StatusBit.WARNING | self._reached()
+
+
+class CyclicPosition(SynchronousMode):
+    """Cyclic synchronous position mode (csp)."""
+
+    __slots__ = ("_is_new",)
+
+    listens_to = frozenset((objects.TARGET_POSITION,))
+
+    def enter(self) -> None:
+        super().enter()
+        self._follows = True
+        self._is_new = True  # 607Ah, since the last SYNC
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        if controlword & ~previous & ControlBit.HALT:
+            self.due = NEVER
+            self._halt()
+
+    def written(self, key: int) -> None:
+        self._is_new = True
+
+    def on_sync(self) -> None:
+        if self.is_halted:
+            return
+        servo = self.servo
+        target = servo.parameter(objects.TARGET_POSITION) + servo.zero
+        if not self._follows:
+            if not self._stands_at(target):
+                return
+            self._begin_following()
+        self._await_sync()
+        if self._is_new or not servo.moving_at:
+            servo.interpolate(target)
+        self._is_new = False
+
+    def _stands_at(self, target: float) -> bool:
+        window = self.servo.parameter(objects.POSITION_WINDOW)
+        nearness = 0 if window == UNLIMITED else window
+        return self.servo.is_settled and abs(target - self.servo.position) < nearness + 0.5  # positions are shown rounded
+
+    @property
+    def status(self) -> int:
+        follows = self._follows and not self.is_halted
+        return follows * ModeStatus.FOLLOWS_COMMAND | self._warning * StatusBit.WARNING
