@@ -40,7 +40,7 @@ from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time, event
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
-"""SYNC that stays away for less is late, not lost. The axis brakes meanwhile; the next SYNC of a busy master takes it along again."""
+"""SYNC that stays away for less is late, not lost: the axis brakes meanwhile, and the next one takes it along again."""
 _MISSED_SYNCS: Final = 3
 
 
