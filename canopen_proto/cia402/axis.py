@@ -10,7 +10,10 @@ carries 0x6040, a command goes into the image and out by that PDO; otherwise by 
 or the next RPDO would send a stale 0 and drop the drive.
 
 Units: positions outside are in the user's unit (radians for an arm), on the wire in counts (the Schunk arm's are millidegrees).
-counts = round(direction * unit * counts_per_unit) + offset.
+counts = round(direction * unit * counts_per_unit) + offset. Without a scale, positions outside are counts, too.
+
+**What it is.** A drive is a CiA 402 drive, unless the user says Schunk or its vendor-ID (0x1018:01) does. What the settings leave
+open (None) is settled by `procedures.identity.identify`, which reads the vendor-ID once; 0x6502 decides nothing.
 
 Events: `AxisStateChanged` whenever a statusword shows another state, or the node boots: then nothing is known of the drive, and
 it counts as not homed, since it may have lost its power.
@@ -23,7 +26,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 from canopen_proto.cia402.modes import describe_status
@@ -34,6 +37,7 @@ from canopen_proto.cia402.objects import (
     MODES_OF_OPERATION,
     MODES_OF_OPERATION_DISPLAY,
     POSITION_ACTUAL_VALUE,
+    SCHUNK_VENDOR_ID,
     STATUSWORD,
     TARGET_POSITION,
     TORQUE_ACTUAL_VALUE,
@@ -60,25 +64,50 @@ class HomingStyle(enum.Enum):
 class AxisSettings:
     """What differs from axis to axis.
 
-    counts_per_unit: counts on the wire per user's unit; direction: 1, or -1 for a motor that is mounted the other way round;
-    offset: counts at position 0. homing_method: written to 0x6098, None leaves what the drive has. homing_timeout, state_timeout:
+    counts_per_unit: counts on the wire per user's unit; None if nobody gave a scale: positions are counts then, as on the wire.
+    direction: 1, or -1 for a motor that is mounted the other way round; offset: counts at position 0. homing: how it homes; None
+    leaves that to its vendor-ID. homing_method: written to 0x6098, None leaves what the drive has. homing_timeout, state_timeout:
     ns for a whole homing, for one change of state or mode.
     """
 
-    counts_per_unit: float = MILLIDEGREES_PER_RADIAN
+    counts_per_unit: float | None = None
     direction: int = 1
     offset: int = 0
-    homing: HomingStyle = HomingStyle.STANDARD
+    homing: HomingStyle | None = None
     homing_method: int | None = None
     homing_timeout: Time = 60 * SECOND
     state_timeout: Time = 3 * SECOND
 
     def __post_init__(self) -> None:
-        if self.counts_per_unit <= 0 or self.direction not in (1, -1):
-            raise LocalProtocolError("counts_per_unit must be positive, and direction 1 or -1")
+        scale = self.counts_per_unit
+        if scale is not None and not (math.isfinite(scale) and scale > 0):
+            raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
+        if self.direction not in (1, -1):
+            raise LocalProtocolError(f"direction must be 1 or -1; it is {self.direction!r}")
+
+    def of_vendor(self, vendor_id: int | None) -> AxisSettings:
+        """These settings, with what they leave open filled in as drives of that vendor have it (None: no vendor-ID).
+
+        A joint of Schunk's counts millidegrees, and its positions are radians outside, as SCHUNK_POWERBALL has it.
+        """
+        homing = self.homing
+        if homing is None:
+            homing = HomingStyle.SCHUNK if vendor_id == SCHUNK_VENDOR_ID else HomingStyle.STANDARD
+        is_schunk = homing is HomingStyle.SCHUNK and vendor_id == SCHUNK_VENDOR_ID
+        scale = MILLIDEGREES_PER_RADIAN if is_schunk and self.counts_per_unit is None else self.counts_per_unit
+        return replace(self, homing=homing, counts_per_unit=scale)
+
+    def difference(self, other: AxisSettings) -> str:
+        """In what these settings differ from others, for people: "direction 1, not -1"; empty where they are the same."""
+        names = [each.name for each in fields(self) if getattr(self, each.name) != getattr(other, each.name)]
+        return ", ".join(f"{name} {_shown(getattr(self, name))}, not {_shown(getattr(other, name))}" for name in names)
 
 
-SCHUNK_POWERBALL: Final = AxisSettings(homing=HomingStyle.SCHUNK)
+def _shown(value: object) -> str:
+    return value.value if isinstance(value, HomingStyle) else str(value)
+
+
+SCHUNK_POWERBALL: Final = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN, homing=HomingStyle.SCHUNK)
 """The manual's arm: millidegrees on the wire, radians outside."""
 
 
@@ -92,16 +121,20 @@ class AxisStateChanged(Event):
 
 
 class Axis:
-    """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing."""
+    """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing.
 
-    __slots__ = ("is_homed", "node", "settings", "state")
+    settings: those in force; what the user left open is filled in once `is_identified`.
+    """
+
+    __slots__ = ("_given", "is_homed", "is_identified", "node", "settings", "state")
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """node: its dictionary must have controlword, statusword and modes of operation, else LocalProtocolError."""
         for key in (CONTROLWORD, STATUSWORD, MODES_OF_OPERATION, MODES_OF_OPERATION_DISPLAY):
             node.dictionary.variable((key >> 8, key & 0xFF))
         self.node = node
-        self.settings = settings
+        self.settings = self._given = settings
+        self.is_identified = False
         self.state = State.UNKNOWN
         self.is_homed = False
         node.commanded.add(CONTROLWORD)
@@ -111,7 +144,7 @@ class Axis:
 
     @property
     def statusword(self) -> int:
-        """0x6041 as last heard."""
+        """0x6041 as last heard; 0 if it never was: `state` is UNKNOWN then."""
         return self._int(STATUSWORD)
 
     @property
@@ -120,9 +153,9 @@ class Axis:
         return self._int(CONTROLWORD)
 
     @property
-    def mode(self) -> int:
-        """0x6061, the active mode of operation, as last heard."""
-        return self._int(MODES_OF_OPERATION_DISPLAY)
+    def mode(self) -> int | None:
+        """0x6061, the active mode of operation, as last heard; None if it never was."""
+        return self._heard(MODES_OF_OPERATION_DISPLAY)
 
     @property
     def error_code(self) -> int:
@@ -130,19 +163,22 @@ class Axis:
         return self._int(ERROR_CODE)
 
     @property
-    def position(self) -> float:
-        """0x6064 as last heard, in the user's unit."""
-        return self.from_counts(self._int(POSITION_ACTUAL_VALUE))
+    def position(self) -> float | None:
+        """0x6064 as last heard, in the user's unit (counts without a scale); None if it never was since the node's last boot."""
+        counts = self._heard(POSITION_ACTUAL_VALUE)
+        return None if counts is None else self.from_counts(counts)
 
     @property
-    def velocity(self) -> float:
-        """0x606C as last heard, in the user's unit per second."""
-        return self.settings.direction * self._int(VELOCITY_ACTUAL_VALUE) / self.settings.counts_per_unit
+    def velocity(self) -> float | None:
+        """0x606C as last heard, in the user's unit per second; None if it never was."""
+        counts = self._heard(VELOCITY_ACTUAL_VALUE)
+        return None if counts is None else self.settings.direction * counts / self._scale
 
     @property
-    def torque(self) -> float:
-        """0x6077 as last heard, as a share of the rated torque (0.5 is half of it)."""
-        return self._int(TORQUE_ACTUAL_VALUE) / 1000
+    def torque(self) -> float | None:
+        """0x6077 as last heard, as a share of the rated torque (0.5 is half of it); None if it never was."""
+        per_mille = self._heard(TORQUE_ACTUAL_VALUE)
+        return None if per_mille is None else per_mille / 1000
 
     @property
     def has_fault(self) -> bool:
@@ -158,8 +194,10 @@ class Axis:
 
     def describe(self) -> str:
         """State, statusword and what else explains it, in one line for people."""
-        words = ", ".join(describe_status(self.statusword, self.mode))
-        parts = [f"statusword 0x{self.statusword:04X}: {words}"]
+        if self._heard(STATUSWORD) is None:
+            parts = ["its statusword was never heard"]
+        else:
+            parts = [f"statusword 0x{self.statusword:04X}: {', '.join(describe_status(self.statusword, self.mode))}"]
         if self.error_code:
             parts.append(f"error code 0x{self.error_code:04X}")
         last_emcy = self.node.emcy.last
@@ -167,15 +205,33 @@ class Axis:
             parts.append(f"last EMCY 0x{last_emcy.code:04X} {last_emcy.text}")
         return "; ".join(parts)
 
+    # ---- what it is ----
+
+    def identify(self, vendor_id: int | None) -> None:
+        """Fill in what the settings leave open, by the drive's vendor-ID (None: it has none). Later calls change nothing."""
+        if not self.is_identified:
+            self.settings, self.is_identified = self._given.of_vendor(vendor_id), True
+
+    def check_settings(self, wanted: AxisSettings) -> None:
+        """Raise LocalProtocolError that names the differences, unless these settings are those in force, or those first given."""
+        if wanted not in (self.settings, self._given):
+            difference = self.settings.difference(wanted)
+            raise LocalProtocolError(f"drive {self.node.node_id} is in use with other settings: {difference}")
+
     # ---- units and set-points ----
+
+    @property
+    def _scale(self) -> float:
+        scale = self.settings.counts_per_unit
+        return 1.0 if scale is None else scale
 
     def to_counts(self, position: float) -> int:
         """A position in the user's unit as counts on the wire."""
-        return round(self.settings.direction * position * self.settings.counts_per_unit) + self.settings.offset
+        return round(self.settings.direction * position * self._scale) + self.settings.offset
 
     def from_counts(self, counts: int) -> float:
         """Counts on the wire as a position in the user's unit."""
-        return self.settings.direction * (counts - self.settings.offset) / self.settings.counts_per_unit
+        return self.settings.direction * (counts - self.settings.offset) / self._scale
 
     @property
     def set_point(self) -> float:
@@ -207,6 +263,9 @@ class Axis:
         producer = self.node.rpdo_of(0x6040)
         if producer is not None:
             producer.trigger(now)
+
+    def _heard(self, key: int) -> int | None:
+        return self._int(key) if key in self.node.heard_at else None
 
     def _int(self, key: int) -> int:
         value = self.node.values.store.get(key, 0)

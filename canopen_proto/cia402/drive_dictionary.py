@@ -100,6 +100,7 @@ _RPDO_SUBINDICES: Final = {Shape.STANDARD: (1, 2, 3, 5), Shape.SCHUNK_POWERBALL:
 """With 5, the event time, a drive notices that its RPDO stays away."""
 _TPDO_SUBINDICES: Final = (1, 2, 3, 5, 6)
 _SUPPORTED_MODES: Final = {Shape.STANDARD: 0xE5, Shape.SCHUNK_POWERBALL: 0x43}  # pp pv hm ip csp; pp vl ip
+_VENDOR_IDS: Final = {Shape.STANDARD: 0, Shape.SCHUNK_POWERBALL: objects.SCHUNK_VENDOR_ID}
 _BUFFER_SIZE: Final = {Shape.STANDARD: 16, Shape.SCHUNK_POWERBALL: 1}
 _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBALL: "Simulated Schunk Powerball joint"}
 
@@ -146,7 +147,7 @@ def _communication(shape: Shape) -> list[Object]:
     described += [
         standard_object(0x1003, highest=8),
         standard_object(0x1016, highest=_HEARTBEAT_CONSUMERS[shape]),
-        standard_object(0x1018, highest=4, defaults={1: 0, 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}),
+        standard_object(0x1018, highest=4, defaults={1: _VENDOR_IDS[shape], 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}),
         standard_object(0x1200, highest=2),
     ]
     for number in range(4):

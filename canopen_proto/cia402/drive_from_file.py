@@ -81,7 +81,7 @@ def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[Obj
     """The dictionary with values for what the drive needs and the file does not say; and these variables as they are now."""
     simulated = drive_dictionary(shape)
     filled: dict[int, dict[int, Variable]] = {}
-    for key in (_DEVICE_TYPE, *FALLBACKS, objects.SUPPORTED_DRIVE_MODES):
+    for key in (_DEVICE_TYPE, objects.VENDOR_ID, *FALLBACKS, objects.SUPPORTED_DRIVE_MODES):
         variable, model = dictionary.get(key >> 8, key & 0xFF), simulated.get(key >> 8, key & 0xFF)
         default = FALLBACKS.get(key) if model is None else model.default
         if variable is not None and default is not None and _is_open(variable):

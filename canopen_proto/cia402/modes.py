@@ -169,10 +169,11 @@ _MODE_BITS: Final[dict[int, tuple[str, str]]] = {
 """Mode -> what bits 12 and 13 mean in it ("" where the standard reserves the bit)."""
 
 
-def describe_status(statusword: int, mode: int = Mode.NO_MODE) -> tuple[str, ...]:
+def describe_status(statusword: int, mode: int | None = None) -> tuple[str, ...]:
     """A statusword for people, in the words of the mode that 6061h shows: ("operation enabled", "interpolation active").
 
-    The state comes first. In homing mode bits 10, 12 and 13 are told as one `HomingStatus`.
+    The state comes first. In homing mode bits 10, 12 and 13 are told as one `HomingStatus`. mode: None if it is not known; bits
+    12 and 13, whose meaning depends on it, are left out then.
     """
     state = state_of(statusword)
     words = [str(state) if state is not State.UNKNOWN else f"unknown state 0x{statusword:04X}"]
@@ -181,7 +182,7 @@ def describe_status(statusword: int, mode: int = Mode.NO_MODE) -> tuple[str, ...
             words.append(text)
     if mode == Mode.HOMING:
         words.append(str(homing_status(statusword)))
-    for shift, text in zip((12, 13), _MODE_BITS.get(mode, ("", "")), strict=True):
+    for shift, text in zip((12, 13), _MODE_BITS.get(mode if mode is not None else Mode.NO_MODE, ("", "")), strict=True):
         if text and statusword >> shift & 1:
             words.append(text)
     return tuple(words)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+VENDOR_ID: Final = 0x1018_01
 ABORT_CONNECTION_OPTION_CODE: Final = 0x6007_00
 ERROR_CODE: Final = 0x603F_00
 CONTROLWORD: Final = 0x6040_00
@@ -54,3 +55,6 @@ FOLLOWING_ERROR_ACTUAL_VALUE: Final = 0x60F4_00
 DIGITAL_INPUTS: Final = 0x60FD_00
 TARGET_VELOCITY: Final = 0x60FF_00
 SUPPORTED_DRIVE_MODES: Final = 0x6502_00
+
+SCHUNK_VENDOR_ID: Final = 0x332
+"""What VENDOR_ID holds in a drive of Schunk GmbH & Co. KG, by CiA's list of vendor-IDs."""

@@ -38,8 +38,11 @@ from canopen_master.node import Node
 from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation import Host, powerballs, simulate, standard_drives
 from canopen_master.subscription import Subscription
+from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
 
 __all__ = [
+    "SCHUNK_POWERBALL",
+    "AxisSettings",
     "BusChanged",
     "BusError",
     "Chain",
@@ -56,6 +59,7 @@ __all__ = [
     "FramesLost",
     "FramesNotSent",
     "HaltNotConfirmed",
+    "HomingStyle",
     "Host",
     "JointDescription",
     "Master",

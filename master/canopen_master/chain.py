@@ -162,8 +162,8 @@ class Chain:
 
     @property
     def positions(self) -> list[float]:
-        """The actual positions, as last heard."""
-        return [device.position for device in self.devices]
+        """The actual positions, as last heard. Raises ChainError for a joint that was never heard since its last boot."""
+        return self._known("position", [device.position for device in self.devices])
 
     @property
     def desired_positions(self) -> list[float]:
@@ -172,8 +172,8 @@ class Chain:
 
     @property
     def velocities(self) -> list[float]:
-        """The actual velocities, per second."""
-        return [device.velocity for device in self.devices]
+        """The actual velocities, per second. Raises ChainError for a joint of which none is known yet."""
+        return self._known("velocity", [device.velocity for device in self.devices])
 
     @property
     def is_homed(self) -> bool:
@@ -344,6 +344,17 @@ class Chain:
             raise errors[0]
 
     # ---- state ----
+
+    def _known(self, what: str, values: Sequence[float | None]) -> list[float]:
+        """The values, one for each joint, if all are known."""
+        known = []
+        for device, value in zip(self.devices, values, strict=True):
+            if value is None:
+                failed = f"chain {self.name} has no {what} of {device.where}"
+                seen = f"{device.name} was not heard since its last boot" if device.position is None else "it was heard once"
+                raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("await chain.initialise()",))
+            known.append(value)
+        return known
 
     def _require_idle(self, what: str) -> None:
         self._master.check_open()

@@ -34,7 +34,7 @@ class Device:
     """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive. cyclic: the objects that
     it sends at SYNCs, by which it is known to be there (as far as there are none, its heartbeat has to tell).
 
-    Positions are in the user's unit (radians, unless its AxisSettings say otherwise).
+    Positions are in the user's unit, which its AxisSettings say; in counts where nobody gave a scale.
     """
 
     def __init__(self, master: Master, name: str, node: Node, axis: Axis) -> None:
@@ -49,7 +49,7 @@ class Device:
         self.emcy_time: Time | None = None
         self._commanded: deque[float] = deque(maxlen=FOLLOWING_LAG + 1)
         self._position: tuple[Time, float] | None = None
-        self._velocity = 0.0
+        self._velocity: float | None = None
         self._following_error = 0.0
         bus = master.bus(node.bus)
         master.watch((SdoUploaded, SdoDownloaded), self._on_round_trip, bus, node.node_id)
@@ -62,8 +62,8 @@ class Device:
     # ---- what is known of it ----
 
     @property
-    def position(self) -> float:
-        """Actual position, as last heard."""
+    def position(self) -> float | None:
+        """Actual position, as last heard; None if it never was since the drive's last boot."""
         return self.axis.position
 
     @property
@@ -72,30 +72,33 @@ class Device:
         return self.axis.set_point
 
     @property
-    def velocity(self) -> float:
-        """Actual velocity, per second: the drive's own (0x606C) where it sends it, else from its last two positions."""
+    def velocity(self) -> float | None:
+        """Actual velocity, per second: the drive's own (0x606C) where it sends it, else from its last two positions.
+
+        None if neither was heard.
+        """
         if VELOCITY_ACTUAL_VALUE in self.node.remote.heard_at:
             return self.axis.velocity
         return self._velocity
 
     @property
-    def torque(self) -> float:
-        """Actual torque, as a share of the rated torque, as last heard."""
+    def torque(self) -> float | None:
+        """Actual torque, as a share of the rated torque, as last heard; None if it never was."""
         return self.axis.torque
 
     @property
     def state(self) -> State:
-        """The CiA 402 state that the last statusword shows."""
+        """The CiA 402 state that the last statusword shows; UNKNOWN if there was none since the drive's last boot."""
         return self.axis.state
 
     @property
     def statusword(self) -> int:
-        """0x6041, as last heard."""
+        """0x6041, as last heard; 0 if it never was: `state` is UNKNOWN then."""
         return self.axis.statusword
 
     @property
-    def mode(self) -> int:
-        """The active mode of operation (0x6061), as last heard."""
+    def mode(self) -> int | None:
+        """The active mode of operation (0x6061), as last heard; None if it never was."""
         return self.axis.mode
 
     @property
@@ -179,6 +182,7 @@ class Device:
         if POSITION_ACTUAL_VALUE not in report.mapping.muxes:
             return
         now, position = self._master.now(), self.position
+        assert position is not None  # it has just come
         if self._position is not None and now > self._position[0]:
             self._velocity = (position - self._position[1]) * SECOND / (now - self._position[0])
         self._position = now, position

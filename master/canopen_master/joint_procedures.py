@@ -22,6 +22,7 @@ from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import exchange_described
 from canopen_proto.procedures.drive import engage_brake, halt, shut_down
+from canopen_proto.procedures.identity import identify
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
@@ -108,9 +109,11 @@ def exchange_own(device: Device) -> Procedure[None]:
 
 
 def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
-    """See whether the joint answers, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
+    """See whether the joint answers and what it is, exchange PDOs with it, have it send its heartbeat if that is supervised."""
     node = device.node.remote
     yield from awake(device.node)
+    yield from identify(device.axis)
+    yield from read_if_present(node, "0x6064")  # where it stands; PDOs keep it up to date from the first one on
     yield from exchange
     if heartbeat_timeout and HEARTBEAT in node.dictionary:
         period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))

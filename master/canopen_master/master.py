@@ -37,7 +37,7 @@ from canopen_master.node import Node
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
 from canopen_master.subscription import Subscription
-from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
+from canopen_proto.cia402.axis import Axis, AxisSettings
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
@@ -172,17 +172,20 @@ class Master:
         return node
 
     @enable_ki_protection
-    def device(self, node: Node, name: str = "", settings: AxisSettings = SCHUNK_POWERBALL) -> Device:
+    def device(self, node: Node, name: str = "", settings: AxisSettings | None = None) -> Device:
         """The drive on a node; it is halted when the master is left while it is enabled. One per node: asked for again, the same.
 
-        name: for people, by default "node 12". settings: units and habits of the drive. Sends nothing.
+        name: for people, by default "node 12". settings: units and habits of the drive; what nobody says is as CiA 402 has it, or
+        as Schunk's joints have it where the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError that names the
+        differences where the drive is known with other settings.
         """
         device = self.devices.get(node)
         if device is None:
-            axis = Axis(node.remote, settings)
+            axis = Axis(node.remote, AxisSettings() if settings is None else settings)
             device = self.devices[node] = Device(self, name or f"node {node.node_id}", node, axis)
         else:
-            device.axis.settings = settings
+            if settings is not None:
+                device.axis.check_settings(settings)
             device.name = name or device.name
         return device
 
@@ -191,16 +194,17 @@ class Master:
         description: ChainDescription,
         settings: ChainSettings | None = None,
         *,
-        axes: AxisSettings | Mapping[str, AxisSettings] = SCHUNK_POWERBALL,
+        axes: AxisSettings | Mapping[str, AxisSettings] | None = None,
         dictionary: ObjectDictionary | None = None,
     ) -> Chain:
-        """The chain of a description. axes: the settings of all its joints, or by joint (the others have the default).
+        """The chain of a description. axes: the settings of all its joints, or by joint; see `device` for the others.
 
-        Raises UnknownChain where the description names a bus that this master does not have.
+        Raises UnknownChain where the description names a bus that this master does not have, LocalProtocolError for a drive that
+        is known with other settings.
         """
         devices = []
         for joint in description.joints:
-            axis = axes if isinstance(axes, AxisSettings) else axes.get(joint.name, SCHUNK_POWERBALL)
+            axis = axes.get(joint.name) if isinstance(axes, Mapping) else axes
             node = self.node(joint.node_id, dictionary, bus=joint.bus)
             devices.append(self.device(node, joint.name, axis))
         chain = Chain(self, description.name, devices, ChainSettings() if settings is None else settings)
@@ -213,7 +217,7 @@ class Master:
         *,
         text: str | None = None,
         settings: ChainSettings | None = None,
-        axes: AxisSettings | Mapping[str, AxisSettings] = SCHUNK_POWERBALL,
+        axes: AxisSettings | Mapping[str, AxisSettings] | None = None,
         dictionary: ObjectDictionary | None = None,
     ) -> dict[str, Chain]:
         """The chains of a file (see chain_file.py), or of a text in that form, by their names. Sends nothing.

@@ -15,7 +15,7 @@ from canopen_master import (
     standard_drives,
 )
 from canopen_master.cycles import SetPoints
-from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
+from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, AxisSettings, HomingStyle
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
@@ -281,7 +281,7 @@ async def test_units_and_direction_are_settings_of_the_axis() -> None:
 
 @virtual_time
 async def test_standard_drives_with_pdos_that_are_declared_to_them() -> None:
-    standard = AxisSettings(homing=HomingStyle.STANDARD, homing_method=35)
+    standard = AxisSettings(MILLIDEGREES_PER_RADIAN, homing=HomingStyle.STANDARD, homing_method=35)
     async with simulated(makers=standard_drives(3, 4)) as host, open_master(BUS, heartbeat_timeout=0.6) as master:
         settings = ChainSettings(define_pdos=True, max_step=0.01, cycle_time=0.008)
         arm = master.load_chains(text=chain_text(3, 4), settings=settings, axes=standard)["arm"]

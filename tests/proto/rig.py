@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TypeVar
 
-from canopen_proto.cia402.axis import SCHUNK_POWERBALL, Axis, AxisSettings
+from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, Axis, AxisSettings
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import Direction
@@ -23,7 +24,9 @@ T = TypeVar("T")
 CYCLE = 10 * MILLISECOND
 Ended = ProcedureFinished | ProcedureFailed | ProcedureCancelled
 
-SETTINGS = {Shape.STANDARD: AxisSettings(homing_method=35), Shape.SCHUNK_POWERBALL: SCHUNK_POWERBALL}
+MILLIDEGREES = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN)
+"""What the simulated drives count, and radians outside."""
+SETTINGS = {Shape.STANDARD: replace(MILLIDEGREES, homing_method=35), Shape.SCHUNK_POWERBALL: SCHUNK_POWERBALL}
 STREAMED = {Shape.STANDARD: ((4,), (3,)), Shape.SCHUNK_POWERBALL: ((1,), (1,))}
 """Shape -> RPDOs, TPDOs of its defaults that carry the set-point and the statusword by SYNC."""
 

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from canopen_proto.cia402.axis import Axis, AxisStateChanged
+from canopen_proto.cia402.axis import Axis, AxisSettings, AxisStateChanged
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.servo import Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.machine import MILLISECOND, SECOND, Outbox
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.steps import StepTimeout
 from canopen_proto.remote_node import RemoteNode
-from tests.proto.rig import CYCLE, Rig
+from tests.proto.rig import CYCLE, MILLIDEGREES, Rig
+
+
+@pytest.mark.parametrize("scale", [math.nan, math.inf, -math.inf, 0.0, -1.0])
+def test_a_scale_that_is_none_is_refused(scale: float) -> None:
+    with pytest.raises(LocalProtocolError, match="counts_per_unit"):
+        AxisSettings(counts_per_unit=scale)
+
+
+def test_without_a_scale_positions_are_counts() -> None:
+    axis = Axis(RemoteNode(Outbox(), 5, drive_dictionary()), AxisSettings(direction=-1, offset=100))
+    assert (axis.to_counts(-7), axis.from_counts(107)) == (107, -7)
+
+
+def test_a_node_never_heard_has_no_position_and_no_state() -> None:
+    axis = Axis(RemoteNode(Outbox(), 5, drive_dictionary()))
+    assert (axis.position, axis.velocity, axis.torque, axis.mode, axis.state) == (None, None, None, None, State.UNKNOWN)
+    assert axis.describe() == "its statusword was never heard"
 
 
 @pytest.mark.parametrize("shape", list(Shape))
@@ -28,13 +47,14 @@ def test_a_drive_that_boots_is_not_homed_any_more_and_its_state_is_not_known(sha
     rig.bus.run(10 * MILLISECOND)
     assert not rig.axis.is_homed
     assert rig.axis.state is State.UNKNOWN
+    assert rig.axis.position is None
     changes = [event for event in rig.bus.events if isinstance(event, AxisStateChanged)]
     assert [(change.previous, change.state) for change in changes] == [(State.OPERATION_ENABLED, State.UNKNOWN)]
 
 
 def test_the_set_point_of_a_drive_without_60c1_is_its_target_position() -> None:
     objects = [each for index, each in drive_dictionary().objects.items() if index != 0x60C1]
-    axis = Axis(RemoteNode(Outbox(), 5, ObjectDictionary(objects)))
+    axis = Axis(RemoteNode(Outbox(), 5, ObjectDictionary(objects)), MILLIDEGREES)
     axis.set_position(0.25)
     assert axis.set_point == pytest.approx(0.25, abs=1e-4)
 

@@ -316,6 +316,7 @@ def test_a_halt_that_is_not_confirmed_is_told() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     schunk_whose_status_is(rig, 0x0237)  # operation enabled, and never at standstill
     rig.remote.values.store[objects.MODES_OF_OPERATION_DISPLAY] = Mode.PROFILE_POSITION
+    rig.remote.heard_at[objects.MODES_OF_OPERATION_DISPLAY] = rig.bus.now
     with pytest.raises(StepTimeout, match="standstill after a halt"):
         rig.run(drive.halt(rig.axis))
 
@@ -459,6 +460,7 @@ def test_actual_values_and_settings_of_a_drive() -> None:
     store = rig.remote.values.store
     store[objects.VELOCITY_ACTUAL_VALUE] = 18_000
     store[objects.TORQUE_ACTUAL_VALUE] = 250
+    rig.remote.heard_at.update(dict.fromkeys((objects.VELOCITY_ACTUAL_VALUE, objects.TORQUE_ACTUAL_VALUE), rig.bus.now))
     assert rig.axis.velocity == pytest.approx(0.314159, abs=1e-6)
     assert rig.axis.torque == 0.25
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(1.570796, abs=1e-6)

@@ -9,7 +9,7 @@ from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.drive.halting import halt_after
 from canopen_proto.procedures.drive.state import enable, set_mode
 from canopen_proto.procedures.drive.statusword import command, wait_for_statusword
-from canopen_proto.procedures.objects import read, read_int, write
+from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 
 
@@ -101,5 +101,4 @@ def _wait_for_acknowledge(axis: Axis, wanted: bool) -> Procedure[None]:
 
 def read_position(axis: Axis) -> Procedure[float]:
     """The actual position (0x6064), in the user's unit, read by SDO."""
-    yield from read(axis.node, "0x6064")
-    return axis.position
+    return axis.from_counts((yield from read_int(axis.node, "0x6064")))

@@ -32,6 +32,7 @@ from canopen_master.errors import CHAIN_FAULT, ChainFileError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
+from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
 
@@ -211,11 +212,11 @@ class Demonstration:
         doubles = same_nodes([description])
         if doubles:
             raise ChainFileError(description.source, doubles)
-        axes = {}
+        axes, simulated = {}, self.plan.bus is None  # a simulated drive counts millidegrees; a real one, who knows
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
             if file is not None:
-                axes[joint.name] = file.axis
+                axes[joint.name] = replace(file.axis, counts_per_unit=MILLIDEGREES_PER_RADIAN) if simulated else file.axis
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
         settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
         chain = master.chain(description, settings, axes=axes)
@@ -308,7 +309,9 @@ class Demonstration:
     def _on_position(self, number: int, report: PdoReceived) -> None:
         """A joint tells where it is: only now its position and the command that belongs to it are of one instant."""
         device = self._devices[number]
-        self._latest[number] = device.position, device.position + device.following_error
+        position = device.position
+        if position is not None:
+            self._latest[number] = position, position + device.following_error
 
     async def _draw(self, view: DemoView) -> None:
         """Keep the picture up to date, while no cycles run; end it all when nobody reads the result any more."""
@@ -321,7 +324,7 @@ class Demonstration:
     def _redraw(self, view: DemoView) -> None:
         for joint, device in zip(view.joints, self._devices, strict=False):
             joint.state = str(device.state)
-            joint.position = math.degrees(device.position)
+            joint.position = None if device.position is None else math.degrees(device.position)
         view.refresh()
 
     # ---- what is told of it ----

@@ -19,22 +19,21 @@ from canopen_proto.cia402.axis import Axis, AxisSettings, HomingStyle
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures import drive
-from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.identity import identify
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
 
 REFRESH: Final = 0.1
 """Seconds between two pictures."""
-SCHUNK_MODES: Final = 0x43
-"""0x6502 of a Schunk Powerball joint: no homing mode, and yet it homes."""
+STYLES: Final = {"auto": None, "standard": HomingStyle.STANDARD, "schunk": HomingStyle.SCHUNK}
 
 
 @click.command()
 @click.argument("node_ids", metavar="NODE...", nargs=-1, required=True, type=NodeId())
 @click.option(
     "--style",
-    type=click.Choice(["auto", "standard", "schunk"]),
+    type=click.Choice(list(STYLES)),
     default="auto",
-    help="How the drives home: as CiA 402 says, or as Schunk Powerball joints do.  [default: what 0x6502 suggests]",
+    help="How the drives home: as CiA 402 says, or as Schunk Powerball joints do.  [default: what the vendor-ID in 0x1018 says]",
 )
 @click.option("--method", type=int, help="Homing method, written to 0x6098 (17, 18, 19, 21, 33 to 37 ...).")
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
@@ -80,8 +79,8 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
         (
             f"{axis.node.node_id} (0x{axis.node.node_id:02X})",
             "[green]yes[/]" if axis.is_homed else "[red]no[/]",
-            escape(", ".join(describe_status(axis.statusword))),
-            f"{axis.position:.0f}",
+            escape(", ".join(describe_status(axis.statusword, axis.mode))),
+            "" if axis.position is None else f"{axis.position:.0f}",
         )
         for axis in axes
     ]
@@ -98,7 +97,7 @@ def _as_json(axis: Axis) -> dict[str, Any]:
         "homed": axis.is_homed,
         "statusword": axis.statusword,
         "state": str(axis.state),
-        "position": round(axis.position),
+        "position": None if axis.position is None else round(axis.position),
     }
 
 
@@ -107,20 +106,15 @@ def _home(
 ) -> Procedure[None]:
     node = session.node(node_id)
     yield from awake(node)
-    modes = yield from read_if_present(node.remote, "0x6502")
-    if style == "auto" and modes == SCHUNK_MODES and method is not None:
-        raise ProcedureError(
-            f"drive {node_id} homes as Schunk Powerball joints do, without a method. Try: the same without --method"
-        )
-    is_schunk = style == "schunk" or (style == "auto" and modes == SCHUNK_MODES)
-    settings = AxisSettings(
-        counts_per_unit=1.0,
-        homing=HomingStyle.SCHUNK if is_schunk else HomingStyle.STANDARD,
-        homing_method=method,
-        homing_timeout=limit,
-    )
+    settings = AxisSettings(counts_per_unit=1.0, homing=STYLES[style], homing_method=method, homing_timeout=limit)
     axis = session.master.device(node, settings=settings).axis
     axes[node_id] = axis
+    yield from identify(axis)
+    if axis.settings.homing is HomingStyle.SCHUNK and method is not None:
+        raise ProcedureError(
+            f"drive {node_id} is Schunk's by its vendor-ID (0x1018:01): its joints home without a method. "
+            "Try: the same without --method, or --style standard"
+        )
     if reset_fault:
         yield from drive.reset_fault(axis)
     yield from drive.home(axis)

@@ -14,10 +14,8 @@ from canopen_master.chain import Chain, ChainState
 from canopen_master.chain_file import ChainDescription
 from canopen_master.cycles import Cycle, Cycles
 from canopen_master.direct.connection import Connection
-from canopen_master.direct.drive import find_homing_style
 from canopen_master.master import Master
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.procedures.steps import all_of
 
 R = TypeVar("R")
 
@@ -46,8 +44,7 @@ class ChainCalls:
 
     def homing(self) -> bool:
         """Home all joints side by side; returns when all have stopped. True if all are referenced."""
-
-        return self._connection.attempt(lambda master: _home(master, self._chain_of(master)))
+        return self._attempt(Chain.home)
 
     def ip_mode(self) -> bool:
         """Let all joints follow set-points, beginning where they stand. False where a drive lacks the mode."""
@@ -138,8 +135,3 @@ class ChainCalls:
             if chain.name == self.name:
                 return chain
         raise LocalProtocolError(f"chain {self.name} is not commanded yet: init_master_thread() first")
-
-
-async def _home(master: Master, chain: Chain) -> None:
-    await master.run(all_of(*(find_homing_style(device) for device in chain.devices)))
-    await chain.home()

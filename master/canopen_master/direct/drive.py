@@ -15,7 +15,6 @@ command.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import trio
@@ -25,8 +24,7 @@ from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.joint_procedures import awake
 from canopen_master.master import Master
 from canopen_master.silence import missing_frame
-from canopen_proto.cia402.axis import AxisSettings, HomingStyle
-from canopen_proto.cia402.modes import Mode, supported
+from canopen_proto.cia402.axis import AxisSettings
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
@@ -36,10 +34,11 @@ from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import define_pdo
-from canopen_proto.procedures.objects import ABSENT, read_if_present, write
+from canopen_proto.procedures.identity import identify
+from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 
-MILLIDEGREES: Final = AxisSettings(counts_per_unit=1.0, homing=HomingStyle.SCHUNK)
+COUNTS: Final = AxisSettings(counts_per_unit=1.0)
 """Positions as they are on the wire: integers, millidegrees for the manual's arm."""
 
 SILENT_SYNCS: Final = 10
@@ -81,15 +80,17 @@ class DirectDrive:
 
     async def change_state(self, state: State) -> None:
         """Lead it to a state, up or down. To another one than Operation enabled: it follows no set-points any more."""
-        if state is not State.OPERATION_ENABLED:
+        if state is State.OPERATION_ENABLED:
+            await self._run(identify(self.axis))
+        else:
             self._is_following = False
         await self._run(drive.change_state(self.axis, state))
         await self._run(self._replace_waiting())
 
     async def home(self) -> None:
-        """Home it, in the way that it has; see `find_homing_style`."""
+        """Home it, in the way that it has: see `identify`."""
         self._is_following = False
-        await self._run(find_homing_style(self._device))
+        await self._run(identify(self.axis))
         await self._run(drive.home(self.axis))
 
     async def set_mode(self, mode: int) -> None:
@@ -224,14 +225,6 @@ class DirectDrive:
 
     def _on_pdo(self, report: PdoReceived) -> None:
         self._unanswered = 0
-
-
-def find_homing_style(device: Device) -> Procedure[None]:
-    """Settle how a drive homes: as CiA 402 says where 0x6502 shows homing mode, else as the manual's arm, which hides it."""
-    modes = yield from read_if_present(device.node.remote, "0x6502")
-    has_homing = isinstance(modes, int) and supported(modes, Mode.HOMING)
-    style = HomingStyle.STANDARD if has_homing else HomingStyle.SCHUNK
-    device.axis.settings = replace(device.axis.settings, homing=style)
 
 
 def _why_it_left(device: Device) -> Procedure[ProcedureError]:

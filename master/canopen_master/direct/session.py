@@ -34,7 +34,7 @@ from canopen_master.chain import ChainSettings
 from canopen_master.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
-from canopen_master.direct.drive import MILLIDEGREES, DirectDrive
+from canopen_master.direct.drive import COUNTS, DirectDrive
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_proto.cia402.states import State, state_of
@@ -341,7 +341,7 @@ class Session:
                 raise LocalProtocolError("the master's cycle runs already")
             if self._chains:
                 file, text = self._chain_source
-                master.load_chains(file, text=text, settings=settings, axes=MILLIDEGREES)
+                master.load_chains(file, text=text, settings=settings, axes=COUNTS)
             master.sync_start(settings.cycle_time)
 
         self._call(begin)
@@ -370,7 +370,7 @@ class Session:
         drive = self._drives.get(node_id)
         if drive is None:
             node = master.node(node_id, bus=self._connection.bus)
-            device = master.devices.get(node) or master.device(node, settings=MILLIDEGREES)
+            device = master.devices.get(node) or master.device(node, settings=COUNTS)
             drive = self._drives[node_id] = DirectDrive(master, device, self._rpdo, self._tpdo)
         return drive
 
