@@ -3,9 +3,9 @@
 Theory of operation
 -------------------
 An error of communication lasts until its cause is gone, and two causes are two errors even if they share a code. The additional
-information of an entry in 0x1003 tells them apart (`EmcyProducer`), and so it does for whoever reads that object:
+information of an entry in 0x1003 tells them apart (`EmcyProducer`). The first vendor bytes of the frame say the same:
 
-    0x8130   a heartbeat that the node monitors was lost        the lost node's ID, which the frame bears too
+    0x8130   a heartbeat that the node monitors was lost        the lost node's ID
     0x8130   life guarding: nobody asks the node any more       0
     0x8210   an RPDO was too short and was not processed        the number of the RPDO, 1..512
     0x8220   an RPDO was too long (where that is to be told)    the same
@@ -66,9 +66,9 @@ class CommunicationErrors:
         self._emcy.clear(EMCY_CONNECTION_LOST, now, _OUR_MASTER)
 
     def rpdo_failed(self, number: int, emcy_code: int, now: Time) -> None:
-        """An RPDO was of a wrong length, or did not come."""
+        """An RPDO was of a wrong length, or did not come: the first two vendor bytes of the EMCY are its number."""
         self.rpdos.setdefault(number, set()).add(emcy_code)
-        self._emcy.raise_error(emcy_code, COMMUNICATION_ERROR_BIT, b"", now, number)
+        self._emcy.raise_error(emcy_code, COMMUNICATION_ERROR_BIT, number.to_bytes(2, "little"), now, number)
 
     def rpdo_good(self, number: int, now: Time, *, but: int | None = None) -> None:
         """An RPDO came as it should, or is another one from now on. but: the code of an error that lasts all the same."""

@@ -2,8 +2,9 @@
 
 A drive's EDS describes what the drive holds in its own memory, and often has no defaults for it: no supported modes, no speeds.
 A simulated drive that took these for 0 would have no mode and stand still, so `drive_dictionary_of` gives such objects the values
-of the simulated drive (see `drive_dictionary`). What a file does say stays, but for `NEVER_ZERO`: with 0 there no drive would
-move.
+of the simulated drive (see `drive_dictionary`). What a file does say stays, a 0 too: where a 0 would keep the drive from moving,
+the drive shows it and moves by its own values (servo.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master
+believes that object.
 
 The drive shows its state in objects of the types that CiA 402 gives them. A file that has other types for these cannot have it,
 and `drive_obstacle` says so.
@@ -43,23 +44,6 @@ _DEVICE_TYPE: Final = 0x1000_00
 
 NEEDED: Final = (objects.CONTROLWORD, objects.STATUSWORD)
 
-NEVER_ZERO: Final = frozenset({
-    objects.SUPPORTED_DRIVE_MODES,
-    objects.FOLLOWING_ERROR_WINDOW,
-    objects.MAX_PROFILE_VELOCITY,
-    objects.PROFILE_VELOCITY,
-    objects.PROFILE_ACCELERATION,
-    objects.PROFILE_DECELERATION,
-    objects.QUICK_STOP_DECELERATION,
-    objects.HOMING_SPEED_SEARCH_SWITCH,
-    objects.HOMING_SPEED_SEARCH_ZERO,
-    objects.HOMING_ACCELERATION,
-    objects.MAX_ACCELERATION,
-    objects.MAX_DECELERATION,
-    objects.INTERPOLATION_TIME_UNITS,
-})  # fmt: skip
-"""Objects in which a 0 of the file counts as not said."""
-
 
 def drive_obstacle(dictionary: ObjectDictionary) -> str:
     """Why the simulated drive cannot stand behind a dictionary; empty where it can."""
@@ -98,9 +82,8 @@ def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[Obj
 
 def _is_open(variable: Variable) -> bool:
     """Whether the file leaves the value to us."""
-    if variable.configured is not None:
-        return variable.configured == 0 and variable.mux in NEVER_ZERO
-    return variable.default is None or (variable.default == 0 and variable.mux in NEVER_ZERO)
+    said = variable.default if variable.configured is None else variable.configured
+    return said is None or (said == 0 and variable.mux == objects.SUPPORTED_DRIVE_MODES)
 
 
 def _with_default(variable: Variable, default: Value) -> Variable | None:

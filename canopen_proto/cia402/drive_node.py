@@ -7,14 +7,16 @@ an RPDO that is overdue.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from canopen_proto.cia402.drive import Drive, DriveFault, DriveFaultCleared, StatuswordChanged
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
-from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.cia402.servo import UNSET_BY_ZERO, DriveSettings, Shape
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
-from canopen_proto.nmt import NmtState, NmtStateChanged
+from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
 
 
@@ -24,9 +26,13 @@ class DriveNode(LocalNode):
     __slots__ = ("drive",)
 
     def __init__(self, out: Outbox, node_id: int, settings: DriveSettings, dictionary: ObjectDictionary | None = None) -> None:
-        """settings: its shape and its mechanics. dictionary: by default that of its shape."""
+        """settings: its shape and its mechanics. dictionary: by default that of its shape. A 0 in it says nothing where it would
+        keep the drive from moving (UNSET_BY_ZERO).
+        """
         super().__init__(out, node_id, drive_dictionary(settings.shape) if dictionary is None else dictionary)
-        self.drive = Drive(self.inner, node_id, self.values, settings)
+        zeros = frozenset(key for key in UNSET_BY_ZERO if self.values.store.get(key) == 0)
+        self.drive = Drive(self.inner, node_id, self.values, replace(settings, unset=settings.unset | zeros))
+        self.pdos.sends_on_start = True  # a master that goes by event-driven TPDOs must not stay blind until something changes
         self.application = self.drive
         self.storage.excluded.add(CONTROLWORD >> 8)  # a command, no parameter
         self._members.attach(self.drive)
@@ -35,7 +41,6 @@ class DriveNode(LocalNode):
                 DriveFault: self._on_fault,
                 DriveFaultCleared: self._on_fault_cleared,
                 StatuswordChanged: self._on_statusword,
-                NmtStateChanged: self._on_drive_state,
                 PdoOverdue: self._on_rpdo_overdue,
             }
         )
@@ -69,11 +74,6 @@ class DriveNode(LocalNode):
     def _on_rpdo_overdue(self, overdue: PdoOverdue, now: Time) -> None:
         self._on_pdo_error(overdue, now)
         self.drive.rpdo_overdue(now)
-
-    def _on_drive_state(self, change: NmtStateChanged, now: Time) -> None:
-        self._on_state(change, now)
-        if change.state is NmtState.OPERATIONAL:
-            self.pdos.trigger(STATUSWORD, now)  # a master that goes by event-driven TPDOs must not stay blind until it changes
 
 
 def powerball(out: Outbox, node_id: int) -> DriveNode:

@@ -8,7 +8,8 @@ where it is while its demand moves on, which is how a following error comes abou
 
 Positions inside are those of the track. The user's are `track position - zero`; homing sets `zero`. Rates and speeds come from
 the object dictionary at the moment of planning, in units, units/s and units/s² (one count is one user-defined unit). A dictionary
-that lacks an object gets the value in FALLBACKS; a speed or rate of 0 counts as 1, which is as good as standing and always ends.
+that lacks an object gets the value in FALLBACKS, and so does an object in `DriveSettings.unset` that is 0. Any other speed or
+rate of 0 counts as 1, which is as good as standing and always ends.
 
 Left out: factor group (608Fh to 6096h), polarity (607Eh), limited torque. Limit switches matter for homing and 60FDh only.
 
@@ -53,6 +54,22 @@ FALLBACKS: Final[dict[int, int]] = {
     objects.MAX_DECELERATION: 2**32 - 1,
 }
 """What a drive does whose dictionary lacks the object (the Schunk shape has few of them), and the standard shape's defaults."""
+
+UNSET_BY_ZERO: Final = frozenset({
+    objects.FOLLOWING_ERROR_WINDOW,
+    objects.MAX_PROFILE_VELOCITY,
+    objects.PROFILE_VELOCITY,
+    objects.PROFILE_ACCELERATION,
+    objects.PROFILE_DECELERATION,
+    objects.QUICK_STOP_DECELERATION,
+    objects.HOMING_SPEED_SEARCH_SWITCH,
+    objects.HOMING_SPEED_SEARCH_ZERO,
+    objects.HOMING_ACCELERATION,
+    objects.MAX_ACCELERATION,
+    objects.MAX_DECELERATION,
+    objects.INTERPOLATION_TIME_UNITS,
+})  # fmt: skip
+"""Objects with which a drive would stand still for ever if they were 0: where its file says 0, the drive goes by FALLBACKS."""
 
 UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
@@ -100,6 +117,7 @@ class DriveSettings:
     position: where on the track it stands at power-on, and what it shows before it is homed. lag: time constant with which the
     actual position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated one.
     self_test: from power-on to Switch on disabled, ns. homing_method: how a Schunk Powerball homes, which has no say in 6098h.
+    unset: muxes of objects whose 0 says nothing.
     """
 
     shape: Shape = Shape.STANDARD
@@ -109,6 +127,7 @@ class DriveSettings:
     load: int = 30
     self_test: Time = 0
     homing_method: int = 19
+    unset: frozenset[int] = frozenset()
 
 
 class Servo:
@@ -155,7 +174,8 @@ class Servo:
     def parameter(self, key: int) -> int:
         """The object as it is now, or its fallback."""
         value = self.store.get(key)
-        return value if isinstance(value, int) else FALLBACKS.get(key, 0)
+        says_nothing = value == 0 and key in self.settings.unset
+        return value if isinstance(value, int) and not says_nothing else FALLBACKS.get(key, 0)
 
     def rate(self, key: int) -> float:
         """A speed or an acceleration; at least 1."""

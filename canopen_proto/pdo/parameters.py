@@ -30,7 +30,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, Machine, Outbox, Tim
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, PdoConsumer
 from canopen_proto.pdo.mapping import Mapping, MappingError, number_at
 from canopen_proto.pdo.multiplexed import DISPATCHER_LISTS, SCANNER_LISTS, MpdoConsumer, MpdoMode, MpdoProducer
-from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, PdoProducer
 from canopen_proto.pdo.rules import PdoRules, check_can_id
 from canopen_proto.pdo.settings import (
     COB_ID,
@@ -60,7 +60,9 @@ class DevicePdos:
 
     values: the device's memory; the PDOs read and write it. consumers, producers: by PDO number, 1..512; they, mpdo_consumer and
     mpdo_producer are this outbox's machines, and none is added or taken away later. faults: what is wrong with a standing
-    parameter, by its index.
+    parameter, by its index. sends_on_start: send each event-driven TPDO once on entering Operational, so that a master that has
+    just begun to listen gets the present values. CANopenNode's devices do so (seen in a recorded session), Lely's do not; CiA 401
+    asks for it (from memory), CiA 301 leaves it open.
     """
 
     __slots__ = (
@@ -73,10 +75,12 @@ class DevicePdos:
         "mpdo_consumer",
         "mpdo_producer",
         "producers",
+        "sends_on_start",
     )
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
         self._values = values
+        self.sends_on_start = False
         self.consumers: dict[int, PdoConsumer] = {}
         self.producers: dict[int, PdoProducer] = {}
         self.mpdo_consumer = MpdoConsumer(out, node_id, values)
@@ -112,11 +116,17 @@ class DevicePdos:
         return index == SYNC_WINDOW or place_of(index) is not None or index in SCANNER_LISTS or index in DISPATCHER_LISTS
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether the device is in NMT state Operational, in which alone PDOs live. Starts the event timers; sends nothing."""
+        """Whether the device is in NMT state Operational, in which alone PDOs live.
+
+        On entering it the event timers start, and with `sends_on_start` each event-driven TPDO is sent once.
+        """
         for consumer in self.consumers.values():
             consumer.set_enabled(enabled, now)
         for producer in self.producers.values():
+            begins = self.sends_on_start and enabled and not producer.enabled
             producer.set_enabled(enabled, now)
+            if begins and producer.transmission_type >= FIRST_EVENT_DRIVEN:
+                producer.trigger(now)
         self.mpdo_consumer.set_enabled(enabled)
         self.mpdo_producer.set_enabled(enabled, now)
 

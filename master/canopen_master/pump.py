@@ -37,7 +37,7 @@ from canopen_master.alarm import Alarm, best_alarm
 from canopen_master.bus import Bus, FramesLost
 from canopen_proto.machine import NEVER, SECOND, Event, Time
 from canopen_proto.sync import SyncReceived
-from canopen_transports import BusStateChanged, FrameNotSent, ReceiveOverrun, TransportError
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
 MAX_CATCH_UP: Final = 4096
@@ -143,6 +143,8 @@ class Pump:
                 self._fail(bus, error, "receive")
             else:
                 self._received += 1
+                if bus.state is BusState.BUS_OFF:
+                    self._turn(bus.change, BusState.ACTIVE, "a frame was received")
                 now = self.now()
                 self._turn(bus.network.receive, frame, now, timestamp, now=now)
 

@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import trio
 
-from canopen_master.bus import Bus
+from canopen_master.bus import Bus, BusChanged
 from canopen_master.errors import BusError
 from canopen_master.hooks import Hooks, Script
 from canopen_master.parameter_keeper import ParameterKeeper
@@ -31,7 +31,7 @@ from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
-from canopen_transports import Transport, TransportError
+from canopen_transports import BusState, Transport, TransportError
 
 DeviceMaker: TypeAlias = Callable[[Outbox], LocalNode]
 """Makes a device with the outbox of the network that it will be attached to."""
@@ -108,6 +108,7 @@ class Host:
         self._keeper = ParameterKeeper() if keeper is None else keeper
         self._say = say
         self._failure: Exception | None = None
+        self._is_bus_off = False
         self._ended = trio.Event()
         made = [(make, make(network.out)) for make in devices]
         self.nodes = tuple(node for _, node in made)
@@ -119,6 +120,7 @@ class Host:
         }
         for node in self.nodes:
             network.attach(node)
+            node.pdos.sends_on_start = True
             kept = self._keeper.kept(node.node_id)
             if kept is not None:
                 node.storage.load(kept)
@@ -158,11 +160,24 @@ class Host:
     def on_event(self, bus: Bus, event: Event) -> None:
         if isinstance(event, ObjectAccessPending) and event.index in SIGNATURES:
             self._store(event)
+        elif isinstance(event, BusChanged):
+            self._tell_bus_off(event.state)
         hooks = self._hooks.get(event.node_id)
         if hooks is not None:
             hooks.on_event(event)
         if self._on_event is not None:
             self._on_event(event)
+
+    def _tell_bus_off(self, state: BusState) -> None:
+        """The devices hear that their controller has gone off the bus, and that it is back."""
+        if state is BusState.BUS_OFF and not self._is_bus_off:
+            self._is_bus_off = True
+            for node in self.nodes:
+                node.bus_off(self.now())
+        elif self._is_bus_off and state in (BusState.ACTIVE, BusState.WARNING, BusState.PASSIVE, BusState.UP):
+            self._is_bus_off = False
+            for node in self.nodes:
+                node.bus_recovered(self.now())
 
     def _store(self, access: ObjectAccessPending) -> None:
         """A device stores or restores its parameters."""

@@ -29,7 +29,9 @@ DIFFERENCES = (
     Difference("2.22", "584#C608100010000000", "584#C208100010000000", CRC),
     Difference("2.27", "584#C600100004000000", "584#C200100004000000", CRC),
     Difference("2.27", "584#8000100001000405", "584#8000100003000405", "0x05040003 (invalid sequence number) says what is wrong"),
-    Difference("5.4", "084#1082000402000000", "084#1082110000000000", REGISTER),
+    Difference(
+        "5.4", "084#1082000402000000", "084#1082110100000000", f"{REGISTER}; then theirs has the CAN-ID, ours the PDO's number"
+    ),
     Difference("5.5", "584#4F01100000000000", "584#4F01100011000000", REGISTER),
     Difference("5.6", "584#4303100110820004", "584#4303100110820100", "the upper half of an entry is the maker's (7.5.2.4)"),
     *(Difference(case, "084#(0081|0000)(10|00)18.{8}", "", SYNC_TIME_OUT) for case in ("6.3", "6.4", "6.6", "6.7", "6.8")),

@@ -5,11 +5,16 @@ import trio
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
 from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
+from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event
+from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectWritten
-from canopen_transports import open_transport
+from canopen_transports import BusState, BusStateChanged, open_transport
+from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time
+from tests.proto.devices import io_device
 
 
 @virtual_time
@@ -46,3 +51,39 @@ async def test_a_failing_bus_ends_the_simulation() -> None:
             await nursery.start(simulate, cable, powerballs(3))
             cable.cut()
     assert cable.closed == 1
+
+
+@pytest.mark.parametrize("ended_by", [BusStateChanged("able", BusState.ACTIVE, "it is back"), Frame.parse("080#")])
+@virtual_time
+async def test_devices_hear_that_their_controller_went_off_the_bus(ended_by: Frame | Exception) -> None:
+    bus = Able()
+    async with trio.open_nursery() as nursery:
+        host: Host = await nursery.start(simulate, bus, powerballs(12))
+        bus.feed(Frame.parse("000#010C"))
+        await trio.sleep(0.1)
+        assert host.nodes[0].state is NmtState.OPERATIONAL
+        bus.feed(BusStateChanged("able", BusState.BUS_OFF, "too many errors"))
+        await trio.sleep(0.1)
+        assert host.nodes[0].state is NmtState.PRE_OPERATIONAL  # 0x1029:01
+        assert not any(frame.startswith("08C#") for frame in bus.sent)
+        bus.feed(ended_by)
+        await trio.sleep(0.1)
+        assert [frame[:8] for frame in bus.sent if frame.startswith("08C#")] == ["08C#4081", "08C#0000"]  # bus-off recovered
+        nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_event_driven_tpdos_go_once_on_entering_operational() -> None:
+    bus = Able()
+    async with trio.open_nursery() as nursery:
+        await nursery.start(simulate, bus, [lambda out: LocalNode(out, 5, io_device())])
+        for _ in range(2):
+            bus.sent.clear()
+            bus.feed(Frame.parse("000#0105"))
+            await trio.sleep(0.1)
+        assert not bus.sent  # it was Operational already
+        bus.feed(Frame.parse("000#8005"))
+        bus.feed(Frame.parse("000#0105"))
+        await trio.sleep(0.1)
+        assert [frame for frame in bus.sent if frame.startswith("185#")] == ["185#0000"]
+        nursery.cancel_scope.cancel()

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_from_file import NEEDED, NEVER_ZERO, SHOWN, drive_dictionary_of, drive_obstacle
+from canopen_proto.cia402.drive_from_file import NEEDED, SHOWN, drive_dictionary_of, drive_obstacle
 from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import FALLBACKS, DriveSettings, Shape
+from canopen_proto.cia402.servo import FALLBACKS, UNSET_BY_ZERO, DriveSettings, Shape
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
@@ -41,7 +41,7 @@ def test_a_wider_type_does() -> None:
 
 
 def test_all_that_it_shows_is_of_the_standard() -> None:
-    assert all(find_standard(key >> 8, key & 0xFF) is not None for key in (*SHOWN, *NEEDED, *NEVER_ZERO, *FALLBACKS))
+    assert all(find_standard(key >> 8, key & 0xFF) is not None for key in (*SHOWN, *NEEDED, *UNSET_BY_ZERO, *FALLBACKS))
 
 
 def test_what_the_file_does_not_say_is_filled_in() -> None:
@@ -62,9 +62,9 @@ def test_what_the_file_does_not_say_is_filled_in() -> None:
     ("changes", "value"),
     [
         ({"default": 5}, 5),
-        ({"default": 0}, 20_000),
+        ({"default": 0}, 0),
         ({"default": 0, "configured": 7}, 7),
-        ({"default": 9, "configured": 0}, 20_000),
+        ({"default": 9, "configured": 0}, 0),
         ({"high_limit": 100}, 100),
         ({"low_limit": 100_000}, 100_000),
         ({"low_limit": 0.5, "high_limit": float("inf")}, 20_000),
@@ -83,6 +83,28 @@ def test_a_zero_that_means_zero_stays() -> None:
     dictionary, filled = drive_dictionary_of(ObjectDictionary([*BASE, standard_object(0x605C, 0)]), Shape.STANDARD)
     assert dictionary.variable(0x605C).default == 0
     assert 0x605C not in {variable.index for variable in filled}
+
+
+def test_a_drive_shows_the_zeros_of_its_file_and_moves_all_the_same() -> None:
+    zeros = [standard_object(index, 0) for index in (0x607A, 0x6081, 0x6083, 0x6084, 0x60C5)]
+    dictionary, filled = drive_dictionary_of(ObjectDictionary([*BASE, *zeros]), Shape.STANDARD)
+    assert {variable.index for variable in filled} == {0x1000, 0x6065, 0x6502}
+    bench = DeviceBench(dictionary, make=lambda out, node_id, described: DriveNode(out, node_id, DriveSettings(), described))
+    assert [bench.number(each.index) for each in zeros] == [0] * len(zeros)
+    bench.tell(START)
+    bench.write(0x6060, 0, 1, 1)
+    bench.write(0x607A, 0, 5000, 4)
+    for command in (6, 7, 15, 31):
+        bench.write(0x6040, 0, command, 2)
+    bench.wait(2000)
+    assert bench.number(0x6064) == 5000
+    assert bench.number(0x6081) == 0
+
+
+def test_supported_modes_of_zero_are_filled_in() -> None:
+    dictionary, filled = drive_dictionary_of(ObjectDictionary([*BASE[:-1], standard_object(0x6502, 0)]), Shape.STANDARD)
+    assert 0x6502 in {variable.index for variable in filled}
+    assert dictionary.variable(0x6502).default == 0xE5
 
 
 def test_the_drive_runs_behind_it() -> None:

@@ -291,7 +291,7 @@ def test_what_was_held_for_a_sync_is_dropped_when_the_node_leaves_operational() 
 def test_a_short_pdo_is_an_emcy_until_a_good_one_comes() -> None:
     bench = DeviceBench()
     bench.tell(START)
-    assert bench.tell("205#07") == ["085#1082110000000000"]
+    assert bench.tell("205#07") == ["085#1082110100000000"]
     assert bench.tell("205#", "205#08") == []  # told once
     assert bench.node.values.store[OUTPUT << 8] == 0
     assert bench.number(0x1003, 1) == 0x0001_8210  # of RPDO 1
@@ -302,7 +302,7 @@ def test_a_short_pdo_is_an_emcy_until_a_good_one_comes() -> None:
 def test_short_pdos_of_several_rpdos_are_several_errors() -> None:
     bench = DeviceBench()
     bench.tell(START)
-    assert bench.tell("205#07", "305#07") == ["085#1082110000000000"] * 2
+    assert bench.tell("205#07", "305#07") == ["085#1082110100000000", "085#1082110200000000"]
     assert bench.tell("205#0700") == []
     assert bench.tell("305#0700") == []  # held for the SYNC
     assert bench.tell(SYNC) == ["285#0000", "085#0000000000000000"]
@@ -321,7 +321,7 @@ def test_an_overdue_rpdo_is_an_emcy_until_it_comes() -> None:
     bench.tell(START)
     assert bench.wait(200) == []  # it has not begun
     bench.tell("205#0100")
-    assert bench.wait(100) == ["250 085#5082110000000000"]
+    assert bench.wait(100) == ["250 085#5082110100000000"]
     assert bench.tell("205#0100") == ["085#0000000000000000"]
 
 

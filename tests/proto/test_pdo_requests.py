@@ -261,10 +261,10 @@ def test_a_pdo_that_is_too_long_is_an_emcy_where_that_is_wished() -> None:
     bench = DeviceBench()
     bench.node.optional_emcy.add(0x8220)
     bench.tell(START)
-    assert bench.tell("205#0700AA") == ["085#2082110000000000"]
+    assert bench.tell("205#0700AA") == ["085#2082110100000000"]
     assert bench.node.values.store[OUTPUT << 8] == 7  # it is used all the same
     assert bench.tell("205#0800AA") == []  # told once
-    assert bench.tell("205#08") == ["085#1082110000000000"]
+    assert bench.tell("205#08") == ["085#1082110100000000"]
     assert bench.tell("205#0800AA") == []  # not too short any more, but the other error lasts
     assert bench.number(0x1001) == 0x11
     assert bench.tell("205#0900") == ["085#0000000000000000"]

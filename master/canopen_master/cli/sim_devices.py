@@ -22,7 +22,7 @@ from canopen_proto.cia402.drive_from_file import drive_dictionary_of, drive_obst
 from canopen_proto.cia402.names import is_drive, with_drive_names
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import NotInDictionary, ObjectDictionary
+from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
 from canopen_proto.dictionary.configured import configure, without_configured_values
 from canopen_proto.dictionary.describing import identified
 from canopen_proto.dictionary.description import DeviceDescription
@@ -148,10 +148,11 @@ def _model(
         reason = f"no drive moves behind it: {obstacle}" if obstacle else ""
         if not obstacle:
             shape = SHAPES[entry.shape] if entry.shape else shape_of(description)
-            dictionary, filled = drive_dictionary_of(dictionary, shape)
+            before = dictionary
+            dictionary, filled = drive_dictionary_of(before, shape)
             drive = DriveSettings(shape=shape)
             for variable in filled:
-                screen.detail(f"node {node_id}: {variable.label} = {variable.default!r}, which the file does not say")
+                _tell_filled(screen, node_id, before.variable((variable.index, variable.subindex)), variable)
     model = DeviceModel(dictionary, node_id, drive, script)
     _tell(screen, model, entry, reason)
     return model
@@ -174,6 +175,15 @@ def configured(dictionary: ObjectDictionary, values: Mapping[str, Any], node_id:
             raise usage("CO127", f"{file}: values: {error}") from None
         by_mux[variable.mux] = chosen
     return configure(dictionary, by_mux, node_id) if by_mux else dictionary
+
+
+def _tell_filled(screen: Screen, node_id: int, before: Variable, after: Variable) -> None:
+    said = before.default if before.configured is None else before.configured
+    if said is None:
+        screen.detail(f"node {node_id}: {after.label} = {after.default!r}, which the file does not say")
+    else:
+        why = "with the file's, no drive would have a mode"
+        screen.say(f"[yellow]node {node_id}: {escape(after.label)} = {after.default!r} in place of {said!r}: {why}[/]")
 
 
 def _tell(screen: Screen, model: DeviceModel, entry: DeviceEntry, reason: str) -> None:
