@@ -160,6 +160,11 @@ class BusKnowledge:
         last = max(*self.times, self.other)
         return None if last == _NOT_HEARD else last
 
+    def time_of(self, can_id: int) -> Time | None:
+        """When a frame of a CAN-ID last came; None if none did, or if it has no slot."""
+        time = self.times[can_id] if 0 <= can_id < SLOTS else _NOT_HEARD
+        return None if time == _NOT_HEARD else time
+
     def nodes(self) -> tuple[int, ...]:
         """The node-IDs that showed a sign of life (PDOs are none), in order."""
         return tuple(node_id for node_id in range(1, MAX_NODE_ID + 1) if self.heard(node_id).time is not None)

@@ -158,6 +158,10 @@ class Network:
         """What was last heard of a node (1..127, else LocalProtocolError), wanted or not."""
         return self._knowledge.heard(node_id)
 
+    def last_heard_of(self, can_id: int) -> Time | None:
+        """When a frame of an 11-bit CAN-ID last came from somebody else; None if none did, and for 29-bit CAN-IDs."""
+        return self._knowledge.time_of(can_id)
+
     def heard_nodes(self) -> tuple[int, ...]:
         """The node-IDs that were heard so far, in order."""
         return self._knowledge.nodes()

@@ -59,6 +59,7 @@ class RemoteNode(Group):
         "_listeners",
         "_mpdo_listener",
         "_mpdo_rpdos",
+        "_sync_listeners",
         "_wanted",
         "_writes",
         "commanded",
@@ -107,6 +108,7 @@ class RemoteNode(Group):
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
         self._listeners: list[Callable[[Collection[int], Time], None]] = []
         self._boot_listeners: list[Callable[[], None]] = []
+        self._sync_listeners: list[Callable[[Time], None]] = []
         for machine in (self.sdo, self.heartbeat, self.emcy, self._mpdo_listener):
             self._members.attach(machine)
         self._reactions.update(
@@ -321,14 +323,22 @@ class RemoteNode(Group):
             self.values.store[variable.mux] = meant
         return self.is_operational
 
-    def add_listener(self, listener: Callable[[Collection[int], Time], None], on_boot: Callable[[], None] | None = None) -> None:
+    def add_listener(
+        self,
+        listener: Callable[[Collection[int], Time], None],
+        on_boot: Callable[[], None] | None = None,
+        on_sync: Callable[[Time], None] | None = None,
+    ) -> None:
         """For what is built upon this node (an Axis): called with the muxes of the values that were just brought up to date.
 
-        on_boot: called when the node boots, which makes everything old that it said before.
+        on_boot: called when the node boots, which makes everything old that it said before. on_sync: called at each SYNC, ours or
+        another's, when the RPDOs that it releases are built.
         """
         self._listeners.append(listener)
         if on_boot is not None:
             self._boot_listeners.append(on_boot)
+        if on_sync is not None:
+            self._sync_listeners.append(on_sync)
 
     # ---- node guarding ----
 
@@ -351,6 +361,8 @@ class RemoteNode(Group):
         self.last_sync = now
         for producer in self.rpdos.values():
             producer.on_sync(counter, now)
+        for listener in self._sync_listeners:
+            listener(now)
 
     def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
         self._commanded_at = now

@@ -67,7 +67,10 @@ class AxisSettings:
     counts_per_unit: counts on the wire per user's unit; None if nobody gave a scale: positions are counts then, as on the wire.
     direction: 1, or -1 for a motor that is mounted the other way round; offset: counts at position 0. homing: how it homes; None
     leaves that to its vendor-ID. homing_method: written to 0x6098, None leaves what the drive has. homing_timeout, state_timeout:
-    ns for a whole homing, for one change of state or mode.
+    ns for a whole homing, for one change of state or mode. following_error_limit: how far off its set-points the drive may be, in
+    the user's unit, before it counts as lost; None: as `procedures.following.following_limit` finds it, math.inf: no limit.
+    keeps_reference: whether the drive knows its position after a reset or without power, as one with an absolute encoder does; it
+    need not be homed again then.
     """
 
     counts_per_unit: float | None = None
@@ -77,6 +80,8 @@ class AxisSettings:
     homing_method: int | None = None
     homing_timeout: Time = 60 * SECOND
     state_timeout: Time = 3 * SECOND
+    following_error_limit: float | None = None
+    keeps_reference: bool = False
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit

@@ -75,10 +75,14 @@ class Exchanged(NamedTuple):
     missing: list[int]
 
     @property
-    def cyclic(self) -> frozenset[int]:
-        """Muxes of what the device sends at SYNCs, unasked."""
-        tpdos = (each for each in self.pdos if each.direction is Direction.TPDO)
-        return frozenset(mux for each in tpdos if each.transmission_type in CYCLIC_TYPES for mux in _muxes(each))
+    def cyclic(self) -> dict[int, int]:
+        """What the device sends at SYNCs, unasked: mux -> at every how many of them."""
+        tpdos = (each for each in self.pdos if each.direction is Direction.TPDO and each.transmission_type in CYCLIC_TYPES)
+        cyclic: dict[int, int] = {}
+        for tpdo in tpdos:
+            for mux in _muxes(tpdo):
+                cyclic[mux] = min(tpdo.transmission_type, cyclic.get(mux, CYCLIC_TYPES.stop))
+        return cyclic
 
 
 def exchange_described(node: RemoteNode, commands: Collection[int], feedback: Collection[int]) -> Procedure[Exchanged]:

@@ -17,18 +17,16 @@ repeated, and the cycle counts as missed; after `max_missed_cycles` in a row the
 `enable_interpolated_position` or `recover`, which begin where the joints stand: nothing jumps. Nor does a path jump that is read
 at `cycle.time`: it advances only with SYNCs that took set-points along, so a late loop makes the path slower (see cycles.py).
 
-**Supervision**, from the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, loses its heartbeat, or,
-while set-points are followed, leaves Operation enabled or sends no PDO any more, stops its whole chain: what runs is cancelled,
-all other joints are halted, and everything that is asked of the chain raises ChainFault, until `recover`.
+**Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
+set-points, stops its whole chain: what runs is cancelled, all joints are halted, and everything that is asked of the chain raises
+ChainFault, which says what the joint did, until `recover`.
 """
 
 from __future__ import annotations
 
 import enum
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import trio
@@ -52,6 +50,7 @@ from canopen_master.joint_procedures import (
     JointFailed,
     exchange_named,
     exchange_own,
+    follow,
     of_joint,
     power_down,
     prepare,
@@ -59,14 +58,11 @@ from canopen_master.joint_procedures import (
     stop,
 )
 from canopen_master.silence import sdo_silence
-from canopen_proto.cia402.axis import AxisStateChanged
-from canopen_proto.cia402.objects import STATUSWORD
-from canopen_proto.cia402.states import State
-from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
-from canopen_proto.nmt import NmtState
+from canopen_master.supervision import Supervision, foreign_commands
+from canopen_proto.cia402.following import SILENT_SYNCS
+from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault, start_interpolation
+from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sync import SyncSent
@@ -78,9 +74,6 @@ T = TypeVar("T")
 
 MAX_MISSED_CYCLES: Final = 10
 """In a row; at the usual 10 ms a program that is 0.1 s late has lost control of the arm."""
-SILENT_CYCLES: Final = 10
-SILENT_TIME: Final = 100 * MILLISECOND
-"""A joint from which nothing came behind this many SYNCs in a row, and this long, is gone."""
 
 
 class ChainState(enum.Enum):
@@ -104,7 +97,8 @@ class ChainSettings:
     them declared to the devices (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the
     joint's own dictionary describes (an EDS, a DCF), if it does, and set the device up like that where it is not. max_step: the
     largest step of a set-point from one cycle to the next, in the user's unit; None for no limit. max_missed_cycles: in a row,
-    until the chain is halted.
+    until the chain is halted. max_silent_cycles: in a row, of a joint that does not send its PDO, until the chain is stopped; and
+    20 ms at least, since adapters hold frames back.
     """
 
     cycle_time: float = 0.01
@@ -114,6 +108,7 @@ class ChainSettings:
     own_pdos: bool = False
     max_step: float | None = None
     max_missed_cycles: int = MAX_MISSED_CYCLES
+    max_silent_cycles: int = SILENT_SYNCS
 
 
 class _Operation:
@@ -136,19 +131,14 @@ class Chain:
         self.settings = settings
         self.state = ChainState.OFF
         self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
-        self._sync_times: deque[Time] = deque(maxlen=SILENT_CYCLES)  # while it follows
-        self._supervised = False
+        self._supervision = Supervision(master, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
         self._stopping: Waiter | None = None  # the procedure that halts the joints
-        self._culprit: tuple[Device, str] | None = None  # for whose sake it was stopped, and why
+        self._culprit: tuple[Device, str, str] | None = None  # for whose sake it was stopped, why, and the likely cause
         self._why_halted = ""
         buses = tuple(dict.fromkeys(master.bus(device.node.bus) for device in devices))
         master.watch((SyncSent,), self._on_sync, buses[0])
-        for device in devices:
-            bus, node_id = master.bus(device.node.bus), device.node.node_id
-            master.watch((AxisStateChanged,), partial(self._on_axis, device), bus, node_id)
-            master.watch((HeartbeatLost, NodeBooted, NmtStateReported), partial(self._on_node, device), bus, node_id)
 
     def __repr__(self) -> str:
         return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
@@ -205,7 +195,7 @@ class Chain:
         master, settings = self._master, self.settings
         self._require_idle("initialise")
         self._require_same_cycle()
-        self._supervised = False
+        self._supervision.is_on = False
         self._end_following(ChainState.OFF)
         self._culprit, self._why_halted = None, ""
         await self._for_all("initialise", self._prepare)
@@ -214,7 +204,7 @@ class Chain:
         if master.sync_period != round(settings.cycle_time * SECOND):
             master.sync_start(settings.cycle_time)
         await self._for_all("initialise", lambda device: _reset_and_enable(device))
-        self.state, self._supervised = ChainState.READY, True
+        self.state, self._supervision.is_on = ChainState.READY, True
 
     async def home(self) -> None:
         """Home all joints, side by side. Cancelled, or if one fails, all are halted."""
@@ -227,9 +217,11 @@ class Chain:
         self._require("enable interpolated position", ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
         self._end_following(ChainState.READY)
         cycle_time = round(self.settings.cycle_time * SECOND)
-        await self._for_all("enable interpolated position", lambda device: start_interpolation(device.axis, cycle_time))
+        limits = await self._for_all("enable interpolated position", lambda device: follow(device, cycle_time))
+        if self.state is not ChainState.READY:  # a joint failed just now
+            raise self._stop_reason()
         self._set_points.begin()
-        self._sync_times.clear()
+        self._supervision.begin_following(limits, self.settings.max_silent_cycles)
         self.state, self._followed = ChainState.FOLLOWING, True
 
     async def halt(self) -> None:
@@ -257,7 +249,7 @@ class Chain:
         All joints are shut down as far as they let themselves be; then ChainError names one that did not.
         """
         self._master.check_open()
-        self._supervised = self._followed = False
+        self._supervision.is_on = self._followed = False
         if self._running is not None:
             self._stop("by shut_down()")
         await self._joints_stopped()
@@ -386,6 +378,7 @@ class Chain:
     def _end_following(self, state: ChainState) -> None:
         self.state = state
         self._set_points.end()
+        self._supervision.end_following()
 
     # ---- being stopped ----
 
@@ -393,7 +386,7 @@ class Chain:
         """Halt all joints, and have whatever runs on this chain end. Also in the pump's turn; `_joints_stopped` waits for it."""
         self._why_halted = why
         if culprit is not None:
-            self._culprit = culprit, why
+            self._culprit = culprit, why, foreign_commands(self._master, culprit)
         state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
@@ -430,7 +423,7 @@ class Chain:
             tries=("await chain.enable_interpolated_position() starts where the joints stand",),
         )
 
-    def _fault(self, device: Device, reason: str) -> ChainFault:
+    def _fault(self, device: Device, reason: str, cause: str = "") -> ChainFault:
         return ChainFault(
             self.name,
             device.name,
@@ -442,29 +435,15 @@ class Chain:
             error_code=device.error_code,
             emcy=device.emcy,
             seen=device.describe(),
+            cause=cause,
             tries=("find the cause, then await chain.recover()",),
         )
 
-    # ---- supervision, in the pump's turn ----
+    # ---- in the pump's turn ----
 
     def _joint_failed(self, device: Device, reason: str) -> None:
-        if self._supervised and self.state is not ChainState.FAULT and not self._master.is_closed:
+        if self.state is not ChainState.FAULT and not self._master.is_closed:
             self._stop(reason, device)
-
-    def _on_axis(self, device: Device, report: AxisStateChanged) -> None:
-        if device.has_fault:
-            self._joint_failed(device, "fell into fault")
-        elif self.state is ChainState.FOLLOWING and report.state is not State.OPERATION_ENABLED:
-            self._joint_failed(device, f"left operation enabled by itself: {report.state}")
-
-    def _on_node(self, device: Device, report: HeartbeatLost | NodeBooted | NmtStateReported) -> None:
-        match report:
-            case HeartbeatLost(timeout=timeout):
-                self._joint_failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s")
-            case NodeBooted():
-                self._joint_failed(device, "was reset, or lost its power: it has booted anew")
-            case NmtStateReported(state=state) if self.state is ChainState.FOLLOWING and state is not NmtState.OPERATIONAL:
-                self._joint_failed(device, f"left NMT state Operational: {state.name}")
 
     def _on_sync(self, sync: SyncSent) -> None:
         if self.state is not ChainState.FOLLOWING:
@@ -473,25 +452,6 @@ class Chain:
         set_points.on_sync(sync.skipped)
         if set_points.missed_in_row >= settings.max_missed_cycles:
             self._stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")
-            return
-        now = self._master.now()
-        asked = (
-            now - self._sync_times[0] if len(self._sync_times) == SILENT_CYCLES else 0
-        )  # a stall of ours is no silence of theirs
-        self._sync_times.append(now)
-        for device in self.devices:
-            silence = device.silence(now)
-            if silence is not None and silence > SILENT_TIME and 0 < asked <= silence:
-                self._joint_failed(device, f"is silent: no PDO with {_names(device)} for {silence / SECOND:.3g} s")
-                return
-
-
-def _names(device: Device) -> str:
-    """What a joint should send, for people."""
-    if STATUSWORD in device.cyclic:
-        return "its statusword"
-    variables = (device.node.dictionary.get(mux >> 8, mux & 0xFF) for mux in sorted(device.cyclic))
-    return " or ".join(each.name for each in variables if each is not None)
 
 
 def _reset_and_enable(device: Device) -> Procedure[None]:

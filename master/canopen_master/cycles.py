@@ -83,8 +83,6 @@ class SetPoints:
         self._is_new = self._is_held = self.is_awaited = False
         self.missed_in_row = 0
         self.given_in = -1
-        for device in self.devices:
-            device.forget_commands()
         self.tick.unpark_all()
 
     def give(self, positions: Sequence[float], cycles: int) -> None:
@@ -107,8 +105,6 @@ class SetPoints:
         self.sync_cycles += 1
         self.skipped_cycles += skipped
         self.sent = [device.desired_position for device in self.devices]
-        for device, position in zip(self.devices, self.sent, strict=True):
-            device.command_sent(position)
         if self._is_new or self._is_held:
             self.missed_in_row = 0
             self.taken += self._is_new

@@ -6,14 +6,14 @@ the events: `async with joint.events(PdoReceived) as updates: ...`.
 
 from __future__ import annotations
 
-import math
-from collections import deque
-from typing import TYPE_CHECKING, Final, TypeVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, TypeVar
 
 from canopen_master.node import Node
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import Axis
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, STATUSWORD, VELOCITY_ACTUAL_VALUE
+from canopen_proto.cia402.following import Following
+from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
@@ -26,13 +26,11 @@ if TYPE_CHECKING:
 
 E = TypeVar("E", bound=Event)
 
-FOLLOWING_LAG: Final = 2
-"""SYNCs from sending a set-point to being there: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
-
 
 class Device:
     """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive. cyclic: the objects that
-    it sends at SYNCs, by which it is known to be there (as far as there are none, its heartbeat has to tell).
+    it sends at SYNCs, by which it is known to be there (as far as there are none, its heartbeat has to tell): mux -> at every how
+    many. following: whether it does what its set-points say.
 
     Positions are in the user's unit, which its AxisSettings say; in counts where nobody gave a scale.
     """
@@ -42,15 +40,13 @@ class Device:
         self.name = name
         self.node = node
         self.axis = axis
-        self.cyclic: frozenset[int] = frozenset((STATUSWORD,))
+        self.cyclic: Mapping[int, int] = {}
+        self.following = Following(axis)
         self.sdo_round_trips = 0
-        self.largest_following_error = 0.0
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None
-        self._commanded: deque[float] = deque(maxlen=FOLLOWING_LAG + 1)
         self._position: tuple[Time, float] | None = None
         self._velocity: float | None = None
-        self._following_error = 0.0
         bus = master.bus(node.bus)
         master.watch((SdoUploaded, SdoDownloaded), self._on_round_trip, bus, node.node_id)
         master.watch((EmcyReceived,), self._on_emcy, bus, node.node_id)
@@ -124,7 +120,12 @@ class Device:
     @property
     def following_error(self) -> float:
         """Commanded minus actual position, both of the same instant; 0 while no set-points are sent."""
-        return self._following_error
+        return self.following.error
+
+    @property
+    def largest_following_error(self) -> float:
+        """The largest one so far, whatever its sign; `following.largest_error` may be set back."""
+        return self.following.largest_error
 
     @property
     def may_move(self) -> bool:
@@ -141,12 +142,6 @@ class Device:
         """It, for people: "joint1 (node 3 on can0)"."""
         return f"{self.name} (node {self.node.node_id} on {self.node.bus})"
 
-    def silence(self, now: Time) -> Time | None:
-        """ns since one of its `cyclic` objects was last heard, None if none ever was."""
-        heard_at = self.node.remote.heard_at
-        heard = max((heard_at[mux] for mux in self.cyclic if mux in heard_at), default=None)
-        return None if heard is None else now - heard
-
     def describe(self) -> str:
         """State, statusword and what else explains it, in one line for people."""
         text = self.axis.describe()
@@ -157,17 +152,6 @@ class Device:
     def events(self, *kinds: type[E]) -> Subscription[E]:
         """As `Master.events`, of this joint only."""
         return self.node.events(*kinds)
-
-    # ---- what the chain tells it ----
-
-    def command_sent(self, position: float) -> None:
-        """A set-point went out behind a SYNC."""
-        self._commanded.append(position)
-
-    def forget_commands(self) -> None:
-        """No set-points are followed any more."""
-        self._commanded.clear()
-        self._following_error = 0.0
 
     # ---- what the bus tells it ----
 
@@ -186,6 +170,3 @@ class Device:
         if self._position is not None and now > self._position[0]:
             self._velocity = (position - self._position[1]) * SECOND / (now - self._position[0])
         self._position = now, position
-        if len(self._commanded) > FOLLOWING_LAG:
-            self._following_error = self._commanded[0] - position
-            self.largest_following_error = max(self.largest_following_error, math.fabs(self._following_error))

@@ -216,6 +216,7 @@ class ChainFault(ChainError):
         error_code: int,
         emcy: EmcyReceived | None,
         seen: str,
+        cause: str = "",
         tries: Iterable[str],
     ) -> None:
         super().__init__(
@@ -224,6 +225,7 @@ class ChainFault(ChainError):
             f"chain {chain} was stopped: {joint} (node {node_id} on {bus}) {reason}",
             joint=joint,
             seen=seen,
+            cause=cause,
             tries=tries,
         )
         self.node_id = node_id

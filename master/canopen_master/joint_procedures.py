@@ -6,6 +6,7 @@ from typing import Final, TypeVar
 
 from canopen_master.device import Device
 from canopen_master.node import Node
+from canopen_proto.cia402.following import FollowingLimit
 from canopen_proto.cia402.objects import (
     CONTROLWORD,
     ERROR_CODE,
@@ -16,12 +17,14 @@ from canopen_proto.cia402.objects import (
     TORQUE_ACTUAL_VALUE,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.dictionary import Key, PdoDescription
+from canopen_proto.dictionary import Direction, Key, PdoDescription
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import exchange_described
-from canopen_proto.procedures.drive import engage_brake, halt, shut_down
+from canopen_proto.procedures.drive import engage_brake, halt, shut_down, start_interpolation
+from canopen_proto.procedures.following import following_limit
 from canopen_proto.procedures.identity import identify
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
@@ -90,8 +93,10 @@ def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
 
 
 def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: bool) -> Procedure[None]:
-    """Exchange these PDOs with the joint; define: and declare them to it before."""
+    """Exchange these PDOs with the joint, at each SYNC; define: and declare them to it before."""
     node = device.node.remote
+    tpdos = [Mapping.from_description(each) for each in pdos if each.direction is Direction.TPDO]
+    device.cyclic = {mux: 1 for mapping in tpdos for mux in mapping.muxes}
     for description in pdos:
         if define:
             yield from define_pdo(node, description)
@@ -122,6 +127,13 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
         except SdoFailed as failed:
             if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
                 raise
+
+
+def follow(device: Device, cycle_time: Time) -> Procedure[FollowingLimit]:
+    """Let the joint follow set-points from where it stands; how far off them it may be."""
+    limit = yield from following_limit(device.axis)
+    yield from start_interpolation(device.axis, cycle_time)
+    return limit
 
 
 def stop(device: Device) -> Procedure[None]:

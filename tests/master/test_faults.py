@@ -212,7 +212,7 @@ def _mute_tpdos(host: Host) -> None:
         (_disable_by_hand, "left operation enabled by itself: ready to switch on"),
         (_reset, "it has booted anew"),
         (_pre_operational, "left NMT state Operational: PRE_OPERATIONAL"),
-        (_mute_tpdos, "is silent: no PDO with its statusword for 0.1"),
+        (_mute_tpdos, "is silent: no PDO with its statusword for 30 ms, behind 3 SYNCs"),
     ],
 )
 def test_other_ways_to_fail(do: Callable[[Host], Any], reason: str) -> None:

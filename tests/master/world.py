@@ -106,6 +106,36 @@ def assert_all_halted(host: Host) -> None:
             assert value(node, 0x6040_00) & 0x100, f"node {node.node_id} was not halted"
 
 
+class Link:
+    """One participant's line to a virtual bus, on which frames can be lost or doubled, either way.
+
+    copies: how many of a frame get through; is_sent says which way. log: what did, as (time, is_sent, frame).
+    """
+
+    def __init__(self, name: str = "test") -> None:
+        self._inner = VirtualTransport(name)
+        self._again: list[Received] = []
+        self.locator = f"link:{name}"
+        self.copies: Callable[[Frame, bool], int] = lambda frame, is_sent: 1
+        self.log: list[tuple[float, bool, Frame]] = []
+
+    async def send(self, frame: Frame) -> None:
+        await trio.lowlevel.checkpoint()
+        for _ in range(self.copies(frame, True)):
+            self.log.append((trio.current_time(), True, frame))
+            await self._inner.send(frame)
+
+    async def receive(self) -> Received:
+        while not self._again:
+            received = await self._inner.receive()
+            self._again = [received] * self.copies(received[0], False)
+        self.log.append((trio.current_time(), False, self._again[-1][0]))
+        return self._again.pop()
+
+    async def aclose(self) -> None:
+        await self._inner.aclose()
+
+
 class Breakable:
     """A virtual bus whose cable can be cut, and that can be made not to take frames. Counts what was sent."""
 

@@ -272,7 +272,7 @@ class Demonstration:
         await arm.enable_interpolated_position()
         step = view.begin("move", "", progress=0.0)
         for device in arm.devices:
-            device.largest_following_error = 0.0
+            device.following.largest_error = 0.0
         self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
         path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds)
         fault = plan.fault

@@ -1,0 +1,236 @@
+"""`Following`: whether one drive follows its set-points, seen by its master from what the drive sends each cycle.
+
+Theory of operation
+-------------------
+A drive that stops following says so in its next PDO, or sends none; nobody else tells the master. `begin` starts the watch, `end`
+ends it. In between each value that comes, by PDO or SDO, is judged at once, and each SYNC judges what did not come:
+
+    state              the statusword shows another state than Operation enabled
+    mode               0x6061 shows another mode of operation
+    bit 12             "interpolation active", or "follows the command", is 0
+    bit 13             "following error" is 1
+    bit 11             "internal limit" is 1 in two statuswords in a row: a drive may cut a single step
+    following error    the position is further off the set-points than the limit
+    silence            what the drive sends at SYNCs was not heard behind SILENT_SYNCS of them in a row, for SILENT_TIME at least
+    NMT state          a heartbeat shows that the node is no longer Operational
+    boot-up            the node was reset, or lost its power
+
+The first of these is reported as `FollowingLost`, in words, and the watch is over. Bits 11 and 13 that stand when the watch
+begins count from their next 0 on: such a bit is no news (bit 13 is reserved in interpolated position mode; drives use it).
+
+**Following error.** `error` is the set-point of a cycle minus the position of the same cycle: what is sent behind SYNC n is
+reached at SYNC n + `lag`, whose PDO shows it. That pairing is right to some cycles only: adapters hold frames back, and drives
+buffer set-points. So what is compared with the limit is the distance from the position to the nearest set-point of UNCERTAIN
+cycles before or behind.
+
+Left out: what is in no PDO has to be read (`unsent`); `canopen_proto.procedures.following` does that.
+
+Source: IEC 61800-7-201 (CiA 402-2): statusword, interpolated position mode, cyclic synchronous position mode, following error.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Mapping
+from typing import Final, NamedTuple
+
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.modes import ModeStatus, mode_name
+from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, STATUSWORD
+from canopen_proto.cia402.states import State, StatusBit
+from canopen_proto.machine import MILLISECOND, NEVER, Event, Time, event
+from canopen_proto.nmt import NmtState
+
+LAG: Final = 2
+"""SYNCs from sending a set-point to being there: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
+UNCERTAIN: Final = 2
+"""Cycles by which a position may belong to an earlier or a later set-point."""
+SILENT_SYNCS: Final = 3
+"""One lost frame is no lost drive."""
+SILENT_TIME: Final = 20 * MILLISECOND
+"""So long an adapter may hold frames back (a serial one over USB: 16 ms by default)."""
+
+_FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
+assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
+_NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
+_NAMES: Final = {STATUSWORD: "statusword", MODES_OF_OPERATION_DISPLAY: "mode (0x6061)", POSITION_ACTUAL_VALUE: "position"}
+
+
+class FollowingLimit(NamedTuple):
+    """How far off its set-points a drive may be. value: in the user's unit; source: who says so, for people."""
+
+    value: float
+    source: str
+
+
+@event
+class FollowingLost(Event):
+    """A drive does not follow its set-points (any more); told once for each `Following.begin`. cause: "no longer follows ..."."""
+
+    cause: str
+
+
+class Following:
+    """Watches one drive; see this module's text. One per Axis, for as long as that lives.
+
+    error: the following error as last seen, in the user's unit; 0 while nothing is watched. largest_error: the largest so far, to
+    be set back by whoever wants to. unsent: muxes of what is watched and does not come at SYNCs by itself.
+    """
+
+    __slots__ = (
+        "_axis",
+        "_cyclic",
+        "_is_on",
+        "_lag",
+        "_limit",
+        "_mode",
+        "_nmt_state",
+        "_old_bits",
+        "_points",
+        "_silent_syncs",
+        "_unanswered",
+        "_was_limited",
+        "error",
+        "largest_error",
+        "unsent",
+    )
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self._is_on = False
+        self._mode = 0
+        self._limit = FollowingLimit(0.0, "")
+        self._lag = LAG
+        self._points: deque[float] = deque()
+        self._cyclic: Mapping[int, int] = {}
+        self._silent_syncs = SILENT_SYNCS
+        self._unanswered: dict[int, tuple[int, Time]] = {}  # SYNCs since a mux was heard, and when the first of them was
+        self._nmt_state: NmtState | None = None
+        self._old_bits = 0
+        self._was_limited = False
+        self.error = 0.0
+        self.largest_error = 0.0
+        self.unsent: set[int] = set()
+        axis.node.add_listener(self._on_values, self._on_boot, self._on_sync)
+
+    @property
+    def axis(self) -> Axis:
+        """The drive that is watched."""
+        return self._axis
+
+    @property
+    def is_on(self) -> bool:
+        """Whether the drive is watched, and nothing was found."""
+        return self._is_on
+
+    def begin(
+        self,
+        limit: FollowingLimit,
+        mode: int,
+        *,
+        cyclic: Mapping[int, int],
+        lag: int = LAG,
+        silent_syncs: int = SILENT_SYNCS,
+    ) -> None:
+        """Watch the drive from now on. It must follow set-points already (bit 12), and stand at the present one.
+
+        limit: of the following error. mode: of operation, which 0x6061 has to show. cyclic: what the drive sends at SYNCs by
+        itself, mux -> every how many. lag: SYNCs from sending a set-point to being there. silent_syncs: SYNCs in a row that the
+        drive may leave unanswered, but for the last.
+        """
+        self._limit, self._mode, self._lag = limit, mode, lag
+        self._cyclic, self._silent_syncs = cyclic, silent_syncs
+        self._unanswered = {}
+        self._points = deque([self._axis.set_point] * (lag + 1), maxlen=lag + UNCERTAIN + 1)
+        self._nmt_state = self._axis.node.nmt_state
+        self._old_bits = self._axis.statusword & _NO_NEWS
+        self._was_limited = False
+        self.unsent = {STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE}.difference(cyclic)
+        self.error = 0.0
+        self._is_on = True
+
+    def end(self) -> None:
+        """No set-points are followed any more."""
+        self._is_on = False
+        self.error = 0.0
+
+    def lose(self, cause: str) -> None:
+        """End the watch with FollowingLost, if it is on: for what only a caller can see."""
+        if self._is_on:
+            self._is_on = False
+            node = self._axis.node
+            node.out.events.append(FollowingLost(node.node_id, cause))
+
+    # ---- what comes ----
+
+    def _on_values(self, muxes: Collection[int], now: Time) -> None:
+        if not self._is_on:
+            return
+        if MODES_OF_OPERATION_DISPLAY in muxes:
+            self._judge_mode()
+        if STATUSWORD in muxes:
+            self._judge_statusword()
+        if POSITION_ACTUAL_VALUE in muxes:
+            self._judge_position()
+
+    def _judge_mode(self) -> None:
+        mode = self._axis.mode
+        assert mode is not None  # it has just come
+        if mode != self._mode:
+            self.lose(f"changed its mode of operation: 0x6061 shows {mode_name(mode)}, not {mode_name(self._mode)}")
+
+    def _judge_statusword(self) -> None:
+        axis = self._axis
+        word = axis.statusword
+        self._old_bits &= word
+        news = word & ~self._old_bits
+        is_limited = bool(news & StatusBit.INTERNAL_LIMIT)
+        if axis.state is not State.OPERATION_ENABLED:
+            self.lose(f"left operation enabled by itself: {axis.state}")
+        elif not word & _FOLLOWS:
+            self.lose("no longer follows its set-points: bit 12 of its statusword is 0")
+        elif news & ModeStatus.FOLLOWING_ERROR:
+            self.lose("reports a following error: bit 13 of its statusword is 1")
+        elif is_limited and self._was_limited:
+            self.lose("is held by a limit of its own: bit 11 of its statusword is 1 (position 0x607D, speed, torque or current)")
+        self._was_limited = is_limited
+
+    def _judge_position(self) -> None:
+        position, points, limit = self._axis.position, self._points, self._limit
+        assert position is not None  # it has just come
+        self.error = points[-1 - self._lag] - position
+        self.largest_error = max(self.largest_error, abs(self.error))
+        off = max(min(points) - position, position - max(points))
+        if off > limit.value:
+            self.lose(
+                f"is {off:.4g} off its path: it is at {position:.4g} and should be at {points[-1 - self._lag]:.4g}; "
+                f"the limit is {limit.value:.4g}, {limit.source}"
+            )
+
+    def _on_boot(self) -> None:
+        self.lose("was reset, or lost its power")
+
+    # ---- what does not come ----
+
+    def _on_sync(self, now: Time) -> None:
+        if not self._is_on:
+            return
+        state = self._axis.node.nmt_state
+        if state not in (None, NmtState.OPERATIONAL, self._nmt_state):
+            assert state is not None
+            self.lose(f"left NMT state Operational: {state.name}")
+        self._judge_silence(now)
+        self._points.append(self._axis.set_point)  # this SYNC takes it along
+
+    def _judge_silence(self, now: Time) -> None:
+        """By the SYNCs that were not answered: where none was sent, since we stalled, nobody was silent."""
+        heard_at = self._axis.node.heard_at
+        for mux, every in self._cyclic.items():
+            unanswered, first = self._unanswered.get(mux, (0, now))
+            if unanswered and heard_at.get(mux, -NEVER) >= first:
+                unanswered, first = 0, now
+            if unanswered >= self._silent_syncs * every and now - first >= SILENT_TIME:
+                what, silence = _NAMES.get(mux, f"0x{mux >> 8:04X}"), (now - first) / MILLISECOND
+                self.lose(f"is silent: no PDO with its {what} for {silence:.3g} ms, behind {unanswered} SYNCs")
+                return
+            self._unanswered[mux] = unanswered + 1, first

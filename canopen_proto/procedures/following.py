@@ -1,0 +1,69 @@
+"""Procedures beside `canopen_proto.cia402.following.Following`: the limit that counts, and reading what no PDO brings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.following import Following, FollowingLimit
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.procedures.objects import ABSENT, read, read_if_present
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, sleep
+
+READ_INTERVAL: Final = 5 * MILLISECOND
+"""From an answer to the next request: some 5 % of a bus at 1 Mbit/s, if the drives answer at once."""
+UNANSWERED: Final = 3
+"""Reads in a row of one drive that may fail: an answer may be lost, and another client may disturb it."""
+DEFAULT_WINDOW: Final = 3_000
+"""Counts, where nobody says how far off a drive may be: of the manual's arm 3 degrees, which it goes in 0.1 s at its fastest."""
+OFF: Final = 0x7FFF_FFFF
+"""A window of 0x6065 that no INTEGER32 can leave; 0xFFFFFFFF switches the drive's own watch off."""
+
+
+def following_limit(axis: Axis) -> Procedure[FollowingLimit]:
+    """How far off its set-points a drive may be: by its settings, else by its own window 0x6065, else DEFAULT_WINDOW.
+
+    The drive's time-out 0x6066 is not waited for: by then it would stop by itself. Raises SdoFailed.
+    """
+    limit = axis.settings.following_error_limit
+    if limit is not None:
+        return FollowingLimit(limit, "following_error_limit of its AxisSettings")
+    window = yield from read_if_present(axis.node, "0x6065")
+    if isinstance(window, int) and 0 < window < OFF:
+        return FollowingLimit(_amount(axis, window), f"by the drive's 0x6065 = {window}")
+    return FollowingLimit(_amount(axis, DEFAULT_WINDOW), "the default; AxisSettings(following_error_limit=...) sets it")
+
+
+def _amount(axis: Axis, counts: int) -> float:
+    """Counts in the user's unit."""
+    return abs(axis.from_counts(counts) - axis.from_counts(0))
+
+
+def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
+    """Read, one drive after the other, what they do not send at SYNCs by themselves (`Following.unsent`), until cancelled.
+
+    One request is under way at a time. A change is so seen after as many READ_INTERVALs and answers as there are objects to
+    read; a drive that does not answer holds the others up for its SDO time-out, and is lost after UNANSWERED of them in a row.
+    An object that a drive does not have is left out from then on.
+    """
+    failures = dict.fromkeys(drives, 0)
+    while any(drive.unsent for drive in drives):
+        for drive in drives:
+            for mux in sorted(drive.unsent):
+                yield from _read(drive, mux, failures)
+                yield from sleep(READ_INTERVAL)
+
+
+def _read(drive: Following, mux: int, failures: dict[Following, int]) -> Procedure[None]:
+    try:
+        yield from read(drive.axis.node, (mux >> 8, mux & 0xFF))
+    except ProcedureError as error:
+        if isinstance(error, SdoFailed) and error.abort_code in ABSENT:
+            drive.unsent.discard(mux)
+            return
+        failures[drive] += 1
+        if failures[drive] >= UNANSWERED:
+            drive.lose(f"cannot be watched: {error}, {UNANSWERED} times in a row")
+    else:
+        failures[drive] = 0

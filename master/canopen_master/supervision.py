@@ -1,0 +1,87 @@
+"""`Supervision`: tells a chain which of its joints has failed, and why.
+
+From the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, or loses its heartbeat. While set-points are
+followed, besides, whatever `canopen_proto.cia402.following` sees of each drive, from what comes in each cycle.
+
+What a joint does not send at SYNCs by itself is read by SDO beside the cycle, one joint after the other: with the PDOs of the
+manual's arm the mode of operation (0x6061). So another mode that shows in nothing else is seen that much later: 5 ms and one
+answer for each joint of the chain (40 ms for six joints that answer within 1 ms), or SDO time-outs where answers are lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from canopen_master.device import Device
+from canopen_proto.cia402.axis import AxisStateChanged
+from canopen_proto.cia402.following import FollowingLimit, FollowingLost
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
+from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.procedures.following import read_unsent
+
+if TYPE_CHECKING:
+    from canopen_master.master import Master
+
+RECENT: Final = 1 * SECOND
+"""What another master said within this time may be the reason why a joint does not follow."""
+
+
+class Supervision:
+    """See this module's text. is_on: whether failures are told at all."""
+
+    def __init__(self, master: Master, devices: Sequence[Device], failed: Callable[[Device, str], None]) -> None:
+        """failed: called in the pump's turn, with the joint and what it did, as "fell into fault"; perhaps several times."""
+        self._master = master
+        self._devices = devices
+        self._failed = failed
+        self._reading: RequestId | None = None
+        self.is_on = False
+        for device in devices:
+            bus, node_id = master.bus(device.node.bus), device.node.node_id
+            kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeBooted)
+            master.watch(kinds, partial(self._on_event, device), bus, node_id)
+
+    def begin_following(self, limits: Sequence[FollowingLimit], silent_cycles: int) -> None:
+        """The joints follow set-points from now on. limits: of their following errors. silent_cycles: as in ChainSettings."""
+        for device, limit in zip(self._devices, limits, strict=True):
+            device.following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=device.cyclic, silent_syncs=silent_cycles)
+        self._reading, _ = self._master.launch(read_unsent([device.following for device in self._devices]))
+
+    def end_following(self) -> None:
+        """They do not any more."""
+        for device in self._devices:
+            device.following.end()
+        reading, self._reading = self._reading, None
+        if reading is not None:
+            self._master.take_back(reading)
+
+    def _on_event(self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeBooted) -> None:
+        if not self.is_on:
+            return
+        match report:
+            case FollowingLost(cause=cause):
+                self._failed(device, cause)
+            case AxisStateChanged() if device.has_fault:
+                self._failed(device, "fell into fault")
+            case HeartbeatLost(timeout=timeout):
+                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s")
+            case NodeBooted():
+                self._failed(device, "was reset, or lost its power: it has booted anew")
+
+
+def foreign_commands(master: Master, device: Device) -> str:
+    """Which commands of others were heard lately that may be why a joint does not follow, for people; "" for none."""
+    network, node_id, now = master.bus(device.node.bus).network, device.node.node_id, master.now()
+    keys = {"a SYNC": SYNC, "an NMT command": NMT, "an SDO request to it": SDO_CLIENT_TO_SERVER + node_id}
+    for number, producer in device.node.remote.rpdos.items():
+        keys[f"its RPDO {number}"] = producer.key or 0
+    heard = []
+    for what, key in keys.items():
+        time = network.last_heard_of(key)
+        if time is not None and now - time <= RECENT:
+            heard.append(f"{what} {(now - time) / MILLISECOND:.0f} ms ago")
+    return f"somebody else commands this bus: {', '.join(heard)}" if heard else ""

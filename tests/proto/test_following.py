@@ -1,0 +1,310 @@
+"""`Following`: what a drive sends, value by value, and what that says about its following. No bus, no simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import pytest
+
+from canopen_data import load_dictionary
+from canopen_proto.cia402.axis import Axis, AxisSettings
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.following import SILENT_TIME, Following, FollowingLimit, FollowingLost
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.objects import (
+    FOLLOWING_ERROR_WINDOW,
+    MODES_OF_OPERATION_DISPLAY,
+    POSITION_ACTUAL_VALUE,
+    STATUSWORD,
+)
+from canopen_proto.cia402.servo import Shape
+from canopen_proto.dictionary import Direction, PdoDescription
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, Outbox, Time
+from canopen_proto.nmt import NmtCommand
+from canopen_proto.procedures.following import DEFAULT_WINDOW, READ_INTERVAL, following_limit, read_unsent
+from canopen_proto.remote_node import RemoteNode
+from tests.proto.rig import CYCLE, Rig
+
+FOLLOWS = 0x1237  # operation enabled, bit 12
+LIMIT = FollowingLimit(50, "for this test")
+DICTIONARY = drive_dictionary()
+CYCLIC = {STATUSWORD: 1, POSITION_ACTUAL_VALUE: 1}
+
+
+class Desk:
+    """A drive that follows set-points, played by the test. Positions in counts; SYNC every 10 ms."""
+
+    def __init__(self, *, cyclic: Mapping[int, int] = CYCLIC, start: int = 0, statusword: int = FOLLOWS, lag: int = 2) -> None:
+        self.now: Time = 0
+        self.node = RemoteNode(Outbox(), 5, DICTIONARY)
+        tpdo = PdoDescription("tpdo", 0x180, Direction.TPDO, 1, tuple(map(DICTIONARY.variable, ("0x6041", "0x6064"))))
+        self.node.add_pdo(tpdo, 0)
+        self.axis = Axis(self.node, AxisSettings(counts_per_unit=1.0))
+        self.following = Following(self.axis)
+        self.axis.set_position_counts(start)
+        self.send(start, statusword)
+        self.following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=cyclic, lag=lag)
+
+    def send(self, position: int, statusword: int = FOLLOWS) -> None:
+        """The drive's PDO."""
+        data = statusword.to_bytes(2, "little") + position.to_bytes(4, "little", signed=True)
+        self.node.receive(Frame(0x185, data), self.now)
+
+    def sync(self, period: Time = CYCLE) -> None:
+        self.now += period
+        self.node.on_sync(None, self.now)
+
+    def cycle(self, set_point: int, position: int, statusword: int = FOLLOWS) -> None:
+        self.axis.set_position_counts(set_point)
+        self.sync()
+        self.send(position, statusword)
+
+    @property
+    def lost(self) -> str:
+        """Why, in words; "" while it follows. It is told once."""
+        causes = [event.cause for event in self.node.out.events if isinstance(event, FollowingLost)]
+        assert len(causes) <= 1
+        assert self.following.is_on is not bool(causes)
+        return causes[0] if causes else ""
+
+
+@pytest.mark.parametrize("lag", [1, 2])
+def test_the_error_is_that_of_one_cycle(lag: int) -> None:
+    desk = Desk(lag=lag)
+    for number in range(1, 20):
+        desk.cycle(10 * number, max(0, 10 * (number - lag)) - 3)
+        assert desk.following.error == 3
+    assert desk.following.largest_error == 3
+    assert not desk.lost
+    desk.following.end()
+    assert desk.following.error == 0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("late", range(-2, 3))
+def test_a_position_that_belongs_to_another_cycle_is_not_off_the_path(direction: int, late: int) -> None:
+    """At any speed: a step is much more than the limit."""
+    desk = Desk()
+    for number in range(1, 20):
+        desk.cycle(direction * 1_000 * number, direction * 1_000 * max(0, number - 2 - late))
+        assert not desk.lost
+    assert abs(desk.following.error) == 1_000 * abs(late)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_joint_that_stays_behind_is_lost_at_the_limit_and_not_before(direction: int) -> None:
+    desk = Desk()
+    for number in range(1, 100):
+        desk.cycle(direction * number, 0)
+        if number <= 50 + 4:
+            assert not desk.lost
+        else:
+            assert desk.lost == (
+                f"is 51 off its path: it is at 0 and should be at {direction * 53}; the limit is 50, for this test"
+            )
+            return
+    raise AssertionError("not lost")
+
+
+@pytest.mark.parametrize(
+    ("statusword", "cause"),
+    [
+        (0x0237, "no longer follows its set-points: bit 12 of its statusword is 0"),
+        (0x3237, "reports a following error: bit 13 of its statusword is 1"),
+        (0x0221, "left operation enabled by itself: ready to switch on"),
+        (0x0208, "left operation enabled by itself: fault"),
+    ],
+)
+def test_one_statusword_is_enough(statusword: int, cause: str) -> None:
+    desk = Desk()
+    desk.cycle(0, 0)
+    assert not desk.lost
+    desk.cycle(0, 0, statusword)
+    assert desk.lost == cause
+    desk.cycle(0, 0, statusword)
+    assert desk.lost == cause
+
+
+def test_a_limit_counts_when_it_stands_in_two_statuswords() -> None:
+    desk = Desk()
+    for _ in range(3):
+        desk.cycle(0, 0, FOLLOWS | 1 << 11)
+        desk.cycle(0, 0)
+        assert not desk.lost
+    desk.cycle(0, 0, FOLLOWS | 1 << 11)
+    desk.cycle(0, 0, FOLLOWS | 1 << 11)
+    assert "bit 11" in desk.lost
+
+
+@pytest.mark.parametrize("bit", [11, 13])
+def test_a_bit_that_stood_before_is_no_news_until_it_falls(bit: int) -> None:
+    desk = Desk(statusword=FOLLOWS | 1 << bit)
+    for _ in range(5):
+        desk.cycle(0, 0, FOLLOWS | 1 << bit)
+    assert not desk.lost
+    desk.cycle(0, 0)
+    for _ in range(2):
+        desk.cycle(0, 0, FOLLOWS | 1 << bit)
+    assert f"bit {bit}" in desk.lost
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_silence_is_counted_in_syncs_that_were_sent(every: int) -> None:
+    """Three of them in a row, or three times as many as the drive takes for a PDO."""
+    desk = Desk(cyclic={STATUSWORD: every})
+    for _ in range(3):
+        for _ in range(3 * every):
+            desk.sync()
+            assert not desk.lost
+        desk.send(0)
+    for _ in range(3 * every + 1):
+        assert not desk.lost
+        desk.sync()
+    assert "is silent: no PDO with its statusword for" in desk.lost
+
+
+def test_a_stall_of_ours_is_no_silence() -> None:
+    desk = Desk()
+    for _ in range(5):
+        desk.sync(period=1_000 * CYCLE)
+        desk.send(0)
+        desk.sync()
+        desk.sync(period=500 * CYCLE)
+        assert not desk.lost
+        desk.send(0)
+
+
+def test_a_fast_cycle_waits_for_the_adapter() -> None:
+    desk = Desk()
+    for _ in range(SILENT_TIME // MILLISECOND):
+        desk.sync(period=MILLISECOND)
+        assert not desk.lost
+    desk.sync(period=MILLISECOND)
+    assert "for 20 ms, behind" in desk.lost
+
+
+def test_one_object_that_no_longer_comes_is_enough() -> None:
+    """The statusword in one PDO, the position in another."""
+    desk = Desk(cyclic={STATUSWORD: 1, MODES_OF_OPERATION_DISPLAY: 1})
+    for _ in range(4):
+        assert not desk.lost
+        desk.sync()
+        desk.send(0)
+    assert "no PDO with its mode (0x6061)" in desk.lost
+
+
+def test_what_heartbeats_say_of_the_node() -> None:
+    desk = Desk()
+    desk.node.on_nmt_command(NmtCommand.START, desk.now)
+    desk.cycle(0, 0)
+    desk.now += 100 * MILLISECOND
+    desk.node.receive(Frame(0x705, b"\x7f"), desk.now)
+    desk.cycle(0, 0)
+    assert desk.lost == "left NMT state Operational: PRE_OPERATIONAL"
+    desk = Desk()
+    desk.node.receive(Frame(0x705, b"\x00"), desk.now)
+    assert desk.lost == "was reset, or lost its power"
+
+
+def test_nothing_is_told_before_it_begins_and_after_it_has_ended() -> None:
+    desk = Desk()
+    desk.following.end()
+    desk.cycle(0, 5_000, 0x0208)
+    for _ in range(10):
+        desk.sync()
+    assert not [event for event in desk.node.out.events if isinstance(event, FollowingLost)]
+    desk.following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=CYCLIC)
+    desk.following.lose("is lost for a reason of the caller's")
+    assert desk.lost == "is lost for a reason of the caller's"
+
+
+# ---- the limit ----
+
+
+@pytest.mark.parametrize(
+    ("setting", "window", "expected"),
+    [
+        (0.5, 1_000, FollowingLimit(0.5, "following_error_limit of its AxisSettings")),
+        (math.inf, 1_000, FollowingLimit(math.inf, "following_error_limit of its AxisSettings")),
+        (None, 1_000, FollowingLimit(10.0, "by the drive's 0x6065 = 1000")),
+        (None, 0, None),
+        (None, 0xFFFF_FFFF, None),
+    ],
+)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_where_the_limit_comes_from(setting: float | None, window: int, expected: FollowingLimit | None, direction: int) -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.node.values.store[FOLLOWING_ERROR_WINDOW] = window
+    rig.axis.settings = AxisSettings(counts_per_unit=100.0, direction=direction, offset=700, following_error_limit=setting)
+    limit = rig.run(following_limit(rig.axis))
+    if expected is None:
+        assert limit.value == DEFAULT_WINDOW / 100
+        assert "AxisSettings(following_error_limit=...)" in limit.source
+    else:
+        assert limit == expected
+
+
+# ---- what no PDO brings ----
+
+
+def watched(rig: Rig) -> Following:
+    following = Following(rig.axis)
+    following.begin(LIMIT, Mode.NO_MODE, cyclic=CYCLIC)
+    return following
+
+
+def test_what_is_not_sent_is_read_until_cancelled() -> None:
+    rig = Rig(Shape.STANDARD)
+    following = watched(rig)
+    assert following.unsent == {MODES_OF_OPERATION_DISPLAY}
+    rig.bus.sent.clear()
+    request_id = rig.master.run(read_unsent([following]), rig.bus.now)
+    rig.bus.run(1_000 * MILLISECOND)
+    requests = [time for time, frame in rig.bus.sent if frame.can_id == 0x605]
+    assert 100 < len(requests) <= 1_000 * MILLISECOND // READ_INTERVAL
+    assert {frame.data[1:4] for _, frame in rig.bus.sent if frame.can_id == 0x605} == {b"\x61\x60\x00"}
+    rig.node.drive.mode = Mode.PROFILE_POSITION
+    rig.node.values.store[MODES_OF_OPERATION_DISPLAY] = 1
+    rig.bus.run(2 * READ_INTERVAL)
+    (lost,) = [event for event in rig.bus.events if isinstance(event, FollowingLost)]
+    assert lost.cause == "changed its mode of operation: 0x6061 shows profile position (pp), not no mode"
+    rig.master.cancel(request_id, rig.bus.now)
+    rig.bus.run(100 * MILLISECOND)
+    rig.bus.sent.clear()
+    rig.bus.run(100 * MILLISECOND)
+    assert not [frame for _, frame in rig.bus.sent if frame.can_id == 0x605]
+
+
+def test_a_drive_that_cannot_be_asked_is_lost() -> None:
+    rig = Rig(Shape.STANDARD)
+    watched_drive = watched(rig)
+    rig.master.run(read_unsent([watched_drive]), rig.bus.now)
+    rig.bus.run(100 * MILLISECOND)
+    rig.node.execute(NmtCommand.STOP, rig.bus.now)
+    rig.bus.run(5_000 * MILLISECOND)
+    (lost,) = [event for event in rig.bus.events if isinstance(event, FollowingLost)]
+    assert lost.cause == "cannot be watched: node 5 did not answer reading 0x6061:00, 3 times in a row"
+
+
+def test_what_a_drive_does_not_have_is_left_out() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.master.detach(rig.remote)
+    node = RemoteNode(rig.master.out, 5, load_dictionary()[0])
+    rig.master.attach(node)
+    following = Following(Axis(node))
+    following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=CYCLIC)
+    following.unsent = {0x6069_00}
+    rig.run(read_unsent([following]))
+    assert not following.unsent
+    assert following.is_on
+
+
+def test_nothing_to_read_is_nothing_to_do() -> None:
+    rig = Rig(Shape.STANDARD)
+    following = Following(rig.axis)
+    following.begin(LIMIT, Mode.NO_MODE, cyclic={**CYCLIC, MODES_OF_OPERATION_DISPLAY: 1})
+    rig.bus.sent.clear()
+    rig.run(read_unsent([following]))
+    assert not rig.bus.sent
