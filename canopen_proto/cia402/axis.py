@@ -15,8 +15,12 @@ counts = round(direction * unit * counts_per_unit) + offset. Without a scale, po
 **What it is.** A drive is a CiA 402 drive, unless the user says Schunk or its vendor-ID (0x1018:01) does. What the settings leave
 open (None) is settled by `procedures.identity.identify`, which reads the vendor-ID once; 0x6502 decides nothing.
 
-Events: `AxisStateChanged` whenever a statusword shows another state, or the node boots: then nothing is known of the drive, and
-it counts as not homed, since it may have lost its power.
+**Reference.** A drive that this master has homed, and that boots then, counts as not homed: it may have lost its power, and its
+positions may mean something else. It `has_lost_reference` until it is homed again, and absolute set-points are refused meanwhile
+(`procedures.drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master has never
+homed has no reference to lose.
+
+Events: `AxisStateChanged` whenever a statusword shows another state, or the node boots: then nothing is known of the drive.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
@@ -131,7 +135,7 @@ class Axis:
     settings: those in force; what the user left open is filled in once `is_identified`.
     """
 
-    __slots__ = ("_given", "is_homed", "is_identified", "node", "settings", "state")
+    __slots__ = ("_given", "_is_homed", "_was_homed", "is_identified", "node", "settings", "state")
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """node: its dictionary must have controlword, statusword and modes of operation, else LocalProtocolError."""
@@ -141,7 +145,7 @@ class Axis:
         self.settings = self._given = settings
         self.is_identified = False
         self.state = State.UNKNOWN
-        self.is_homed = False
+        self._is_homed = self._was_homed = False
         node.commanded.add(CONTROLWORD)
         node.add_listener(self._on_values, self._on_boot)
 
@@ -189,6 +193,21 @@ class Axis:
     def has_fault(self) -> bool:
         """Whether the drive is in Fault or on its way there."""
         return self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether it was homed, by this master, since it was switched on; set by `procedures.drive.home`."""
+        return self._is_homed
+
+    @is_homed.setter
+    def is_homed(self, is_homed: bool) -> None:
+        self._is_homed = is_homed
+        self._was_homed = self._was_homed or is_homed
+
+    @property
+    def has_lost_reference(self) -> bool:
+        """Whether it was homed, by this master, and is not any more: it was reset, or a later homing did not succeed."""
+        return self._was_homed and not self._is_homed and not self.settings.keeps_reference
 
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
         """0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
@@ -281,8 +300,8 @@ class Axis:
             self._enter(state_of(self.statusword))
 
     def _on_boot(self) -> None:
-        """Perhaps it lost its power, and so its reference."""
-        self.is_homed = False
+        if not self.settings.keeps_reference:
+            self.is_homed = False
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

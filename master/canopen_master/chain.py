@@ -62,7 +62,7 @@ from canopen_master.supervision import Supervision, foreign_commands
 from canopen_proto.cia402.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.procedures.drive import DriveFault, enable, home, reset_fault
+from canopen_proto.procedures.drive import DriveFault, ReferenceLost, enable, home, reset_fault
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sync import SyncSent
@@ -213,7 +213,10 @@ class Chain:
         await self._for_all("home", lambda device: home(device.axis))
 
     async def enable_interpolated_position(self) -> None:
-        """Let all joints follow set-points, beginning where they stand. Raises ChainError where a drive lacks the mode."""
+        """Let all joints follow set-points, beginning where they stand. They need not be homed before.
+
+        Raises ChainError where a drive lacks the mode, or has lost its reference: see `recover`.
+        """
         self._require("enable interpolated position", ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
         self._end_following(ChainState.READY)
         cycle_time = round(self.settings.cycle_time * SECOND)
@@ -236,7 +239,12 @@ class Chain:
         self._raise_first("halt", failures)
 
     async def recover(self) -> None:
-        """After a fault or a halt: reset and enable all joints again; a chain that followed set-points does so again."""
+        """After a fault or a halt: reset and enable all joints again; a chain that followed set-points does so again.
+
+        A joint that was homed and has lost its reference since (a reset, its power) must be homed before it follows set-points:
+        ChainError then, and the chain is READY. Positions would mean something else. AxisSettings(keeps_reference=True) is for
+        drives with an absolute encoder. A chain that was never homed has no reference to lose.
+        """
         followed = self._followed
         await self._joints_stopped()
         await self.initialise()
@@ -318,6 +326,8 @@ class Chain:
         device, error = failed.device, failed.error
         if isinstance(error, DriveFault):
             return self._fault(device, "is in fault")
+        if isinstance(error, ReferenceLost):
+            return self._reference_lost(operation, device)
         code, seen, cause = CHAIN_FAILED, "", ""
         tries: tuple[str, ...] = ()
         if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
@@ -327,6 +337,19 @@ class Chain:
             code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
         failure = f"chain {self.name} could not {operation}: {device.where}: {error}"
         return ChainError(code, self.name, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
+
+    def _reference_lost(self, operation: str, device: Device) -> ChainError:
+        return ChainError(
+            CHAIN_NOT_READY,
+            self.name,
+            f"chain {self.name} could not {operation}: {device.where} has lost its reference",
+            joint=device.name,
+            seen="it was homed, and then reset or without power, or homed without success: its positions mean something else now",
+            tries=(
+                "await chain.home(), then await chain.enable_interpolated_position()",
+                "AxisSettings(keeps_reference=True) if it has an absolute encoder",
+            ),
+        )
 
     def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
         errors = [self._error_of(operation, failed) for failed in failures if failed is not None]
@@ -362,6 +385,9 @@ class Chain:
             raise self._stop_reason()
         self._require_idle(what)
         if self.state not in states:
+            lost = next((device for device in self.devices if device.axis.has_lost_reference), None)
+            if self.state is ChainState.READY and lost is not None:
+                raise self._reference_lost(what, lost)
             step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.enable_interpolated_position()"
             failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
@@ -424,6 +450,7 @@ class Chain:
         )
 
     def _fault(self, device: Device, reason: str, cause: str = "") -> ChainFault:
+        home_again = ", chain.home() and chain.enable_interpolated_position()" if device.axis.has_lost_reference else ""
         return ChainFault(
             self.name,
             device.name,
@@ -436,7 +463,7 @@ class Chain:
             emcy=device.emcy,
             seen=device.describe(),
             cause=cause,
-            tries=("find the cause, then await chain.recover()",),
+            tries=(f"find the cause, then await chain.recover(){home_again}",),
         )
 
     # ---- in the pump's turn ----

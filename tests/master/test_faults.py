@@ -1,5 +1,6 @@
 """A joint that fails stops its whole chain, and the error says which one, and why."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -7,7 +8,8 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master import Chain, ChainFault, ChainState, Host, open_master, powerballs, simulate
+from canopen_master import Chain, ChainError, ChainFault, ChainState, Host, open_master, powerballs, simulate
+from canopen_proto.cia402.axis import SCHUNK_POWERBALL
 from canopen_proto.cia402.states import State
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
@@ -16,6 +18,7 @@ from tests.master.world import (
     arm_of,
     assert_all_halted,
     assert_all_stand,
+    chain_text,
     drives,
     following_arm,
     position_of,
@@ -280,3 +283,56 @@ async def test_a_joint_that_was_shut_down_is_supervised_no_more() -> None:
         assert arm.state is ChainState.OFF
         await arm.initialise()
         assert arm.state is ChainState.READY
+
+
+@virtual_time
+async def test_a_reference_that_was_lost_is_lost() -> None:
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        arm = arm_of(master, 3, 4)
+        await arm.initialise()
+        await arm.home()
+        await arm.enable_interpolated_position()
+        with pytest.raises(ChainFault, match="booted anew"):
+            await follow(arm, at=50, do=lambda: _reset(host))
+        stood = [position_of(host, node) for node in drives(host)]
+        for _ in range(2):
+            with pytest.raises(ChainError, match=r"joint1 .* has lost its reference") as caught:
+                await arm.recover()
+            assert (caught.value.code, caught.value.joint) == ("CO404", "joint1")
+            assert "await chain.home()" in str(caught.value)
+            assert "keeps_reference" in str(caught.value)
+            assert arm.state is ChainState.READY
+            with pytest.raises(ChainError, match="could not enable interpolated position: joint1"):
+                await arm.enable_interpolated_position()
+            with pytest.raises(ChainError, match="could not follow set-points: joint1"):
+                arm.set_positions([0.0, 0.0])
+        assert [position_of(host, node) for node in drives(host)] == stood
+        await arm.home()
+        assert arm.is_homed
+        await arm.enable_interpolated_position()
+        assert await follow(arm, cycles=20) == 20
+
+
+@virtual_time
+async def test_a_drive_that_keeps_its_reference_goes_on() -> None:
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        axes = dataclasses.replace(SCHUNK_POWERBALL, keeps_reference=True)
+        arm = master.load_chains(text=chain_text(3, 4), axes=axes)["arm"]
+        await arm.initialise()
+        await arm.home()
+        await arm.enable_interpolated_position()
+        with pytest.raises(ChainFault, match="booted anew"):
+            await follow(arm, at=50, do=lambda: _reset(host))
+        await arm.recover()
+        assert arm.state is ChainState.FOLLOWING
+        assert arm.is_homed
+        assert await follow(arm, cycles=20) == 20
+
+
+@virtual_time
+async def test_an_arm_that_was_never_homed_recovers_from_a_reset() -> None:
+    async with following_arm(3, 4) as (host, _, arm):
+        with pytest.raises(ChainFault, match="booted anew"):
+            await follow(arm, at=50, do=lambda: _reset(host))
+        await arm.recover()
+        assert arm.state is ChainState.FOLLOWING

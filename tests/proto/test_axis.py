@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -13,7 +14,7 @@ from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.procedures import drive
-from canopen_proto.procedures.steps import StepTimeout
+from canopen_proto.procedures.steps import ProcedureError, StepTimeout
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.rig import CYCLE, MILLIDEGREES, Rig
 
@@ -141,3 +142,70 @@ def test_a_command_waits_for_the_sync_whose_pdo_takes_it_along() -> None:
         rig.run(drive.command(rig.axis, word))
     words = [frame.data[:2].hex() for _, frame in rig.bus.sent if frame.can_id == 0x505]
     assert words == ["0f00", "0f01", "0f00"]
+
+
+STARTS = {
+    "ip": lambda axis: drive.start_interpolation(axis, CYCLE),
+    "csp": lambda axis: drive.start_cyclic_position(axis, CYCLE),
+    "pp": lambda axis: drive.move_to(axis, 0.1, timeout=SECOND),
+}
+
+
+def reset(rig: Rig) -> None:
+    rig.nmt.reset_node(5, rig.bus.now)
+    rig.bus.run(10 * MILLISECOND)
+    rig.nmt.start(5, rig.bus.now)
+    rig.bus.run(10 * MILLISECOND)
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_a_reference_that_was_lost_is_lost_until_the_drive_is_homed_again(start: str) -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.run(drive.home(rig.axis))
+    assert not rig.axis.has_lost_reference
+    reset(rig)
+    assert rig.axis.has_lost_reference
+    rig.bus.sent.clear()
+    with pytest.raises(drive.ReferenceLost, match=r"drive 5 has lost its reference: .*keeps_reference"):
+        rig.run(STARTS[start](rig.axis))
+    assert not rig.bus.sent
+    rig.run(drive.home(rig.axis))
+    assert not rig.axis.has_lost_reference
+    if start != "pp":
+        rig.start_sync()
+    rig.run(STARTS[start](rig.axis))
+
+
+def test_a_relative_move_needs_no_reference() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.run(drive.home(rig.axis))
+    reset(rig)
+    rig.run(drive.move_to(rig.axis, 0.01, timeout=SECOND, relative=True))
+
+
+def test_a_homing_that_fails_leaves_no_reference_behind() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.run(drive.home(rig.axis))
+    rig.axis.settings = replace(rig.axis.settings, homing_method=0)
+    with pytest.raises(ProcedureError):
+        rig.run(drive.home(rig.axis))
+    assert rig.axis.has_lost_reference
+
+
+def test_what_was_never_homed_has_nothing_to_lose() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    reset(rig)
+    assert not rig.axis.has_lost_reference
+    rig.start_sync()
+    rig.run(drive.start_interpolation(rig.axis, CYCLE))
+
+
+def test_a_drive_that_keeps_its_reference_stays_homed() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis.settings = replace(rig.axis.settings, keeps_reference=True)
+    rig.run(drive.home(rig.axis))
+    reset(rig)
+    assert rig.axis.is_homed
+    assert not rig.axis.has_lost_reference
+    rig.start_sync()
+    rig.run(drive.start_interpolation(rig.axis, CYCLE))

@@ -20,7 +20,13 @@ Source: IEC 61800-7-201 (CiA 402-2).
 
 from canopen_proto.procedures.drive.halting import halt, halt_after
 from canopen_proto.procedures.drive.homing import HomingFailed, home
-from canopen_proto.procedures.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
+from canopen_proto.procedures.drive.motion import (
+    ReferenceLost,
+    move_to,
+    read_position,
+    start_cyclic_position,
+    start_interpolation,
+)
 from canopen_proto.procedures.drive.state import (
     ModeUnsupported,
     change_state,
@@ -37,6 +43,7 @@ __all__ = [
     "DriveFault",
     "HomingFailed",
     "ModeUnsupported",
+    "ReferenceLost",
     "change_state",
     "command",
     "enable",

@@ -13,12 +13,26 @@ from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 
 
+class ReferenceLost(ProcedureError):
+    """Positions of the drive mean something else than before, or nothing: it has to be homed again. Nothing was sent."""
+
+
+def _require_reference(axis: Axis) -> None:
+    if axis.has_lost_reference:
+        raise ReferenceLost(
+            f"drive {axis.node.node_id} has lost its reference: it was homed, and then reset or without power, or homed without "
+            "success. Try: home it again; AxisSettings(keeps_reference=True) if it has an absolute encoder"
+        )
+
+
 def start_interpolation(axis: Axis, cycle_time: Time) -> Procedure[float]:
     """Make the drive follow a set-point per SYNC in interpolated position mode; the position from which it does so.
 
     cycle_time: ns between two SYNCs, 1 to 255 ms or 0.1 ms steps below. The actual position is read and is the first set-point,
-    so that nothing jumps when bit 4 is set. Raises ModeUnsupported, DriveFault, StepTimeout. Halted if cancelled half-way.
+    so that nothing jumps when bit 4 is set. Raises ReferenceLost, ModeUnsupported, DriveFault, StepTimeout. Halted if cancelled
+    half-way.
     """
+    _require_reference(axis)
     yield from set_mode(axis, Mode.INTERPOLATED_POSITION)
     yield from _set_interpolation_period(axis, cycle_time)
     return (yield from _follow(axis, 0x60C1, 1, ModeControl.ENABLE_INTERPOLATION, ModeStatus.IP_MODE_ACTIVE))
@@ -26,6 +40,7 @@ def start_interpolation(axis: Axis, cycle_time: Time) -> Procedure[float]:
 
 def start_cyclic_position(axis: Axis, cycle_time: Time) -> Procedure[float]:
     """As start_interpolation, in cyclic synchronous position mode (0x607A is the set-point, and there is no bit 4)."""
+    _require_reference(axis)
     yield from set_mode(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION)
     yield from _set_interpolation_period(axis, cycle_time)
     return (yield from _follow(axis, 0x607A, 0, 0, ModeStatus.FOLLOWS_COMMAND))
@@ -70,8 +85,10 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
     The set-point handshake of CiA 402: bit 4 clear, target, bit 4 set, bit 12 acknowledges, bit 4 clear, bit 10 at the target.
-    Halted when cancelled or failed.
+    Halted when cancelled or failed. Raises ReferenceLost for a position that is not relative.
     """
+    if not relative:
+        _require_reference(axis)
     settings = axis.settings
     counts = axis.to_counts(position) - (settings.offset if relative else 0)
     yield from set_mode(axis, Mode.PROFILE_POSITION)
