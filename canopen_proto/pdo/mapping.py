@@ -27,7 +27,7 @@ from __future__ import annotations
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as ReadOnlyDict
 from itertools import chain, count
 from typing import Final
@@ -325,6 +325,19 @@ def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
         named = (entry.name, place) if shared[entry.name] == 1 else (place,)
         labels[next(each for each in chain(named, again) if each not in labels)] = None
     return tuple(labels)
+
+
+def entries_of(parameters: Iterable[int], dictionary: ObjectDictionary) -> Iterator[MappedEntry]:
+    """The entries that a device's mapping parameter stands for. An object that the dictionary lacks is an unsigned number.
+
+    For whoever reads what a device does, be the dictionary whole or not. Raises MappingError.
+    """
+    for parameter in parameters:
+        index, subindex, bits = parameter >> 16 & 0xFFFF, parameter >> 8 & 0xFF, parameter & 0xFF
+        if index > LAST_DUMMY_INDEX and dictionary.get(index, subindex) is None and 0 < bits <= MAX_BITS:
+            yield MappedEntry(index, subindex, bits, integer_type((bits + 7) // 8))
+        else:
+            yield MappedEntry.from_parameter(parameter, dictionary)
 
 
 def may_have_width(data_type: DataType, bit_length: int) -> bool:

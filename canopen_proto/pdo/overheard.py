@@ -19,10 +19,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
-from canopen_proto.datatypes import integer_type
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, RPDO1, TPDO1, key_of_cob_id
-from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError
+from canopen_proto.pdo.mapping import MAX_ENTRIES, MappingError, entries_of
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.settings import COB_ID, communication_index, mapping_index, place_of
 
@@ -115,7 +114,7 @@ class OverheardPdos:
         if not all(entries):
             return None
         try:
-            return PdoMapping(_entries(filter(None, entries), self._dictionaries[node_id]))
+            return PdoMapping(entries_of(filter(None, entries), self._dictionaries[node_id]))
         except MappingError:
             return None
 
@@ -134,13 +133,3 @@ def _pdos_at(indices: Iterable[int]) -> Iterator[tuple[Direction, int]]:
         place = place_of(index)
         if place is not None:
             yield place.direction, place.number
-
-
-def _entries(parameters: Iterable[int], dictionary: ObjectDictionary) -> Iterator[MappedEntry]:
-    """The entries; an object that the dictionary lacks is an unsigned number."""
-    for parameter in parameters:
-        index, subindex, bits = parameter >> 16, parameter >> 8 & 0xFF, parameter & 0xFF
-        if dictionary.get(index, subindex) is None and 0 < bits <= 64 and index > 0x1B:
-            yield MappedEntry(index, subindex, bits, integer_type((bits + 7) // 8))
-        else:
-            yield MappedEntry.from_parameter(parameter, dictionary)

@@ -35,8 +35,9 @@ from canopen_master.errors import (
 )
 from canopen_master.master import Master
 from canopen_master.node import Node
+from canopen_master.node_pdos import PdoDiffers
 from canopen_master.session import MasterSession, open_master
-from canopen_master.simulation import Host, powerballs, simulate, standard_drives
+from canopen_master.simulation import DeviceModel, Host, powerballs, simulate, standard_drives
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
 
@@ -56,6 +57,7 @@ __all__ = [
     "Cycle",
     "Cycles",
     "Device",
+    "DeviceModel",
     "FramesLost",
     "FramesNotSent",
     "HaltNotConfirmed",
@@ -69,6 +71,7 @@ __all__ = [
     "Node",
     "NodeError",
     "NodeSilent",
+    "PdoDiffers",
     "SdoError",
     "SdoGivenUp",
     "SdoNotConfirmed",

@@ -13,8 +13,8 @@ hexadecimal. What stands behind a # is a comment. All that is wrong in a file is
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -86,7 +86,25 @@ def parse_chains(text: str, source: str = "chains") -> tuple[ChainDescription, .
     return tuple(chains)
 
 
-def same_nodes(chains: Iterable[ChainDescription], real_names: dict[str, str] | None = None) -> list[tuple[int, int, str]]:
+def on_buses(chains: Sequence[ChainDescription], buses: Mapping[str, str]) -> list[ChainDescription]:
+    """The chains with the buses that are there. buses: by each of their names, the name by which one is known.
+
+    Where both the file and we have only one bus, it is that one, whatever it is called. Raises ChainFileError for a bus that is
+    not there, and where two joints are one drive.
+    """
+    named = {joint.bus: joint for chain in reversed(chains) for joint in reversed(chain.joints)}  # where it stands first
+    real = dict(buses)
+    if len(named) == 1 and len(set(buses.values())) == 1:
+        real |= dict.fromkeys(named, next(iter(buses.values())))
+    unknown = [(each.line, each.column, each.bus) for name, each in named.items() if name not in real]
+    problems = [(line, column, f"bus {bus!r} is not open; open are {', '.join(buses)}") for line, column, bus in unknown]
+    problems = problems or same_nodes(chains, real)
+    if problems:
+        raise ChainFileError(chains[0].source, sorted(problems))
+    return [replace(each, joints=tuple(replace(joint, bus=real[joint.bus]) for joint in each.joints)) for each in chains]
+
+
+def same_nodes(chains: Iterable[ChainDescription], real_names: Mapping[str, str] | None = None) -> list[tuple[int, int, str]]:
     """The problem of each joint whose node another joint has already: two would move one drive.
 
     real_names: bus by its name in the file, where several names mean one bus.

@@ -43,6 +43,7 @@ class Device:
         self.cyclic: Mapping[int, int] = {}
         self.following = Following(axis)
         self.sdo_round_trips = 0
+        node.leave_pdos()  # those of a drive are its chain's business
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None
         self._position: tuple[Time, float] | None = None

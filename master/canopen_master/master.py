@@ -17,8 +17,7 @@ same instant, back to back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,12 +25,13 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_data import load_dictionary
+from canopen_data.descriptions import load_description_with_names
 from canopen_master.bus import Bus
 from canopen_master.chain import Chain, ChainSettings
-from canopen_master.chain_file import ChainDescription, parse_chains, read_chains, same_nodes
+from canopen_master.chain_file import ChainDescription, on_buses, parse_chains, read_chains
 from canopen_master.device import Device
 from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
-from canopen_master.errors import UNKNOWN_CHAIN, BusError, ChainFileError, MasterClosed, UnknownChain
+from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, UnknownChain
 from canopen_master.joint_procedures import stop
 from canopen_master.node import Node
 from canopen_master.pump import Pump
@@ -88,6 +88,7 @@ class Master:
         for alias, name in (aliases or {}).items():
             self.buses[alias] = self.buses[name]
         self._nodes: dict[tuple[Bus, int], Node] = {}
+        self._files: dict[str, ObjectDictionary] = {}
         self.devices: dict[Node, Device] = {}
         self.chains: list[Chain] = []
         self.unconfirmed: dict[Device, str] = {}  # drives that may still move after the master was left, and why
@@ -146,14 +147,24 @@ class Master:
     # ---- nodes ----
 
     @enable_ki_protection
-    def node(self, node_id: int, dictionary: ObjectDictionary | None = None, *, bus: str | None = None) -> Node:
-        """The node of that ID on a bus; asked for again, the same object. Sends nothing.
+    def node(
+        self, node_id: int, dictionary: ObjectDictionary | str | Path | None = None, *, bus: str | None = None, pdos: bool = True
+    ) -> Node:
+        """The node of that ID on a bus; asked for again, the same object.
 
-        dictionary: what the device is, by default that of the data files. Raises LocalProtocolError for an ID outside 1..127,
-        for a bus that is not said where there are several, and for another dictionary than the first time.
+        dictionary: what the device is: its EDS, DCF, XDD or XDC file (or a sample's name); a dictionary; by default that of the
+        data files. pdos: for a file, exchange the node's PDOs: the device is asked how it has them set up, and PdoReceived
+        follows; see `Node.start` and node_pdos.py. Without a file, or with pdos=False, nothing is sent.
+
+        Raises LocalProtocolError for an ID outside 1..127, for a bus that is not said where there are several, and for another
+        dictionary than the first time; DataError, DictionaryError for a file that cannot be read.
         """
         self.check_open()
         where = self.bus(bus)
+        if has_file := isinstance(dictionary, str | Path):
+            if str(dictionary) not in self._files:
+                self._files[str(dictionary)] = load_description_with_names(dictionary).dictionary
+            dictionary = self._files[str(dictionary)]
         known = self._nodes.get((where, node_id))
         if known is not None:
             if dictionary is not None and dictionary is not known.dictionary:
@@ -169,6 +180,8 @@ class Master:
         where.network.attach(remote)
         node = self._nodes[where, node_id] = Node(self, where, remote)
         where.renew_filters()
+        if has_file and pdos:
+            node.keep_pdos()
         return node
 
     @enable_ki_protection
@@ -226,27 +239,8 @@ class Master:
         ChainFileError with all that is wrong, DataError where the file cannot be read.
         """
         chains = read_chains(path) if text is None else parse_chains(text)
-        real = self._buses_of(chains)
-        problems = same_nodes(chains, {name: bus.name for name, bus in real.items()})
-        if problems:
-            raise ChainFileError(chains[0].source, problems)
-        made = {}
-        for each in chains:
-            joints = tuple(replace(joint, bus=real[joint.bus].name) for joint in each.joints)
-            made[each.name] = self.chain(replace(each, joints=joints), settings, axes=axes, dictionary=dictionary)
-        return made
-
-    def _buses_of(self, chains: Sequence[ChainDescription]) -> dict[str, Bus]:
-        """The buses that a file names."""
-        named = {joint.bus: joint for chain in reversed(chains) for joint in reversed(chain.joints)}  # where it stands first
-        if len(named) == 1 and len(self._own_buses) == 1:
-            return dict.fromkeys(named, self._own_buses[0])
-        unknown = [joint for name, joint in named.items() if name not in self.buses]
-        if unknown:
-            have = ", ".join(self.buses)
-            problems = [(each.line, each.column, f"bus {each.bus!r} is not open; open are {have}") for each in unknown]
-            raise ChainFileError(chains[0].source, sorted(problems))
-        return {name: self.buses[name] for name in named}
+        placed = on_buses(chains, {name: bus.name for name, bus in self.buses.items()})
+        return {each.name: self.chain(each, settings, axes=axes, dictionary=dictionary) for each in placed}
 
     # ---- network management and SYNC ----
 
@@ -410,7 +404,11 @@ class Master:
     def _unsubscribe(self, subscription: Subscription[Any]) -> None:
         watcher = self._subscriptions.pop(subscription, None)
         if watcher is not None:
-            self._dispatcher.unwatch(watcher)
+            self.unwatch(watcher)
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """End a `watch`."""
+        self._dispatcher.unwatch(watcher)
 
     def watch(
         self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0

@@ -7,19 +7,22 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 import trio
+from trio.lowlevel import enable_ki_protection
 
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer, sdo_error
+from canopen_master.node_pdos import NodePdos
 from canopen_master.requests import OpenRequest
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.states import COMMAND_BITS, Command
-from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import SECOND, Event, RequestId, Time
+from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.procedures.device_pdos import PdoDifference
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
@@ -51,6 +54,7 @@ class Node:
         self.remote = remote
         remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
+        self._pdos: NodePdos | None = None
 
     def __repr__(self) -> str:
         return f"<Node {self.node_id} on {self.bus}>"
@@ -119,9 +123,36 @@ class Node:
         self.dictionary.constant(key, constant)  # an unknown name is told before anything is sent
         return self.dictionary.matches(key, constant, await self.read(key))
 
-    async def read_bytes(self, index: int, subindex: int = 0, *, block: Block = False) -> bytes:
-        """The bytes of any object, whether the dictionary has it or not."""
-        return (await self._upload(lambda now: self.remote.sdo.upload(index, subindex, now, block=block))).data
+    async def read_int(self, key: Key, *, block: Block = False) -> int:
+        """The value of an object that holds an integer or a BOOLEAN. LocalProtocolError, with nothing sent, for another type."""
+        self._check_type(key, "an integer", lambda kind: is_integer(kind) or kind is DataType.BOOLEAN)
+        value = await self.read(key, block=block)
+        assert isinstance(value, int)
+        return int(value)
+
+    async def read_float(self, key: Key, *, block: Block = False) -> float:
+        """The value of an object that holds a REAL32 or REAL64. LocalProtocolError, with nothing sent, for another type."""
+        self._check_type(key, "a real number", lambda kind: kind in (DataType.REAL32, DataType.REAL64))
+        value = await self.read(key, block=block)
+        assert isinstance(value, float)
+        return value
+
+    async def read_str(self, key: Key, *, block: Block = False) -> str:
+        """The value of an object that holds text. LocalProtocolError, with nothing sent, for another type."""
+        self._check_type(key, "text", lambda kind: kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING))
+        value = await self.read(key, block=block)
+        assert isinstance(value, str)
+        return value
+
+    def _check_type(self, key: Key, wanted: str, suits: Callable[[DataType], bool]) -> None:
+        variable = self.dictionary.variable(key)
+        if not suits(variable.data_type):
+            raise LocalProtocolError(f"{variable.label} is {variable.data_type.name}, not {wanted}; `read` takes every type")
+
+    async def read_bytes(self, key: Key, subindex: int | None = None, *, block: Block = False) -> bytes:
+        """The bytes of any object, whether the dictionary has it or not. subindex: where key is an index alone; 0 by default."""
+        place = self._place(key, subindex)
+        return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block))).data
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, whether the dictionary has it or not."""
@@ -147,7 +178,70 @@ class Node:
         """
         await write_stream(self, index, subindex, pieces, size, block)
 
+    # ---- PDOs ----
+
+    def keep_pdos(self) -> None:
+        """Exchange its PDOs as the device has them set up, now and after each boot; see node_pdos.py. Event: PdoDiffers."""
+        if self._pdos is None:
+            self._pdos = NodePdos(self._master, self._bus, self)
+
+    def leave_pdos(self) -> None:
+        """Do so no longer; those that are exchanged go on."""
+        if self._pdos is not None:
+            self._pdos.stop()
+            self._pdos = None
+
+    async def exchange_pdos(self) -> tuple[PdoDifference, ...]:
+        """Wait until its PDOs are exchanged (`keep_pdos`): how the device differs from its file in them.
+
+        Raises SdoFailed where the device does not answer, StrangePdo, UnexpectedLength.
+        """
+        self.keep_pdos()
+        assert self._pdos is not None
+        await self._pdos.wait()
+        return self._pdos.differences
+
+    @enable_ki_protection
+    def enable_rpdo(self, number: int, enabled: bool = True) -> None:
+        """Send an RPDO of the node's (1..512) while it is Operational, or stop that. What it holds is `remote.values`.
+
+        Raises LocalProtocolError where that RPDO is not exchanged. It ends when the node boots.
+        """
+        self.remote.enable_rpdo(number, self.now(), enabled)
+        self._master.pump.pump()
+
+    @enable_ki_protection
+    def send_mpdo(self, number: int, key: Key, value: Value) -> bool:
+        """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo."""
+        is_sent = self.remote.send_mpdo(number, key, value, self.now())
+        self._master.pump.pump()
+        return is_sent
+
     # ---- network management ----
+
+    async def start(self) -> None:
+        """Start the node (NMT, to Operational), once its PDOs are exchanged, if its file is known: so that none is missed.
+
+        Raises what `exchange_pdos` raises, and nothing is sent then; BusError, MasterClosed.
+        """
+        if self._pdos is not None:
+            await self._pdos.wait()
+        await self.nmt(NmtCommand.START)
+
+    @enable_ki_protection
+    def start_guarding(self, guard_time: float, life_time_factor: int = 3) -> None:
+        """Ask the node once per guard time (seconds) whether it lives: for a node without a heartbeat.
+
+        Events: HeartbeatReceived; NodeGuardingLost after guard_time * life_time_factor without an answer.
+        """
+        self.remote.start_guarding(round(guard_time * SECOND), life_time_factor, self.now())
+        self._master.pump.pump()
+
+    @enable_ki_protection
+    def stop_guarding(self) -> None:
+        """Ask no more."""
+        self.remote.stop_guarding()
+        self._master.pump.pump()
 
     async def nmt(self, command: NmtCommand) -> None:
         """Send an NMT command to this node; returns when it is on its way. Nothing confirms it but the node's heartbeat."""
@@ -192,6 +286,17 @@ class Node:
         return sdo_error(self._bus.network, self.remote, self.bus, aborted, attempt, self._master.now())
 
     # ---- inside ----
+
+    def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
+        """Index and subindex. An object that the dictionary lacks has to be named by numbers."""
+        if isinstance(key, int):
+            return key, subindex or 0
+        if subindex is not None:
+            raise LocalProtocolError(f"{key!r} is a whole object: a subindex goes with an index alone")
+        if isinstance(key, tuple):
+            return key
+        variable = self.dictionary.variable(key)
+        return variable.index, variable.subindex
 
     def _note(self, mux: int, value: Value) -> None:
         if mux == CONTROLWORD:

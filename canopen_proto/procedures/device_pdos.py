@@ -1,0 +1,108 @@
+"""The PDOs of a device as it has them set up, compared with what its dictionary describes.
+
+The bytes of a PDO mean what the device's mapping says. Where the file says something else, values would be wrong without anybody
+seeing it: so the device is asked, its own mapping is used, and each difference is told.
+
+Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
+from canopen_proto.machine import Time
+from canopen_proto.pdo.mapping import Mapping, MappingError, entries_of
+from canopen_proto.pdo.settings import PdoSettings, place_of
+from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
+from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, described_pdos
+from canopen_proto.procedures.objects import ABSENT, read_if_present
+from canopen_proto.procedures.steps import Procedure, SdoFailed, act
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.abort import AbortOrigin
+
+
+@dataclass(frozen=True, slots=True)
+class PdoDifference:
+    """A PDO that the device has set up otherwise than its dictionary describes. None: not valid, or not there."""
+
+    direction: Direction
+    number: int
+    described: PdoSettings | None
+    present: PdoSettings | None
+
+    def __str__(self) -> str:
+        return f"{self.direction} {self.number} is {_text(self.present)}; the file says {_text(self.described)}"
+
+
+def exchange_device_pdos(node: RemoteNode) -> Procedure[tuple[PdoDifference, ...]]:
+    """Exchange the PDOs that the dictionary has records for, as the device has them set up; how that differs from the dictionary.
+
+    A TPDO is received from now on. Of an RPDO, the present values of its objects are read first, so that enabling it
+    (`RemoteNode.enable_rpdo`) sends what stands; until then it is not sent. One that our dictionary cannot describe keeps its
+    place, with unsigned numbers for the objects that are missing there. MPDOs are left out. Raises SdoFailed where the device
+    does not answer, StrangePdo, UnexpectedLength.
+    """
+    described = {(pdo.direction, pdo.number): pdo for pdo in described_pdos(node.dictionary, node.node_id)}
+    differences = []
+    for direction, number in _records(node.dictionary):
+        try:
+            present = _if_valid((yield from read_pdo(node, direction, number)))
+        except SdoFailed as failed:
+            if failed.abort_code not in ABSENT:
+                raise
+            present = None
+        except StrangePdo:
+            continue  # an MPDO, or nonsense: no mapping that we could go by
+        wanted = described.get((direction, number))
+        if _place_and_objects(present) != _place_and_objects(wanted):
+            differences.append(PdoDifference(direction, number, wanted, present))
+        if present is not None:
+            yield from _exchange(node, present)
+    return tuple(differences)
+
+
+def _records(dictionary: ObjectDictionary) -> Iterator[tuple[Direction, int]]:
+    for index in dictionary.objects:
+        place = place_of(index)
+        if place is not None and not place.is_mapping:
+            yield place.direction, place.number
+
+
+def _if_valid(settings: PdoSettings) -> PdoSettings | None:
+    return None if settings.cob_id & COB_ID_INVALID or not settings.entries else settings
+
+
+def _place_and_objects(settings: PdoSettings | None) -> object:
+    return None if settings is None else (key_of_cob_id(settings.cob_id), settings.entries)
+
+
+def _exchange(node: RemoteNode, settings: PdoSettings) -> Procedure[None]:
+    try:
+        mapping = Mapping(entries_of(settings.entries, node.dictionary))
+    except MappingError as error:
+        raise StrangePdo(f"{settings.direction} {settings.number} of node {node.node_id}: {error}") from error
+    key, kind = key_of_cob_id(settings.cob_id), settings.transmission_type
+    if settings.direction is Direction.TPDO:
+
+        def receive(now: Time) -> None:
+            node.add_tpdo(settings.number, key, mapping, now)
+
+        yield from act(receive)
+        return
+    for entry in mapping.components:
+        try:
+            yield from read_if_present(node, (entry.index, entry.subindex))
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise  # else it cannot be read, such as a write-only command: then 0 stands there
+    yield from act(lambda now: node.add_rpdo(settings.number, key, mapping, kind if kind in CYCLIC_TYPES else EACH_SYNC))
+
+
+def _text(settings: PdoSettings | None) -> str:
+    if settings is None:
+        return "not in use"
+    objects = ", ".join(f"{entry >> 16:04X}:{entry >> 8 & 0xFF:02X}/{entry & 0xFF}" for entry in settings.entries)
+    return f"0x{key_of_cob_id(settings.cob_id) & 0x1FFF_FFFF:X} with {objects}"

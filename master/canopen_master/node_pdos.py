@@ -1,0 +1,90 @@
+"""The PDOs of a node whose file is known, exchanged as the device has them set up; see `Master.node`.
+
+The exchange begins when the node is made, and again whenever the device boots, since a reset puts other settings back. A device
+that is silent, or Stopped, is asked when it is next heard.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Final
+
+import trio
+
+from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
+from canopen_proto.machine import Event, RequestId, event
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.device_pdos import PdoDifference, exchange_device_pdos
+from canopen_proto.procedures.steps import Procedure, ProcedureError
+
+if TYPE_CHECKING:
+    from canopen_master.bus import Bus
+    from canopen_master.master import Master
+    from canopen_master.node import Node
+
+log: Final = logging.getLogger("canopen_master")
+
+
+@event
+class PdoDiffers(Event):
+    """A device has a PDO set up otherwise than its file describes it. The device's own mapping is used."""
+
+    difference: PdoDifference
+
+
+class NodePdos:
+    """See this module's text. differences: between the device and its file, as far as they are known."""
+
+    def __init__(self, master: Master, bus: Bus, node: Node) -> None:
+        self.differences: tuple[PdoDifference, ...] = ()
+        self._master = master
+        self._node = node
+        self._running: RequestId | None = None
+        self._error: ProcedureError | None = None
+        self._ended = trio.Event()
+        self._watcher = master.watch((NodeBooted, HeartbeatReceived), self._on_heard, bus, node.node_id)
+        self._begin()
+
+    def stop(self) -> None:
+        """Ask no more: somebody else sees to this node's PDOs, such as a chain."""
+        self._master.unwatch(self._watcher)
+        self._take_back()
+
+    async def wait(self) -> None:
+        """Wait until they are exchanged. Raises what has kept them from it: SdoFailed, UnexpectedLength, StrangePdo."""
+        while self._running is not None:
+            await self._ended.wait()
+        if self._error is not None:
+            raise self._error
+
+    def _begin(self) -> None:
+        self._error = None
+        self._ended = trio.Event()
+        self._running, _ = self._master.launch(self._exchange())
+
+    def _take_back(self) -> None:
+        if self._running is not None:
+            self._master.take_back(self._running)
+            self._end()
+
+    def _end(self) -> None:
+        self._running = None
+        self._ended.set()
+
+    def _exchange(self) -> Procedure[None]:
+        try:
+            self.differences = yield from exchange_device_pdos(self._node.remote)
+        except ProcedureError as error:
+            self._error = error
+        else:
+            for each in self.differences:
+                self._node.remote.out.events.append(PdoDiffers(self._node.node_id, each))
+                log.warning("node %d on %s: %s", self._node.node_id, self._node.bus, each)
+        self._end()
+
+    def _on_heard(self, report: NodeBooted | HeartbeatReceived) -> None:
+        if isinstance(report, NodeBooted):
+            self._take_back()
+            self._begin()
+        elif self._error is not None and report.state is not NmtState.STOPPED:
+            self._begin()
