@@ -97,6 +97,17 @@ def decode(data: bytes, data_type: DataType, name: str = "value") -> Value:
     return _CODECS[data_type].decode(data, name)
 
 
+def text_for_people(value: str, data_type: DataType) -> str:
+    """A text as people read it. Devices send VISIBLE_STRINGs in UTF-8 as well as in Latin-1: bytes that are valid UTF-8 are
+    taken for that. Only for showing: the value itself stays as it is, and so do its bytes."""
+    if data_type is DataType.VISIBLE_STRING:
+        try:
+            return value.encode("latin-1").decode("utf-8")
+        except UnicodeError:  # Latin-1, or no text of a device
+            pass
+    return value
+
+
 def size_of(data_type: DataType) -> int | None:
     """Bytes by SDO; None where the length varies (strings, DOMAIN)."""
     return _CODECS[data_type].size

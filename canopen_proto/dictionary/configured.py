@@ -60,8 +60,8 @@ def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id
     for key, value in values.items():
         variable = dictionary.variable((key >> 8, key & 0xFF))
         variable.encode(value)
-        if variable.configured is None or variable.initial_of(node_id) != value:
-            new = replace(variable, configured=value, configured_adds_node_id=False)
+        if not variable.configured_adds_node_id or variable.initial_of(node_id) != value:
+            new = replace(variable, configured=value, configured_adds_node_id=False, not_read="")
             changed.setdefault(variable.index, {})[variable.subindex] = new
     return _with_variables(dictionary, changed)
 
@@ -85,7 +85,15 @@ def without_configured_values(dictionary: ObjectDictionary) -> ObjectDictionary:
     """The dictionary as an EDS has it: a device made of it has its defaults."""
     changed: dict[int, dict[int, Variable]] = {}
     for variable in dictionary:
-        plain = replace(variable, configured=None, configured_adds_node_id=False, denotation="", upload_file="", download_file="")
+        plain = replace(
+            variable,
+            configured=None,
+            configured_adds_node_id=False,
+            denotation="",
+            upload_file="",
+            download_file="",
+            not_read="",
+        )
         if plain != variable:
             changed.setdefault(variable.index, {})[variable.subindex] = plain
     denoted = (each for each in dictionary.objects.values() if each.denotation)

@@ -111,11 +111,11 @@ SWITCHES: Final = (
 
 def settings_of(dictionary: ObjectDictionary, node_id: int, *, defaults: bool = False) -> dict[int, Value]:
     """What a device of that node-ID is to be set to, by mux: what a DCF has configured; with `defaults` all else too that has a
-    default value."""
+    default value, but for objects that a backup could not read: nobody knows what they held."""
     return {
         variable.mux: variable.initial_of(node_id)
         for variable in dictionary
-        if variable.configured is not None or (defaults and variable.default is not None)
+        if variable.configured is not None or (defaults and variable.default is not None and not variable.not_read)
     }
 
 

@@ -77,7 +77,8 @@ class Variable:
     configured, configured_adds_node_id: what a DCF sets it to (ParameterValue), None = nothing; see `initial_of`. object_flags:
     bit 0, not to be written by a download of the whole dictionary; bit 1, not to be read by an upload of it (ObjFlags). unit,
     factor: the physical value is factor x value, in that unit. denotation: what this one device calls it (DCF). upload_file,
-    download_file: where a tool keeps what a DOMAIN holds.
+    download_file: where a tool keeps what a DOMAIN holds. not_read: why a backup has no value of it, "" = it has one, or the file
+    is no backup.
     """
 
     index: int
@@ -100,6 +101,7 @@ class Variable:
     denotation: str = ""
     upload_file: str = ""
     download_file: str = ""
+    not_read: str = ""
     mux: int = field(init=False, repr=False, compare=False)
     size: int | None = field(init=False, repr=False, compare=False)
     bit_length: int | None = field(init=False, repr=False, compare=False)

@@ -8,9 +8,11 @@ Each object ends in one `Reading`, whose `result` says what came of it; none is 
 - write-only objects, and those whose ObjFlags (bit 1) keep them out of an upload (CiA 306-1);
 - DOMAINs, unless they are wanted: a DOMAIN may be a firmware image, and no line of a DCF holds one.
 
-A device may refuse some of its objects, or not know what its EDS lists: that is noted, and the next one is asked for. A device
-that does not answer at all is another matter: where the very first request, or MAX_SILENT in a row, get no answer, the device is
-gone, and the procedure fails. So it does where the device is reset meanwhile, as what it said before may not be so any more.
+A device may refuse some of its objects, or not know what its EDS lists: that is noted, and the next one is asked for. Where an
+answer is missing, or the transfer broke (an abort of the class "service error" says nothing of the object), the object is asked
+for once more: reading changes nothing, and a frame may be lost. A device that does not answer at all is another matter: if the
+very first object, or MAX_SILENT in a row, get no answer, the device is gone, and the procedure fails. It also fails if the device
+is reset meanwhile, as what it said before may not be so any more.
 
 An ObjectRead event tells of each object as it is known.
 
@@ -36,7 +38,6 @@ from canopen_proto.sdo.client import Block
 
 MAX_SILENT: Final = 3
 """Objects in a row without an answer, after which the device counts as gone. One may be a device's fault, or a lost frame."""
-_PADDING: Final = "\0 \t\r\n"
 NO_UPLOAD: Final = 2
 """ObjFlags, bit 1: refuses to be read by an upload of the whole dictionary. CiA 306-1."""
 
@@ -65,6 +66,8 @@ class ReadResult(StrEnum):
         return self in (ReadResult.REFUSED, ReadResult.WRONG_LENGTH, ReadResult.NO_ANSWER)
 
 
+_SERVICE_ERROR: Final = 0x05
+"""The highest byte of abort codes that are about the protocol: toggle bit, time-out, sequence, CRC (CiA 301 v4.2.0, table 22)."""
 _REFUSALS: Final[dict[int, ReadResult]] = {
     **dict.fromkeys((*ABSENT, AbortCode.NO_DATA), ReadResult.ABSENT),
     AbortCode.WRITE_ONLY: ReadResult.WRITE_ONLY,
@@ -198,11 +201,28 @@ def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Pat
     """An object's bytes, or why there are none. Raises SdoFailed where the device is gone."""
     answer: bytes | SdoFailed
     try:
-        answer = yield from upload(node.sdo, index, subindex, block=block)
+        answer = yield from upload_again(node, index, subindex, block)
     except SdoFailed as failed:
         answer = failed
     patience.note(answer)
     return answer
+
+
+def upload_again(node: RemoteNode, index: int, subindex: int, block: Block) -> Procedure[bytes]:
+    """Read an object, once more if the first transfer broke or got no answer. Raises SdoFailed if the second one fails, too."""
+    try:
+        return (yield from upload(node.sdo, index, subindex, block=block))
+    except SdoFailed as failed:
+        if not _is_of_transfer(failed):
+            raise
+    return (yield from upload(node.sdo, index, subindex, block=block))
+
+
+def _is_of_transfer(failed: SdoFailed) -> bool:
+    """Whether a failure is one of the transfer, and says nothing of the object or the device."""
+    if failed.origin is AbortOrigin.PEER:
+        return failed.abort_code >> 24 == _SERVICE_ERROR
+    return failed.abort_code != AbortCode.NO_SDO_CONNECTION
 
 
 def report(node: RemoteNode, reading: Reading, done: int, total: int) -> Procedure[None]:
@@ -212,14 +232,12 @@ def report(node: RemoteNode, reading: Reading, done: int, total: int) -> Procedu
 
 
 def same_value(variable: Variable, one: Value | None, other: Value | None) -> bool:
-    """Whether two values of an object are one for a backup: whether their bytes are, so that 0.1 is what a REAL32 makes of it.
+    """Whether two values of an object have the same bytes, so that 0.1 is what a REAL32 makes of it.
 
-    Padding of a text is not part of it: a line of a file cannot hold it. None, a value that is not known, is equal to None only.
+    None, a value that is not known, is equal to None only.
     """
     if one is None or other is None:
         return one is other
-    if isinstance(one, str) and isinstance(other, str):
-        return one.strip(_PADDING) == other.strip(_PADDING)
     try:
         return variable.encode(one) == variable.encode(other)
     except ValueRangeError:  # values of two files that differ in the type

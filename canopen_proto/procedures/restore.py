@@ -22,7 +22,9 @@ Nobody confirms an NMT command but the node's heartbeat. Where the node has one,
 follow is repeated. Where it has none, the state before is not known, and the node stays Pre-operational.
 
 Only what differs is written, unless asked otherwise: fewer writes, fewer refusals, and an object that a device does not take back
-although it reads as it was does no harm. Of a PDO's mapping all is written, or nothing.
+although it reads as it was does no harm. Of a PDO's mapping all is written, or nothing. An object that is readable, but could not
+be read, is left alone, and so is all that depends on it (the records of a PDO whose COB-ID could not be read): a failed read says
+nothing of what the object holds.
 
 Source: CiA 302-3 (configuration of a device); CiA 301 v4.2.0, 7.5.2.13, 7.5.2.36, 7.3.2.2.
 """
@@ -33,7 +35,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
-from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.download_order import download_order, switches_of
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
@@ -41,7 +43,7 @@ from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time, event
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.parameter_storage import ON_COMMAND, SIGNATURES, STORE
-from canopen_proto.procedures.backup import Backup, ReadResult, back_up, same_value
+from canopen_proto.procedures.backup import Backup, Reading, ReadResult, back_up, same_value, upload_again
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import (
     Cancelled,
@@ -52,11 +54,11 @@ from canopen_proto.procedures.steps import (
     act,
     download,
     sleep,
-    upload,
     wait_for_event,
 )
 from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
 from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.client import Block
 
 STORE_TIMEOUT: Final = 10 * SECOND
 """For the answer to "save": devices write flash memory before they give it, some for seconds."""
@@ -70,6 +72,10 @@ MAX_HEARTBEAT_WAIT: Final = 10 * SECOND
 _Match: TypeAlias = Callable[[HeartbeatReceived], bool]
 _HEARTBEAT: Final = 0x1017
 _PDO_COB_IDS: Final = frozenset(index << 8 | 1 for index in (*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
+_PDO_RECORDS: Final = range(0x1400, 0x1C00)
+_TO_MAPPING: Final = 0x200
+NOT_READ: Final = "could not be read"
+"""Why a plan leaves an object out: nobody knows what it holds."""
 _MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _COMMAND_TO: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
@@ -102,13 +108,14 @@ class PlannedWrite:
 @dataclass(frozen=True, slots=True)
 class RestorePlan:
     """What is to be written to a node, in this order. left_out: why a value is not written, by mux. equal: how many objects have
-    their value already. standing: what the node had, by mux."""
+    their value already. standing: what the node had, by mux. unread: what could not be read although it should, by mux."""
 
     node_id: int
     writes: tuple[PlannedWrite, ...]
     left_out: Mapping[int, str] = field(default_factory=dict)
     equal: int = 0
     standing: Mapping[int, Value] = field(default_factory=dict)
+    unread: frozenset[int] = frozenset()
 
 
 @dataclass(slots=True)
@@ -187,9 +194,10 @@ def plan_restore(
 ) -> Procedure[RestorePlan]:
     """What has to be written to the node so that it has these values, by mux of the dictionary. Nothing is written.
 
-    everything: also what it has already. process_data: also set-points and outputs (see dictionary/roles.py). skip: muxes that
-    are left out. Sends reads only; an ObjectRead event follows for each. Raises SdoFailed where the device is gone, and before
-    anything is sent ObjectNotFound and ValueRangeError where a value is none of the dictionary.
+    everything: also what it has already, or what could not be read. process_data: also set-points and outputs (see
+    dictionary/roles.py). skip: muxes that are left out. Sends reads only; an ObjectRead event follows for each. Raises SdoFailed
+    where the device is gone, and before anything is sent ObjectNotFound and ValueRangeError where a value is none of the
+    dictionary.
     """
     roles = roles_in(dictionary, values)
     left_out = dict(download_order(dictionary, values, node.node_id).left_out)
@@ -203,6 +211,10 @@ def plan_restore(
     for key in _absent(backup, wanted):
         del wanted[key]
         left_out[key] = "the device does not have it"
+    unread = {each.variable.mux for each in backup.readings if _says_nothing(each)}
+    for key in [] if everything else _blind(wanted, unread):
+        del wanted[key]
+        left_out[key] = NOT_READ if key in unread else "what it depends on could not be read"
 
     def same(key: int, value: Value) -> bool:
         return same_value(dictionary.variable((key >> 8, key & 0xFF)), standing.get(key), value)
@@ -220,7 +232,7 @@ def plan_restore(
         variable = dictionary.variable((index, subindex))
         writes.append(PlannedWrite(variable, data, held.get(variable.mux)))
         held[variable.mux] = data
-    return RestorePlan(node.node_id, tuple(writes), left_out, len(wanted) - len(different), standing)
+    return RestorePlan(node.node_id, tuple(writes), left_out, len(wanted) - len(different), standing, frozenset(unread))
 
 
 def _concerned(dictionary: ObjectDictionary, wanted: Mapping[int, Value]) -> list[Variable]:
@@ -237,6 +249,24 @@ def _concerned(dictionary: ObjectDictionary, wanted: Mapping[int, Value]) -> lis
 def _absent(backup: Backup, wanted: Mapping[int, Value]) -> list[int]:
     absent = (each.variable.mux for each in backup.readings if each.result is ReadResult.ABSENT)
     return [key for key in absent if key in wanted]
+
+
+def _says_nothing(reading: Reading) -> bool:
+    """Whether an object could not be read. Bytes that are no value of its type, but as many, show that it holds another one."""
+    size = reading.variable.size
+    return reading.result.is_missing and (reading.data is None or (size is not None and len(reading.data) != size))
+
+
+def _blind(wanted: Mapping[int, Value], unread: Collection[int]) -> list[int]:
+    """What would be written without knowing what stands there now, or what has to be off meanwhile. A PDO is one thing: its two
+    records depend on each other."""
+
+    def unit(key: int) -> int:
+        index = key >> 8
+        return index & ~_TO_MAPPING if index in _PDO_RECORDS else key
+
+    units = {unit(key) for key in unread}
+    return [key for key in wanted if unit(key) in units or any(each in unread for each in switches_of(key))]
 
 
 # ---- carrying it out ----
@@ -297,16 +327,22 @@ def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restorat
         raise
     so_far.written += 1
     if verify and variable.access.readable:
-        shown = yield from upload(node.sdo, variable.index, variable.subindex, block="auto" if variable.size is None else False)
-        if not _shows(variable, shown, write.value):
+        block: Block = "auto" if variable.size is None else False
+        shown = yield from upload_again(node, variable.index, variable.subindex, block)
+        if not _shows(variable, shown, write.data):
             raise VerifyMismatch(node.node_id, write, shown)
     news = ObjectRestored(node.node_id, variable.index, variable.subindex, write.data, so_far.written, len(so_far.plan.writes))
     yield from act(lambda now: node.out.events.append(news))
 
 
-def _shows(variable: Variable, data: bytes, value: Value) -> bool:
-    try:
-        return same_value(variable, variable.decode(data), value)
+def _shows(variable: Variable, shown: bytes, written: bytes) -> bool:
+    """Whether a device shows what was written to it. It may fill a text up to the length that its memory has."""
+    if shown == written:
+        return True
+    if variable.data_type is DataType.VISIBLE_STRING:
+        return shown.startswith(written) and not shown[len(written) :].strip(b"\0 ")
+    try:  # a BOOLEAN of 0xFF is true as well as one of 1
+        return same_value(variable, variable.decode(shown), variable.decode(written))
     except ValueRangeError:
         return False
 
@@ -314,7 +350,7 @@ def _shows(variable: Variable, data: bytes, value: Value) -> bool:
 def _check_store(node: RemoteNode) -> Procedure[None]:
     """Before anything is written: whether it could be stored."""
     try:
-        capability = int.from_bytes((yield from upload(node.sdo, STORE, 1)), "little")
+        capability = int.from_bytes((yield from upload_again(node, STORE, 1, False)), "little")
     except SdoFailed as failed:
         if failed.abort_code in ABSENT:
             raise ProcedureError("the device cannot store its parameters: it has no 0x1010:01") from failed
@@ -358,7 +394,7 @@ def _is_of(node: RemoteNode, state: NmtState | None = None) -> _Match:
 def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
     """After how many ns a heartbeat is missing; 0 where the node sends none."""
     try:
-        period = int.from_bytes((yield from upload(node.sdo, _HEARTBEAT)), "little") * MILLISECOND
+        period = int.from_bytes((yield from upload_again(node, _HEARTBEAT, 0, False)), "little") * MILLISECOND
     except SdoFailed as failed:
         if failed.origin is not AbortOrigin.PEER:
             raise

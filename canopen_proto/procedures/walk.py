@@ -24,12 +24,14 @@ from canopen_proto.datatypes import DataType, integer_type
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.machine import Event, LocalProtocolError, event
-from canopen_proto.procedures.backup import Backup, Patience, Reading, ReadResult, ask, reading_of
+from canopen_proto.procedures.backup import Backup, Patience, Reading, ReadResult, ask, back_up, reading_of
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
 from canopen_proto.remote_node import RemoteNode
 
-DEFAULT_RANGES: Final = (range(0x1000, 0x2000), range(0x2000, 0x2400), range(0x6000, 0x6800))
+COMMUNICATION: Final = range(0x1000, 0x2000)
+"""The communication profile area; CiA 301 v4.2.0, table 41."""
+DEFAULT_RANGES: Final = (COMMUNICATION, range(0x2000, 0x2400), range(0x6000, 0x6800))
 """Communication objects, the first of the manufacturer's, the first device of the standardised profile area."""
 MAX_OBJECTS: Final = 20_000
 """Variables that a walk gives: ten times what the largest files in the field describe."""
@@ -50,51 +52,83 @@ class WalkProgress(Event):
     found: int
 
 
-def walk(node: RemoteNode, ranges: Iterable[Sequence[int]] = DEFAULT_RANGES) -> Procedure[Backup]:
+def walk(
+    node: RemoteNode,
+    ranges: Iterable[Sequence[int]] = DEFAULT_RANGES,
+    *,
+    names: ObjectDictionary | None = None,
+    domains: bool = True,
+) -> Procedure[Backup]:
     """Read what a node has at these indices; `dictionary` of the result describes it as far as that can be seen.
 
-    ranges: of indices 1..0xFFFF, else LocalProtocolError. Raises SdoFailed where the device is gone, as `back_up` does. Stops
-    with MAX_OBJECTS variables.
+    ranges: of indices 1..0xFFFF, else LocalProtocolError. names: objects that are called and typed as this dictionary says, if
+    their length agrees; all others go by the standards' tables. domains: read DOMAINs that are known as such, too. Raises
+    SdoFailed where the device is gone, as `back_up` does. Stops with MAX_OBJECTS variables.
     """
     indices = sorted({index for each in ranges for index in each})
     if indices and not 1 <= indices[0] <= indices[-1] <= 0xFFFF:
         raise LocalProtocolError(f"walk: indices are 0x0001..0xFFFF, not 0x{indices[0]:X}..0x{indices[-1]:X}")
-    patience = Patience()
-    readings: list[Reading] = []
+    found = _Walk(node, names, domains)
     for done, index in enumerate(indices):
         if done % PROGRESS_STEP == 0:
-            news = WalkProgress(node.node_id, index, done, len(indices), len(readings))
+            news = WalkProgress(node.node_id, index, done, len(indices), len(found.readings))
             yield from act(lambda now, news=news: node.out.events.append(news))  # type: ignore[misc]
-        yield from _walk_index(node, index, readings, patience)
-        if len(readings) >= MAX_OBJECTS:
+        yield from found.walk_index(index)
+        if len(found.readings) >= MAX_OBJECTS:
             break
-    return Backup(node.node_id, _dictionary_of(readings), readings)
+    return Backup(node.node_id, _dictionary_of(found.readings), found.readings)
 
 
-def _walk_index(node: RemoteNode, index: int, readings: list[Reading], patience: Patience) -> Procedure[None]:
-    first = yield from ask(node, index, 0, "auto", patience)
-    if _is_absent(first):
-        return
-    readings.append(_reading(index, 0, first))
-    if isinstance(first, bytes) and len(first) != 1:
-        return  # the highest subindex has one byte: this is a VAR
-    second = yield from ask(node, index, 1, "auto", patience)
-    if _is_absent(second):
-        return
-    readings.append(_reading(index, 1, second))
-    highest = min(first[0], MAX_SUBINDEX) if isinstance(first, bytes) else 1
-    for subindex in range(2, highest + 1):
-        answer = yield from ask(node, index, subindex, "auto", patience)
-        if not _is_absent(answer):
-            readings.append(_reading(index, subindex, answer))
+def back_up_by_names(node: RemoteNode, names: ObjectDictionary, *, domains: bool = False) -> Procedure[Backup]:
+    """Read all of a node that has no file of its own.
+
+    The whole communication profile area is walked: which PDOs and services a device has, no general list of names can tell. Of
+    all else, what `names` has is read, as by `back_up`. WalkProgress events come first, then ObjectRead events.
+    """
+    walked = yield from walk(node, [COMMUNICATION], names=names, domains=domains)
+    rest = yield from back_up(node, names, only=[each for each in names if each.index not in COMMUNICATION], domains=domains)
+    return Backup(node.node_id, names.with_objects(walked.dictionary.objects.values()), walked.readings + rest.readings)
 
 
-def _is_absent(answer: bytes | SdoFailed) -> bool:
-    return isinstance(answer, SdoFailed) and answer.abort_code in ABSENT
+class _Walk:
+    """A walk under way. names, domains: see `walk`."""
+
+    def __init__(self, node: RemoteNode, names: ObjectDictionary | None, domains: bool) -> None:
+        self.readings: list[Reading] = []
+        self._node = node
+        self._names = names
+        self._domains = domains
+        self._patience = Patience()
+
+    def walk_index(self, index: int) -> Procedure[None]:
+        """Ask for all that stands at an index."""
+        first = yield from self._ask(index, 0)
+        if first is None or (isinstance(first, bytes) and len(first) != 1):
+            return  # the highest subindex has one byte: what has not is a VAR
+        if (yield from self._ask(index, 1)) is None:
+            return
+        highest = min(first[0], MAX_SUBINDEX) if isinstance(first, bytes) else 1
+        for subindex in range(2, highest + 1):
+            yield from self._ask(index, subindex)
+
+    def _ask(self, index: int, subindex: int) -> Procedure[bytes | SdoFailed | None]:
+        """The answer, noted as a reading; None where the device does not have the object."""
+        known = self._known(index, subindex)
+        if known is not None and known.data_type is DataType.DOMAIN and not self._domains:
+            self.readings.append(Reading(known, ReadResult.DOMAIN))
+            return b""
+        answer = yield from ask(self._node, index, subindex, "auto", self._patience)
+        if isinstance(answer, SdoFailed) and answer.abort_code in ABSENT:
+            return None
+        self.readings.append(_reading(index, subindex, known, answer))
+        return answer
+
+    def _known(self, index: int, subindex: int) -> Variable | None:
+        known = None if self._names is None else self._names.get(index, subindex)
+        return find_standard(index, subindex) if known is None else known
 
 
-def _reading(index: int, subindex: int, answer: bytes | SdoFailed) -> Reading:
-    known = find_standard(index, subindex)
+def _reading(index: int, subindex: int, known: Variable | None, answer: bytes | SdoFailed) -> Reading:
     if known is not None and known.access.readable:
         reading = reading_of(known, answer)
         if reading.result is not ReadResult.WRONG_LENGTH:

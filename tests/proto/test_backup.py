@@ -6,10 +6,11 @@ import pytest
 
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
+from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.backup import MAX_SILENT, Backup, ObjectRead, ReadResult, back_up, same_value
 from canopen_proto.procedures.steps import SdoFailed
-from canopen_proto.procedures.walk import MAX_OBJECTS, WalkProgress, walk
+from canopen_proto.procedures.walk import MAX_OBJECTS, WalkProgress, back_up_by_names, walk
 from canopen_proto.sdo.abort import AbortCode
 from tests.proto.devices import TEXT
 from tests.proto.restore_bench import FACTORY, GAIN, HIDDEN, IMAGE, SECRET, Bench, device
@@ -134,6 +135,44 @@ def test_one_object_without_an_answer_does_not_end_a_backup() -> None:
     assert not backup.is_complete
 
 
+@pytest.mark.parametrize("code", [None, AbortCode.TIMED_OUT, AbortCode.INVALID_COMMAND, AbortCode.TOGGLE_NOT_ALTERNATED])
+def test_a_read_that_broke_is_repeated_once(code: AbortCode | None) -> None:
+    """Each object gets no answer, or a stray abort, at first; nothing is missing in the end."""
+    bench = Bench()
+    whole = bench.run(back_up(bench.remote, domains=True)).values
+    broken: set[tuple[int, int]] = set()
+    receive = bench.device.receive
+
+    def take(frame: Frame, now: Time) -> None:
+        place = int.from_bytes(frame.data[1:3], "little"), frame.data[3] if len(frame.data) > 3 else 0
+        if frame.can_id != 0x605 or frame.data[0] & 0xE3 not in (0x40, 0xA0) or place in broken:
+            receive(frame, now)
+            return
+        broken.add(place)
+        if code is not None:
+            bench.network.out.frames.append(Frame(0x585, bytes((0x80, *frame.data[1:4])) + code.to_bytes(4, "little")))
+
+    bench.device.receive = take  # type: ignore[method-assign]
+    again = bench.run(back_up(bench.remote, domains=True))
+    assert again.is_complete
+    assert again.values == whole
+    assert len(broken) == len([each for each in again.readings if each.result in (ReadResult.READ, ReadResult.ABSENT)])
+
+
+def test_what_the_device_says_of_an_object_is_asked_for_once() -> None:
+    bench = Bench()
+    asked: list[int] = []
+
+    def read(index: int, subindex: int, now: Time) -> AbortCode:
+        asked.append(index)
+        return AbortCode.DEVICE_STATE
+
+    bench.device.read = read  # type: ignore[method-assign]
+    backup = bench.run(back_up(bench.remote, only=[bench.dictionary.variable(index) for index in (GAIN, TEXT)]))
+    assert asked == [GAIN, TEXT]
+    assert set(results(backup).values()) == {ReadResult.REFUSED}
+
+
 def test_a_reset_meanwhile_ends_a_backup() -> None:
     bench = Bench()
     bench.start(back_up(bench.remote))
@@ -168,6 +207,29 @@ def test_a_walk_finds_what_can_be_read() -> None:
     steps = bench.bus.take_events(WalkProgress)
     assert [(each.done, each.total) for each in steps] == [(0, 86), (64, 86)]
     assert 0 < steps[-1].found <= len(backup.readings)
+
+
+def test_a_node_without_a_file_is_walked_where_its_pdos_are() -> None:
+    names = ObjectDictionary(
+        [
+            Object.of("my_heartbeat", [Variable(0x1017, 0, "my_heartbeat", DataType.UNSIGNED16)]),
+            Object.of("gain", [Variable(GAIN, 0, "gain", DataType.REAL32)]),
+            Object.of("image", [Variable(IMAGE, 0, "image", DataType.DOMAIN)]),
+            Object.of("not there", [Variable(0x5000, 0, "not there", DataType.UNSIGNED8)]),
+        ]
+    )
+    bench = Bench()
+    backup = bench.run(back_up_by_names(bench.remote, names))
+    truth = bench.run(back_up(bench.remote, bench.dictionary))
+    found = {each.variable.mux: each.data for each in backup.readings if each.data is not None}
+    communication = {each.variable.mux: each.data for each in truth.readings if each.variable.index < 0x2000 and each.data}
+    counts = {key: data[0] for key, data in communication.items() if key >> 16 in (0x16, 0x1A) and not key & 0xFF}
+    used = {key: data for key, data in communication.items() if (key & 0xFF) <= counts.get(key & ~0xFF, 0xFF)}
+    assert found == used | {GAIN << 8: b"\0\0\xc0\x3f"}
+    assert backup.dictionary.variable("my_heartbeat").mux == 0x1017_00
+    assert backup.values[GAIN << 8] == 1.5
+    assert results(backup)[IMAGE << 8] is ReadResult.DOMAIN
+    assert results(backup)[0x5000_00] is ReadResult.ABSENT
 
 
 def test_a_walk_believes_the_standard_only_where_the_length_agrees() -> None:
@@ -223,7 +285,7 @@ def test_what_counts_as_the_same_value() -> None:
     def same(data_type: DataType, one: Value | None, other: Value | None) -> bool:
         return same_value(Variable(0x2000, 0, "own", data_type), one, other)
 
-    assert same(DataType.VISIBLE_STRING, "name\0\0", "name ")
+    assert not same(DataType.VISIBLE_STRING, "name\0\0", "name")
     assert not same(DataType.VISIBLE_STRING, "name", "other")
     assert same(DataType.REAL64, float("nan"), float("nan"))
     assert same(DataType.REAL32, 5.2, 5.199999809265137)

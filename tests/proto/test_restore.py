@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectNotFound
-from canopen_proto.frame import COB_ID_INVALID
-from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.frame import COB_ID_INVALID, Frame
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.backup import back_up
 from canopen_proto.procedures.restore import (
@@ -115,6 +117,49 @@ def test_what_a_restore_leaves_out() -> None:
     assert reasons[0x1010] == "a command: store"
     with_outputs = bench.plan({OUTPUT << 8: 7}, process_data=True)
     assert [each.value for each in with_outputs.writes] == [7]
+
+
+FAILURES = st.sampled_from([None, AbortCode.GENERAL_ERROR, AbortCode.DEVICE_STATE, AbortCode.CRC_ERROR])
+
+
+@settings(max_examples=25, derandomize=True, deadline=None)
+@given(st.dictionaries(st.sampled_from([*sorted(CHANGES), 0x1017_00, 0x2100_01]), FAILURES, max_size=6))
+def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, AbortCode | None]) -> None:
+    """Without failures, the plan has the writes that are needed; with them, some of these, and no other."""
+    bench, before = changed()
+    values = bench.run(back_up(bench.remote)).values | before
+    whole = bench.plan(values)
+    reads, receive = bench.device.read, bench.device.receive
+    silent = {key for key, code in failing.items() if code is None}
+
+    def read(index: int, subindex: int, now: Time) -> Any:
+        return failing.get(index << 8 | subindex) or reads(index, subindex, now)
+
+    def take(frame: Frame, now: Time) -> None:
+        if frame.can_id != 0x605 or int.from_bytes(frame.data[1:3], "little") << 8 | frame.data[3] not in silent:
+            receive(frame, now)
+
+    bench.device.read = read  # type: ignore[method-assign]
+    bench.device.receive = take  # type: ignore[method-assign]
+    try:
+        plan = bench.plan(values)
+    except SdoFailed:
+        assert len(silent) >= 3  # in a row: the device counts as gone
+        return
+    needed = {(each.variable.mux, each.data) for each in whole.writes}
+    written = {(each.variable.mux, each.data) for each in plan.writes}
+    assert written <= needed
+    assert not {key for key, _ in written} & failing.keys()
+    assert plan.unread <= failing.keys()
+    assert {key for key in failing if key in {key for key, _ in needed}} <= plan.left_out.keys()
+    others = {(key, data) for key, data in needed if not any(related(key, each) for each in failing)}
+    assert others <= written
+
+
+def related(one: int, other: int) -> bool:
+    """Whether two objects are one, or of one PDO."""
+    pdo = range(0x1400, 0x1C00)
+    return one == other or (one >> 8 in pdo and other >> 8 in pdo and (one >> 8 | 0x200) == (other >> 8 | 0x200))
 
 
 def test_everything_is_planned_on_request() -> None:

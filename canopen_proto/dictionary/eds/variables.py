@@ -24,9 +24,10 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from canopen_proto.datatypes import DataType, Value, is_number, range_of
+from canopen_proto.datatypes import DataType, Value, decode, is_number, range_of
 from canopen_proto.dictionary.eds.ini import EdsDocument, Findings, Section, quoted
 from canopen_proto.dictionary.eds.numbers import Reading, read_number, read_value
+from canopen_proto.dictionary.eds.writer_values import BYTES_KEY, NOT_READ_KEY, text_beside
 from canopen_proto.dictionary.findings import Severity
 from canopen_proto.dictionary.objects import Access, ObjectType, Variable
 from canopen_proto.dictionary.standard import find_standard
@@ -54,6 +55,8 @@ _RARE: Final = frozenset(
     )
 )
 _KNOWN: Final = _COMMON | _RARE
+_BYTES: Final = BYTES_KEY.lower()
+_NOT_READ: Final = NOT_READ_KEY.lower()
 _FOREIGN: Final = "_"
 """A key that begins so, or with a semicolon, is a maker's own by custom."""
 _ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
@@ -151,7 +154,10 @@ class Variables:
         self.foreign(section)
         configured: Value | None = None
         configured_adds = False
-        if text := get("parametervalue"):
+        text = get("parametervalue", "")
+        if (octets := get(_BYTES)) is not None and (configured := self._exact(section, octets, text, data_type)) is not None:
+            self.has_configured = True
+        elif text:
             configured, configured_adds = self.value(section, "ParameterValue", text, data_type)
             self.has_configured = True
         flags = _FLAGS.get(get("objflags"))
@@ -165,7 +171,21 @@ class Variables:
             get("denotation", ""),
             get("uploadfile", ""),
             get("downloadfile", ""),
+            get(_NOT_READ, ""),
         )
+
+    def _exact(self, section: Section, octets: str, text: str, data_type: DataType) -> Value | None:
+        """The value whose bytes stand in the file; None, and a warning, where they are none or ParameterValue says otherwise."""
+        try:
+            value = decode(bytes.fromhex(octets), data_type)
+        except ValueError:
+            reason = f"is no {data_type.name} in pairs of hexadecimal digits"
+        else:
+            if not text or text == text_beside(value, data_type):
+                return value
+            reason = f"does not agree with ParameterValue {quoted(text)!r}, which counts"
+        self.warn(section, BYTES_KEY, "value", f"{BYTES_KEY} {quoted(octets)!r} {reason}; left out")
+        return None
 
     def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
         """A value that stands somewhere in a section, and whether the node-ID is added to it."""

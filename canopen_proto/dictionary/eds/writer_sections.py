@@ -14,7 +14,8 @@ A fact that the description does not have gets no key; lists of objects name in 
 lack, since an object that no list names does not exist to other tools.
 
 Unit, Factor and Description are no keys of the standard, but other tools have them, too; they are written where a variable has
-them. Left out: what CiA 306 has no place for (aliases, constants, PDO descriptions).
+them. _ParameterBytes and _NotRead are ours: see writer_values.py, and `Variable.not_read`. Left out: what CiA 306 has no place
+for (aliases, constants, PDO descriptions).
 
 Source: CiA 306-1 v1.4.0 (and the public CiA 306 v1.3.0): 4.4 to 4.8, 5.
 """
@@ -26,7 +27,15 @@ from typing import Final, TypeAlias
 
 from canopen_proto.dictionary.describing import MANDATORY, MANUFACTURER
 from canopen_proto.dictionary.description import BIT_RATES, Commissioning, DeviceDescription, FileInfo, Module
-from canopen_proto.dictionary.eds.writer_values import limit_text, one_line, value_text
+from canopen_proto.dictionary.eds.writer_values import (
+    BYTES_KEY,
+    NOT_READ_KEY,
+    bytes_text,
+    limit_text,
+    one_line,
+    text_beside,
+    value_text,
+)
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
 
 Entries: TypeAlias = dict[str, str]
@@ -112,7 +121,13 @@ def _variable(variable: Variable, name: str, object_type: ObjectType, whole: Obj
     if variable.default is not None:
         _add(entries, "DefaultValue", value_text(variable, variable.default, variable.adds_node_id))
     if variable.configured is not None:
-        _add(entries, "ParameterValue", value_text(variable, variable.configured, variable.configured_adds_node_id))
+        octets = bytes_text(variable, variable.configured)
+        if octets is None:
+            _add(entries, "ParameterValue", value_text(variable, variable.configured, variable.configured_adds_node_id))
+        else:
+            _add(entries, "ParameterValue", text_beside(variable.configured, variable.data_type))
+            entries[BYTES_KEY] = octets
+    _add(entries, NOT_READ_KEY, one_line(variable.not_read))
     entries["PDOMapping"] = _flag(variable.pdo_mappable)
     _add(entries, "ObjFlags", _flags(variable.object_flags | (whole.object_flags if whole else 0)))
     _add(entries, "UploadFile", one_line(variable.upload_file))
