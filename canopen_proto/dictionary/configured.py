@@ -1,9 +1,10 @@
 """From the description of a type of device (EDS, XDD) to that of one device with its settings (DCF, XDC), and back.
 
 `with_configured` is what a configuration tool does: it notes the node-ID, the bit rate and the values that the device is to have.
-`without_configured` takes all of that off again. Neither changes what it is given: a description is never changed.
+`without_configured` takes all of that off again. `moved_to` makes the settings of one node those of another. None of them changes
+what it is given: a description is never changed.
 
-Source: CiA 306-1 v1.4.0, 5 (device configuration file).
+Source: CiA 306-1 v1.4.0, 5 (device configuration file); CiA 301 v4.2.0, 7.3.3 (predefined connection set).
 """
 
 from __future__ import annotations
@@ -11,14 +12,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Final
 
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.description import Commissioning, DeviceDescription, FileInfo, FileKind
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.objects import Object, Variable
+from canopen_proto.frame import COB_ID_EXTENDED, EMCY, RPDO1, RPDO2, RPDO3, RPDO4, TPDO1, TPDO2, TPDO3, TPDO4
 from canopen_proto.machine import LocalProtocolError, check_node_id
 
-_OF_ONE_DEVICE = (FileKind.DCF, FileKind.XDC)
+_CAN_ID: Final = 0x7FF
+_EMCY_COB_ID: Final = 0x1014
+_PDO_RECORDS: Final = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
+_PDO_BASES: Final = (TPDO1, RPDO1, TPDO2, RPDO2, TPDO3, RPDO3, TPDO4, RPDO4)
+_OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
 
 
 def with_configured(
@@ -64,6 +71,33 @@ def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id
             new = replace(variable, configured=value, configured_adds_node_id=False, not_read="")
             changed.setdefault(variable.index, {})[variable.subindex] = new
     return _with_variables(dictionary, changed)
+
+
+def moved_to(dictionary: ObjectDictionary, old: int, new: int) -> ObjectDictionary:
+    """The dictionary of a DCF of node `old`, configured for node `new`.
+
+    The COB-IDs of PDOs and of EMCY that are `old`'s in the predefined connection set become `new`'s, with their flag bits. All
+    others stay: they are an agreement of the whole network. Values that depend on the node-ID ($NODEID) follow by themselves.
+    Raises LocalProtocolError for a node-ID outside 1..127. Source: CiA 301 v4.2.0, 7.3.3.
+    """
+    check_node_id(old)
+    check_node_id(new)
+    values: dict[int, Value] = {}
+    for variable in dictionary:
+        cob_id = variable.configured
+        if not isinstance(cob_id, int) or variable.configured_adds_node_id or cob_id & COB_ID_EXTENDED:
+            continue
+        if (cob_id & _CAN_ID) - old in _own_bases(variable):
+            values[variable.mux] = cob_id - old + new
+    return configure(dictionary, values, new)
+
+
+def _own_bases(variable: Variable) -> tuple[int, ...]:
+    """The CAN-IDs that the predefined connection set gives a COB-ID of node 0; none for objects that are no COB-ID of a node."""
+    if variable.index == _EMCY_COB_ID and variable.subindex == 0:
+        return (EMCY,)
+    is_pdo = variable.subindex == 1 and any(variable.index in each for each in _PDO_RECORDS)
+    return _PDO_BASES if is_pdo else ()
 
 
 def without_configured(description: DeviceDescription) -> DeviceDescription:

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from canopen_proto.datatypes import DataType, text_for_people
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame
 from canopen_proto.group import Group
 from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id, event
@@ -190,7 +191,7 @@ def _ask(scanner: Scanner, client: SdoClient, answer_timeout: Time) -> Procedure
         scanner.heard.get(node_id),
         device_type,
         (fields[0], fields[1], fields[2], fields[3]),
-        (name or b"").decode("latin-1").rstrip("\0 "),
+        text_for_people((name or b"").decode("latin-1"), DataType.VISIBLE_STRING).rstrip("\0 "),
         remark,
     )
 

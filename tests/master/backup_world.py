@@ -14,6 +14,8 @@ from canopen_master.simulation import simulate
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.configured import configure
+from canopen_proto.dictionary.describing import describe
+from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -21,7 +23,7 @@ from canopen_proto.sdo.abort import AbortCode
 from canopen_transports import open_transport
 from tests.master.cli_support import Run
 from tests.proto.devices import TEXT
-from tests.proto.restore_bench import GAIN, Strict
+from tests.proto.restore_bench import GAIN, Strict, device
 
 NODE = ("5", "-b", "demo")
 EDS = ("-e", "device.eds")
@@ -79,6 +81,13 @@ def lasting(monkeypatch: pytest.MonkeyPatch, dictionary: ObjectDictionary) -> La
     world = Lasting(dictionary)
     monkeypatch.setattr(session, "simulated_fleet", world.fleet)
     return world
+
+
+def lasting_device(monkeypatch: pytest.MonkeyPatch) -> Lasting:
+    """The device of restore_bench.py, and its file: device.eds in the current folder."""
+    dictionary = device()
+    Path("device.eds").write_text(write_eds(describe(dictionary)))
+    return lasting(monkeypatch, dictionary)
 
 
 _FILES: dict[int, dict[str, str]] = {}

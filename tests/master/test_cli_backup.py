@@ -19,7 +19,7 @@ from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.backup import Backup
 from canopen_proto.sdo.abort import AbortCode
-from tests.master.backup_world import EDS, NODE, Lasting, answering, change, lasting
+from tests.master.backup_world import EDS, NODE, Lasting, answering, change, lasting_device
 from tests.master.cli_support import Run, runner
 from tests.proto.devices import LIMITED, TEXT
 from tests.proto.restore_bench import GAIN, Strict, device
@@ -35,9 +35,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
-    dictionary = device()
-    Path("device.eds").write_text(write_eds(describe(dictionary)))
-    return lasting(monkeypatch, dictionary)
+    return lasting_device(monkeypatch)
 
 
 # ---- backup ----
@@ -103,7 +101,7 @@ def test_what_could_not_be_read_is_told_and_makes_a_backup_partial(run: Run, wor
     assert "refused: abort 0x08000000, general error" in outcome.err
     assert "not read: 7 more; -v shows them" in outcome.err
     assert Path("before.dcf").exists()
-    told = run("backup", *NODE, *EDS, "-o", "before.dcf", "-v").err
+    told = run("backup", *NODE, *EDS, "-o", "before.dcf", "-v", "--force").err
     assert "not read: 2002:00 limited: 3 bytes (01 02 03) are no UNSIGNED8" in told
     assert "not read: 2010:00 secret: write-only" in told
 
@@ -135,7 +133,7 @@ def test_ctrl_c_leaves_no_half_file(run: Run, world: Lasting) -> None:
     world.prepare = lambda node: trio.lowlevel.spawn_system_task(ctrl_c, 0.001)
     Path("before.dcf").write_text("what was there")
     world_is_slow(world)
-    outcome = run("backup", *NODE, *EDS, "-o", "before.dcf")
+    outcome = run("backup", *NODE, *EDS, "-o", "before.dcf", "--force")
     assert outcome.status == ExitCode.INTERRUPTED
     assert Path("before.dcf").read_text() == "what was there"
 
@@ -162,6 +160,7 @@ def world_is_slow(world: Lasting) -> None:
 def test_a_changed_device_is_restored_and_each_write_is_shown(run: Run, world: Lasting) -> None:
     assert run("backup", *NODE, *EDS, "-o", "before.dcf").status == 0
     before = dict(world.values)
+    Path("before.dcf").unlink()
     change(run, world)
     world.values = before.copy()
     assert run("restore", *NODE, "changed.dcf", "--yes").status == 0

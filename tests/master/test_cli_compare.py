@@ -15,7 +15,7 @@ from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.describing import describe
 from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.sdo.abort import AbortCode
-from tests.master.backup_world import EDS, NODE, Lasting, answering, change, lasting
+from tests.master.backup_world import EDS, NODE, Lasting, answering, change, lasting_device
 from tests.master.cli_support import Run, runner
 from tests.proto.devices import LIMITED, TEXT
 from tests.proto.restore_bench import GAIN, device
@@ -31,9 +31,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
-    dictionary = device()
-    Path("device.eds").write_text(write_eds(describe(dictionary)))
-    return lasting(monkeypatch, dictionary)
+    return lasting_device(monkeypatch)
 
 
 # ---- compare ----

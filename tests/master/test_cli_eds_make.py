@@ -218,6 +218,6 @@ def test_what_a_concise_dcf_leaves_out_is_told(run: Run) -> None:
     told = run("eds", "to-cdcf", "odd.dcf", "-o", "odd.cdcf", "--json").json
     assert (told["writes"], told["bytes"], told["node"]) == (0, 4, 3)
     assert [each["object"] for each in told["left_out"]] == ["2002:00"]
-    talk = run("eds", "to-cdcf", "odd.dcf", "-o", "odd.cdcf", "-v").err
+    talk = run("eds", "to-cdcf", "odd.dcf", "-o", "odd.cdcf", "-v", "--force").err
     assert "left out: 2002:00" in talk
     assert "nothing is configured" in talk

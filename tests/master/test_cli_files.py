@@ -111,13 +111,13 @@ def test_an_object_goes_into_a_file(
     devices.kind, devices.content = kind, pattern(5000)
     file = tmp_path / "image.bin"
     file.write_bytes(b"the one before")
-    outcome = run("read", "5", "1F50:01", "-o", str(file), *DEMO, *option)
+    outcome = run("read", "5", "1F50:01", "-o", str(file), "--force", *DEMO, *option)
     assert outcome.status == 0
     assert file.read_bytes() == pattern(5000)
     assert f"→ {file}: 5000 bytes in 0." in outcome.out
     assert devices.kinds == kinds
     assert list(tmp_path.iterdir()) == [file]
-    document = run("read", "5", "1F50:01", "-o", str(file), *DEMO, "--json").json
+    document = run("read", "5", "1F50:01", "-o", str(file), "--force", *DEMO, "--json").json
     assert (document["node"], document["index"], document["sub"], document["bytes"]) == (5, IMAGE, 1, 5000)
 
 
@@ -147,7 +147,7 @@ def test_a_file_goes_into_an_object(
 
 def test_a_short_object_needs_no_blocks(run: Run, tmp_path: Path) -> None:
     file = tmp_path / "statusword.bin"
-    assert run("read", "3", "6041", "-o", str(file), *DEMO).status == 0
+    assert run("read", "3", "6041", "-o", str(file), "--force", *DEMO).status == 0
     assert file.read_bytes() == b"\x40\x02"
     file.write_bytes(b"\x06\x00")
     assert run("write", "3", "6040", "--file", str(file), *DEMO).status == 0
@@ -187,7 +187,7 @@ def test_what_is_read_back_differs(run: Run, devices: Devices, tmp_path: Path) -
 def test_a_transfer_that_fails_leaves_the_file_as_it_was(run: Run, devices: Devices, tmp_path: Path) -> None:
     file = tmp_path / "image.bin"
     file.write_bytes(b"the one before")
-    outcome = run("read", "5", "5000:01", "-o", str(file), *DEMO)
+    outcome = run("read", "5", "5000:01", "-o", str(file), "--force", *DEMO)
     assert outcome.status == ExitCode.SDO_ABORT
     assert file.read_bytes() == b"the one before"
     assert list(tmp_path.iterdir()) == [file]
@@ -218,7 +218,7 @@ def test_what_was_typed_makes_no_sense(run: Run, devices: Devices, tmp_path: Pat
     (tmp_path / "constants.csv").write_text("")
     (tmp_path / "PDOs.csv").write_text("")
     monkeypatch.setenv("CANOPEN_DATA", str(tmp_path))
-    outcome = run("read", "5", "secret", "-o", str(file), *DEMO)
+    outcome = run("read", "5", "secret", "-o", str(file), "--force", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert "write-only" in outcome.err
     assert devices.heard == []
@@ -237,11 +237,11 @@ def test_long_transfers_show_their_progress_on_a_terminal(
     monkeypatch.setenv("TERM", "xterm")
     assert "20.0/20.0 kB" in run("write", "5", "1F50:01", "--file", str(file), *DEMO).err
     devices.content = pattern(20_000)
-    outcome = run("read", "5", "1F50:01", "-o", str(file), *DEMO)
+    outcome = run("read", "5", "1F50:01", "-o", str(file), "--force", *DEMO)
     assert "20.0/? kB" in outcome.err
-    assert "20.0" not in run("read", "5", "1F50:01", "-o", str(file), *DEMO, "-q").err
+    assert "20.0" not in run("read", "5", "1F50:01", "-o", str(file), "--force", *DEMO, "-q").err
     monkeypatch.setattr(object_files, "PATIENCE", 1000.0)
-    assert "20.0" not in run("read", "5", "1F50:01", "-o", str(file), *DEMO).err
+    assert "20.0" not in run("read", "5", "1F50:01", "-o", str(file), "--force", *DEMO).err
 
 
 def test_a_pipe_has_no_size(run: Run, devices: Devices, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import errno
 import io
 import json
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -61,7 +62,7 @@ def test_a_simulation_records_its_own_side(run: Run) -> None:
 def test_errors_do_not_cut_the_trace(run: Run) -> None:
     outcome = run("read", "3", "0x5FFF", "--trace", "t.log", "-b", "demo")
     assert outcome.status != 0
-    outcome = run("read", "99", "0x1000", "--trace", "t.log", "-b", "demo")
+    outcome = run("read", "99", "0x1000", "--trace", "t.log", "-b", "demo", "--force")
     assert outcome.status == 5
     assert any(frame.startswith("663#80001000") for frame in frames("t.log"))  # the abort of the time-out
 
@@ -78,11 +79,11 @@ def test_ctrl_c_does_not_cut_it_either(run: Run, monkeypatch: pytest.MonkeyPatch
         assert any(frame.startswith(f"{0x180 + node:X}#") for frame in said[-200:])
 
 
-@pytest.mark.parametrize(("name", "seen"), [("t.txt", "it ends in '.txt'"), ("none/t.log", "No such file")])
+@pytest.mark.parametrize(("name", "seen"), [("t.txt", "it ends in '.txt'"), ("none/t.log", "there is no folder none")])
 def test_a_trace_that_cannot_be_begun(run: Run, name: str, seen: str) -> None:
     outcome = run("read", "3", "statusword", "-b", "demo", "--trace", name)
     assert outcome.status == 6
-    assert "error CO342" in outcome.err
+    assert re.search("error CO34[12]", outcome.err)
     assert seen in outcome.err
     assert not outcome.out
 
@@ -190,7 +191,7 @@ def test_convert_spoils_nothing(run: Run, log: Path) -> None:
     os.link(log, "same.log")
     for same in (str(log), "same.log"):
         assert run("log", "convert", str(log), same).status == 2
-    outcome = run("log", "convert", "none.log", str(log))
+    outcome = run("log", "convert", "none.log", str(log), "--force")
     assert outcome.status == 6
     assert "cannot read none.log" in outcome.err
     assert log.read_text() == LOG
@@ -227,8 +228,8 @@ def test_replay(run: Run, log: Path) -> None:
     sent = list(LogReader(Path("t.log")))
     assert [str(record.frame) for record in sent] == [frame.removesuffix(" T") for frame in frames(str(log))]
     assert (sent[-1].time - sent[0].time) / 1e9 == pytest.approx(2.0, abs=1e-3)
-    assert run("log", "replay", str(log), "-b", "virtual:x", "--trace", "t.log", "--speed", "max", "--only-sent").status == 0
-    assert frames("t.log") == ["603#4041600000000000 T", "703#R1 T"]
+    assert run("log", "replay", str(log), "-b", "virtual:x", "--trace", "u.log", "--speed", "max", "--only-sent").status == 0
+    assert frames("u.log") == ["603#4041600000000000 T", "703#R1 T"]
 
 
 def test_replay_wants_a_bus_and_a_speed(run: Run, log: Path) -> None:

@@ -135,13 +135,30 @@ def test_what_cannot_be_meant(data_type: DataType) -> None:
 
 
 def test_values_as_text() -> None:
-    assert value_text(592) == "592"
-    assert value_text("drive") == "'drive'"
-    assert value_text(b"\x01\xff") == "01 ff"
-    assert value_text(bytes(1000)).endswith("(1000 bytes)")
+    assert value_text(variable(DataType.UNSIGNED16), 592) == "592"
+    assert value_text(variable(DataType.VISIBLE_STRING), "drive") == "'drive'"
+    assert value_text(variable(DataType.OCTET_STRING), b"\x01\xff") == "01 ff"
+    assert value_text(variable(DataType.DOMAIN), bytes(1000)).endswith("(1000 bytes)")
     assert hex_text(variable(DataType.UNSIGNED16), 592) == "0x0250"
     assert hex_text(variable(DataType.INTEGER8), -1) == "0xFF"
     assert hex_text(variable(DataType.REAL32), 1.5) == ""
     assert hex_text(variable(DataType.BOOLEAN), True) == ""
-    assert as_json(b"\x01") == "01"
-    assert as_json(5) == 5
+    assert as_json(variable(DataType.DOMAIN), b"\x01") == "01"
+    assert as_json(variable(DataType.UNSIGNED8), 5) == 5
+    assert as_json(variable(DataType.REAL32), float("inf")) == "inf"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown", "octets"),
+    [
+        ("plain", "'plain'", ""),
+        ("\xc3\xbc", "'ü'", "C3 BC"),  # two devices that say the same to people, and are not the same
+        ("\xfc", "'ü'", "FC"),
+        ("\x1b[31m", "'\\x1b[31m'", "1B 5B 33 31 6D"),
+    ],
+)
+def test_texts_of_devices_are_shown_for_people_and_what_is_not_clean_as_bytes(text: str, shown: str, octets: str) -> None:
+    own = variable(DataType.VISIBLE_STRING)
+    assert value_text(own, text) == shown
+    assert hex_text(own, text) == octets
+    assert own.encode(text) == (bytes.fromhex(octets) or b"plain")

@@ -224,7 +224,7 @@ def test_a_node_without_a_file_is_walked_where_its_pdos_are() -> None:
     found = {each.variable.mux: each.data for each in backup.readings if each.data is not None}
     communication = {each.variable.mux: each.data for each in truth.readings if each.variable.index < 0x2000 and each.data}
     counts = {key: data[0] for key, data in communication.items() if key >> 16 in (0x16, 0x1A) and not key & 0xFF}
-    used = {key: data for key, data in communication.items() if (key & 0xFF) <= counts.get(key & ~0xFF, 0xFF)}
+    used = {key: data for key, data in communication.items() if (key & 0xFF) <= max(1, counts.get(key & ~0xFF, 0xFF))}
     assert found == used | {GAIN << 8: b"\0\0\xc0\x3f"}
     assert backup.dictionary.variable("my_heartbeat").mux == 0x1017_00
     assert backup.values[GAIN << 8] == 1.5

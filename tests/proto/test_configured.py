@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Constant, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable, mux
-from canopen_proto.dictionary.configured import with_configured, without_configured, without_configured_values
+from canopen_proto.dictionary.configured import (
+    configure,
+    moved_to,
+    with_configured,
+    without_configured,
+    without_configured_values,
+)
 from canopen_proto.dictionary.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_proto.dictionary.download_order import settings_of
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, EMCY
 from canopen_proto.machine import LocalProtocolError
 
 COB_ID = Variable(0x1800, 1, "COB-ID", DataType.UNSIGNED32, default=0x180, adds_node_id=True)
@@ -73,3 +83,32 @@ def test_callers_faults() -> None:
         with_configured(EDS, {mux(0x2000): 1}, NODE_5)
     with pytest.raises(ValueRangeError, match="heartbeat"):
         with_configured(EDS, {mux(0x1017): 0x10000}, NODE_5)
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(
+    old=st.integers(1, 127),
+    new=st.integers(1, 127),
+    place=st.sampled_from([0x1014_00, 0x1400_01, 0x1401_01, 0x1800_01, 0x19FF_01]),
+    flags=st.sampled_from([0, COB_ID_INVALID, COB_ID_NO_RTR]),
+    can_id=st.sampled_from(["own", "other", "extended"]),
+)
+def test_own_cob_ids_move_with_the_node_id_and_no_others(old: int, new: int, place: int, flags: int, can_id: str) -> None:
+    base = EMCY if place == 0x1014_00 else 0x300
+    foreign = base + 128 - old if old != 64 else 0x6A0
+    before = flags | {"own": base + old, "other": foreign, "extended": COB_ID_EXTENDED | base + old}[can_id]
+    consumer = 0x1016_01
+    dictionary = ObjectDictionary(
+        Object.of(f"{key:X}", [Variable(key >> 8, key & 0xFF, f"{key:X}", DataType.UNSIGNED32)]) for key in (place, consumer)
+    )
+    dcf = configure(dictionary, {place: before, consumer: base + old}, old)
+    moved = settings_of(moved_to(dcf, old, new), new)
+    assert moved == {place: before - old + new if can_id == "own" else before, consumer: base + old}
+
+
+def test_what_depends_on_the_node_id_moves_by_itself() -> None:
+    cob_id = Variable(0x1800, 1, "cob", DataType.UNSIGNED32, configured=0x180, configured_adds_node_id=True)
+    dictionary = ObjectDictionary([Object.of("tpdo", [cob_id])])
+    assert settings_of(moved_to(dictionary, 5, 6), 6) == {0x1800_01: 0x186}
+    with pytest.raises(LocalProtocolError):
+        moved_to(dictionary, 5, 128)

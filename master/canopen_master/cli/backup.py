@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.markup import escape
 
 from canopen_master.cli.backup_reading import (
     check_indices,
@@ -19,13 +18,14 @@ from canopen_master.cli.backup_reading import (
     reading_options,
     tell_unread,
 )
+from canopen_master.cli.new_files import check_new_file, write_file
 from canopen_master.cli.options import NodeId, Settings, common
-from canopen_master.cli.problem import ExitCode, Problem
+from canopen_master.cli.problem import ExitCode
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
-from canopen_proto.dictionary import ObjectDictionary, Variable
-from canopen_proto.procedures.backup import Backup
+from canopen_proto.dictionary.describing import EDS_VERSION
+from canopen_proto.procedures.backup import Backup, Reading
 from canopen_transports import TransportError
 from canopen_transports.locator import parse_locator
 
@@ -42,8 +42,9 @@ if TYPE_CHECKING:
 def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
     """Read all that a node holds into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
-    Its objects are those of its own file (-e), or of the data files; --walk asks a device of which nobody has a file. Exit
-    status: 0 complete, 7 something that should be there could not be read.
+    Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
+    those of the data files are read; --walk looks for others. Exit status: 0 complete, 7 something that should be there could not
+    be read, or not be kept in the file as it was read.
 
     \b
     canopen backup 5 -o before.dcf -e drive.eds
@@ -51,18 +52,19 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     """
     screen = settings.screen()
     check_indices(indices, settings.eds)
-    check_place(output)
+    check_new_file(settings, screen, output)
     found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
     bit_rate = bit_rate_of(settings)
-    write_dcf(output, found, description, bit_rate)
+    lost = write_dcf(output, found, description, bit_rate)
     if settings.json:
         unread = [reading_as_json(each) for each in found.readings if each.value is None]
         counts = {str(result): number for result, number in found.counts.items()}
-        screen.json({"node": node_id, "file": output, "bit_rate": bit_rate, "counts": counts, "not_read": unread})
+        document = {"node": node_id, "file": output, "bit_rate": bit_rate, "counts": counts, "not_read": unread}
+        screen.json(document | {"not_exact": [reading_as_json(each) for each in lost]})
     else:
-        tell_unread(screen, found)
+        tell_unread(screen, found, lost)
         screen.say(f"{escape(output)}: backup of {node_text(node_id)}, {counts_text(found)}")
-    return ExitCode.OK if found.is_complete else ExitCode.PARTIAL
+    return ExitCode.OK if found.is_complete and not lost else ExitCode.PARTIAL
 
 
 async def _backup(
@@ -71,15 +73,6 @@ async def _backup(
     async with open_session(settings, screen) as session:
         found = await read_all(session, screen, node_id, indices, domains)
         return found, session.description_of(node_id)
-
-
-def check_place(output: str) -> None:
-    """A Problem where a file cannot be written there; better before a long work than behind it."""
-    folder = Path(output).parent
-    if not folder.is_dir():
-        raise Problem(
-            ExitCode.BAD_FILE, "CO341", f"cannot write {output}: there is no folder {folder}", tries=("write elsewhere",)
-        )
 
 
 def bit_rate_of(settings: Settings) -> int | None:
@@ -93,24 +86,16 @@ def bit_rate_of(settings: Settings) -> int | None:
     return None
 
 
-def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> None:
-    """Write what was read as a DCF. description: by which it was read; None: by the data files, or by a walk.
+def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> tuple[Reading, ...]:
+    """Write what was read as a DCF. Returns what the file could not hold as it was read.
 
-    Raises Problem, also where the file would be the one that describes the device.
+    description: by which it was read; None: by the data files, or by a walk. Raises Problem, also where the file would be the one
+    that describes the device.
     """
-    from canopen_master.cli.eds_files import write_file
-    from canopen_proto.dictionary.configured import with_configured
-    from canopen_proto.dictionary.describing import describe
-    from canopen_proto.dictionary.description import Commissioning, FileKind
-    from canopen_proto.dictionary.eds.writer import encode_eds, write_eds
+    from canopen_proto.dictionary.description import FileInfo
+    from canopen_proto.procedures.backup_file import backup_file
 
-    whole = describe(_present(found)) if description is None else description
-    commissioning = whole.commissioning or Commissioning()
-    if commissioning.node_id != found.node_id:
-        commissioning = Commissioning(node_id=found.node_id)
-    if bit_rate is not None:
-        commissioning = replace(commissioning, bit_rate=bit_rate)
-    old = whole.file_info
+    old = FileInfo(file_version=1, eds_version=EDS_VERSION) if description is None else description.file_info
     now = datetime.datetime.now().astimezone()
     file_info = replace(
         old,
@@ -120,16 +105,6 @@ def write_dcf(output: str, found: Backup, description: DeviceDescription | None,
         modification_date=now.strftime("%m-%d-%Y"),
         modified_by="canopen backup",
     )
-    configured = with_configured(whole, found.values, commissioning, file_info=file_info)
-    text = write_eds(configured, FileKind.DCF)
-    write_file(output, encode_eds(text, whole.encoding), *(() if description is None else (description.source,)))
-
-
-def _present(found: Backup) -> ObjectDictionary:
-    """What the device has shown that it has: the data files describe more than one device has."""
-    by_index: dict[int, dict[int, Variable]] = {}
-    for each in found.readings:
-        if each.data is not None or each.result.is_missing:
-            by_index.setdefault(each.variable.index, {})[each.variable.subindex] = each.variable
-    objects = found.dictionary.objects
-    return ObjectDictionary(replace(objects[index], variables=variables) for index, variables in by_index.items())
+    made = backup_file(found, description, file_info, bit_rate)
+    write_file(output, made.data, *(() if description is None else (description.source,)))
+    return made.lost

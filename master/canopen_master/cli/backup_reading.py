@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeVar
 
 import click
 import trio
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from canopen_master.cli.options import Kind
 from canopen_master.cli.problem import usage
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import Session
 from canopen_master.cli.values import as_json, hex_text, place_text, value_text
 from canopen_master.subscription import Subscription
@@ -22,7 +21,7 @@ from canopen_proto.dictionary import Variable
 from canopen_proto.machine import Event
 from canopen_proto.procedures.backup import Backup, ObjectRead, Reading, ReadResult, back_up
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.procedures.walk import WalkProgress, walk
+from canopen_proto.procedures.walk import WalkProgress, back_up_by_names, walk
 from canopen_proto.sdo.abort import text_of
 
 T = TypeVar("T")
@@ -71,22 +70,26 @@ def reading_options(command: F) -> F:
 
 
 async def read_all(session: Session, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
-    """Read what a node holds, by its dictionary or by walking over indices. Raises SdoFailed where it is gone."""
+    """Read what a node holds: by its own file; without one by a walk and the data files; or by a walk over `indices`. Raises
+    SdoFailed where it is gone."""
     node = session.node(node_id).remote
     label = f"reading {node_text(node_id)}"
     if indices is not None:
-        return await shown(session, screen, label, WalkProgress, walk(node, indices))
-    return await shown(session, screen, label, ObjectRead, back_up(node, domains=domains))
+        return await shown(session, screen, label, walk(node, indices), WalkProgress)
+    if session.description_of(node_id) is None:
+        reading = back_up_by_names(node, session.dictionary_of(node_id), domains=domains)
+        return await shown(session, screen, label, reading, WalkProgress, ObjectRead)
+    return await shown(session, screen, label, back_up(node, domains=domains), ObjectRead)
 
 
-async def shown(session: Session, screen: Screen, label: str, kind: type[Event], procedure: Procedure[T]) -> T:
-    """Run a procedure, with a bar on a terminal. kind: of the events of its progress, which have `done` and `total`."""
+async def shown(session: Session, screen: Screen, label: str, procedure: Procedure[T], *kinds: type[Event]) -> T:
+    """Run a procedure, with a bar on a terminal. kinds: of the events of its progress, which have `done` and `total`."""
     if not screen.draws:
         return await session.master.run(procedure)
     results: list[T] = []
     failure: Exception | None = None
     async with trio.open_nursery() as nursery:
-        with session.master.events(kind) as news:
+        with session.master.events(*kinds) as news:
             nursery.start_soon(_draw, screen, label, news)
             try:
                 results.append(await session.master.run(procedure))
@@ -129,8 +132,13 @@ _WORDS: Final = {
 }
 
 
-def tell_unread(screen: Screen, backup: Backup) -> None:
-    """Say what is missing, and with -v everything that was not read."""
+def tell_unread(screen: Screen, backup: Backup, lost: Sequence[Reading] = ()) -> None:
+    """Say what is missing, and with -v everything that was not read. lost: what a file could not keep as it was read."""
+    for each in lost:
+        data = (each.data or b"")[:16].hex(" ")
+        screen.say(
+            f"[yellow]not exact in the file:[/] {escape(f'{place_text(each.variable)} {each.variable.name}: bytes {data}')}"
+        )
     missing = [each for each in backup.readings if each.result.is_missing]
     for each in missing[:MAX_LISTED]:
         screen.say(f"[yellow]not read:[/] {escape(reason_text(each))}")
@@ -161,7 +169,7 @@ def reading_as_json(reading: Reading) -> dict[str, Any]:
         "type": variable.data_type.name,
         "access": str(variable.access),
         "result": str(reading.result),
-        "value": None if reading.value is None else as_json(reading.value),
+        "value": None if reading.value is None else as_json(variable, reading.value),
         "hex": (hex_text(variable, reading.value) if reading.value is not None else "") or None,
         "abort": reading.abort_code,
     }
@@ -172,7 +180,7 @@ def both_notations(variable: Variable, value: Value | None) -> str:
     if value is None:
         return "?"
     number = hex_text(variable, value)
-    return f"{value_text(value)} ({number})" if number else value_text(value)
+    return f"{value_text(variable, value)} ({number})" if number else value_text(variable, value)
 
 
 def check_indices(indices: tuple[range, ...] | None, files: tuple[str, ...]) -> None:

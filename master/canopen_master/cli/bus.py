@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import click
 import trio
-from rich.markup import escape
 
 from canopen_master.cli.nmt import confirm
 from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
 from canopen_master.cli.running import run
+from canopen_master.cli.screen import escape
 from canopen_proto.frame import Frame
 from canopen_transports.record import Record
 from canopen_transports.tcp import BusServer, serve_bus

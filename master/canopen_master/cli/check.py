@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING, Final
 
 import click
 import trio
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from canopen_master.cli.backup import check_place
 from canopen_master.cli.check_report import CaseRun, Report, list_cases, write_junit
 from canopen_master.cli.device_files import description_of, read_device_files
 from canopen_master.cli.eds_files import open_description
 from canopen_master.cli.fleet import drive_maker
+from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.nmt import confirm
 from canopen_master.cli.options import DEMO, Settings, common, node_id_of
 from canopen_master.cli.problem import ExitCode, usage
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import Session, open_session, read_dictionary
 from canopen_master.errors import MasterError, SdoRefused
 from canopen_proto.conformance.bench import Bench
@@ -74,7 +73,7 @@ def check(
     if target is None:
         raise click.UsageError("Missing argument 'NODE|FILE'.")
     if junit:
-        check_place(junit)
+        check_new_file(settings, screen, junit)
     failure: Exception | None = None
     if _NODE.fullmatch(target) is None:
         report = _check_file(settings, target, cases)

@@ -13,10 +13,9 @@ from itertools import groupby
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from rich.markup import escape
-
-from canopen_master.cli.eds_files import plain, write_file
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.new_files import write_file
+from canopen_master.cli.screen import Screen, escape, node_text
+from canopen_master.plain_text import clean
 from canopen_proto.conformance.case import Case, Result, Verdict
 
 PACKAGE: Final = "canopen.conformance"
@@ -103,7 +102,7 @@ class Report:
 
 def _row(each: CaseRun) -> tuple[str, ...]:
     result = each.verdict.result
-    return each.case.number, each.case.title, f"[{_STYLES[result]}]{result}[/]", escape(plain(each.verdict.reason))
+    return each.case.number, each.case.title, f"[{_STYLES[result]}]{result}[/]", escape(each.verdict.reason)
 
 
 def list_cases(screen: Screen, cases: Sequence[Case]) -> None:
@@ -123,7 +122,7 @@ def write_junit(path: str, report: Report) -> None:
     """Write the report as a JUnit file. A Problem where it cannot be written."""
     entries = [(each.case, each) for each in report.runs] + [(case, None) for case in report.left_out]
     entries.sort(key=lambda entry: _order(entry[0]))
-    root = ElementTree.Element("testsuites", {"name": plain(f"canopen check {report.subject}")})
+    root = ElementTree.Element("testsuites", {"name": clean(f"canopen check {report.subject}")})
     for chapter, cases in groupby(entries, key=lambda entry: _chapter(entry[0])):
         root.append(_suite(chapter, list(cases), report.file))
     _count(root, [each for suite in root for each in suite.iter("testcase")])
@@ -145,7 +144,7 @@ def _suite(chapter: str, entries: Iterable[tuple[Case, CaseRun | None]], file: s
     suite = ElementTree.Element("testsuite", {"name": chapter, "package": PACKAGE})
     if file:
         properties = ElementTree.SubElement(suite, "properties")
-        ElementTree.SubElement(properties, "property", {"name": "file", "value": plain(file)})
+        ElementTree.SubElement(properties, "property", {"name": "file", "value": clean(file)})
     for case, each in entries:
         suite.append(_test_case(chapter, case, each))
     _count(suite, suite.findall("testcase"))
@@ -159,7 +158,7 @@ def _test_case(chapter: str, case: Case, each: CaseRun | None) -> ElementTree.El
         "time": f"{0.0 if each is None else each.seconds:.3f}",
     }
     element = ElementTree.Element("testcase", attributes)
-    reason = LEFT_OUT if each is None else plain(each.verdict.reason)
+    reason = LEFT_OUT if each is None else clean(each.verdict.reason)
     result = Result.NOT_APPLICABLE if each is None else each.verdict.result
     if result is Result.FAILED:
         ElementTree.SubElement(element, "failure", {"message": reason, "type": "Violation"})

@@ -12,13 +12,12 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
 import click
-from rich.markup import escape
 
 from canopen_master.cli.backup_reading import both_notations, shown, tell_unread
 from canopen_master.cli.options import Kind, NodeId, Settings, common, node_id_of
 from canopen_master.cli.problem import ExitCode, usage
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
 from canopen_master.cli.values import as_json, place_text
 from canopen_proto.datatypes import Value
@@ -172,7 +171,7 @@ async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) ->
     async with open_session(settings, screen) as session:
         node = session.node(node_id).remote
         reading = back_up(node, file.dictionary, only=only, domains=True)
-        return await shown(session, screen, f"reading {node_text(node_id)}", ObjectRead, reading)
+        return await shown(session, screen, f"reading {node_text(node_id)}", reading, ObjectRead)
 
 
 def _description(path: str) -> DeviceDescription:
@@ -215,6 +214,6 @@ def _as_json(row: Row) -> dict[str, Any]:
         "name": row.variable.name,
         "change": str(row.change),
         "role": str(row.role),
-        "left": None if row.left is None else as_json(row.left),
-        "right": None if row.right is None else as_json(row.right),
+        "left": None if row.left is None else as_json(row.variable, row.left),
+        "right": None if row.right is None else as_json(row.variable, row.right),
     }

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from rich.markup import escape
 
 import canopen_data
 from canopen_master.cli.options import Settings, common
+from canopen_master.cli.screen import escape
 
 _STYLES = {"created": "green", "replaced": "yellow", "kept": "yellow", "unchanged": "dim"}
 
@@ -19,17 +19,16 @@ def data() -> None:
 
 
 @data.command()
-@click.option("--force", is_flag=True, help="Replace files that were changed.")
 @click.option("--to", "target", type=click.Path(file_okay=False, path_type=Path), help="Another folder than ~/.canopen.")
 @common
 @click.pass_obj
-def init(settings: Settings, force: bool, target: Path | None) -> None:
+def init(settings: Settings, target: Path | None) -> None:
     """Copy the data files to ~/.canopen (or $CANOPEN_DATA).
 
     A file there takes the place of the installed one of its name. Files that you changed stay, unless --force is given.
     """
     screen = settings.screen()
-    copied = canopen_data.init(target, force=force)
+    copied = canopen_data.init(target, force=settings.force)
     if settings.json:
         screen.json([{"path": str(each.path), "action": each.action} for each in copied])
         return

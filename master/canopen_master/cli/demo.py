@@ -8,6 +8,7 @@ import click
 
 from canopen_master.cli.demonstration import Demonstration, Plan
 from canopen_master.cli.drive_files import drive_files
+from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.options import Duration, Fault, Settings, common
 from canopen_master.cli.plot import check_plot, write_plot
 from canopen_master.cli.problem import usage
@@ -76,6 +77,7 @@ def demo(
     check_cycle(cycle)
     if plot is not None:
         check_plot(plot)
+        check_new_file(settings, settings.screen(), plot)
     if defaults and not settings.eds:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()

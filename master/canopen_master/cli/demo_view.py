@@ -9,13 +9,12 @@ from typing import Final
 
 from rich.console import Group
 from rich.live import Live
-from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 
 TRACK_WIDTH: Final = 41
 """Characters of the line on which a joint's position is shown; odd, so that it has a middle."""

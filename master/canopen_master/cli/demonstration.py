@@ -15,7 +15,6 @@ from functools import partial
 from typing import Any, Final
 
 import trio
-from rich.markup import escape
 
 from canopen_master.chain import Chain, ChainSettings
 from canopen_master.chain_file import ChainDescription, read_chains, same_nodes
@@ -26,7 +25,7 @@ from canopen_master.cli.path import Path
 from canopen_master.cli.problem import ExitCode, problem_of, usage
 from canopen_master.cli.recording import JointTrack, Recording
 from canopen_master.cli.running import notes_of
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_master.device import Device
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
 from canopen_master.master import SDO_TIMEOUT, Master

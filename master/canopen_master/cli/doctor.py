@@ -11,13 +11,12 @@ from typing import Any, Final
 
 import click
 import trio
-from rich.markup import escape
 
 from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_master.cli.options import DEMO, Duration, Settings, common
 from canopen_master.cli.problem import ExitCode, usage
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.doctor import Finding, Health, examine
 from canopen_transports.locator import bitrate_text, parse_locator

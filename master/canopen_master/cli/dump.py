@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
-from rich.markup import escape
 
-from canopen_master.cli.backup import bit_rate_of, check_place, write_dcf
+from canopen_master.cli.backup import bit_rate_of, write_dcf
 from canopen_master.cli.backup_reading import check_indices, counts_text, read_all, reading_as_json, reading_options, tell_unread
+from canopen_master.cli.new_files import check_new_file, write_file
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.problem import ExitCode, usage
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
 from canopen_master.cli.values import hex_text, place_text, value_text
 from canopen_proto.dictionary.description import DeviceDescription
@@ -35,8 +35,9 @@ COLUMNS: Final = ("object", "name", "type", "access", "value", "hex")
 def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[range, ...] | None, domains: bool) -> int:
     """Read all objects of a node, and show them.
 
-    Its objects are those of its own file (-e), or of the data files; --walk asks a device of which nobody has a file. Exit
-    status: 0 complete, 7 something that should be there could not be read.
+    Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
+    those of the data files are read; --walk looks for others. Exit status: 0 complete, 7 something that should be there could not
+    be read.
 
     \b
     canopen dump 3 -b demo
@@ -50,17 +51,18 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
             raise usage(
                 "CO001", f"{output} is of no format that is known here", tries=[f"-o node{node_id}{each}" for each in FORMATS]
             )
-        check_place(output)
+        check_new_file(settings, screen, output)
     found, description = run(settings, screen, lambda: _dump(settings, screen, node_id, indices, domains))
+    lost: tuple[Reading, ...] = ()
     if output is None:
         _show(settings, screen, found)
     elif suffix == ".dcf":
-        write_dcf(output, found, description, bit_rate_of(settings))
+        lost = write_dcf(output, found, description, bit_rate_of(settings))
     else:
         _write(output, suffix, found)
-    tell_unread(screen, found)
+    tell_unread(screen, found, lost)
     screen.say((f"{escape(output)}: " if output is not None else "") + f"{node_text(node_id)}, {counts_text(found)}")
-    return ExitCode.OK if found.is_complete else ExitCode.PARTIAL
+    return ExitCode.OK if found.is_complete and not lost else ExitCode.PARTIAL
 
 
 async def _dump(
@@ -83,7 +85,7 @@ def _row(reading: Reading) -> tuple[str, ...]:
     variable, value = reading.variable, reading.value
     assert value is not None
     place, number = place_text(variable), hex_text(variable, value)
-    return place, variable.name, variable.data_type.name, str(variable.access), value_text(value), number
+    return place, variable.name, variable.data_type.name, str(variable.access), value_text(variable, value), number
 
 
 def _document(found: Backup) -> dict[str, Any]:
@@ -91,8 +93,6 @@ def _document(found: Backup) -> dict[str, Any]:
 
 
 def _write(output: str, suffix: str, found: Backup) -> None:
-    from canopen_master.cli.eds_files import write_file
-
     if suffix == ".json":
         text = json.dumps(_document(found), indent=2, ensure_ascii=False) + "\n"
     else:

@@ -7,11 +7,12 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import click
-from rich.markup import escape
 
-from canopen_master.cli.eds_files import DescriptionFile, counted, open_description, tell_faults, write_file
+from canopen_master.cli.eds_files import DescriptionFile, counted, open_description, tell_faults
+from canopen_master.cli.new_files import check_new_file, write_file
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.problem import usage
+from canopen_master.cli.screen import escape
 from canopen_master.cli.values import as_json, parse_value, place_text, value_text
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.concise import pack_concise
@@ -59,6 +60,7 @@ def to_dcf(
     canopen eds to-dcf drive.eds --id 5 --bitrate 500 --set 1017=200 -o axis5.dcf
     """
     screen = settings.screen()
+    check_new_file(settings, screen, output, path)
     file = open_description(path)
     description = file.description
     commissioning = _commissioned(description, node_id, path)
@@ -79,7 +81,7 @@ def to_dcf(
         return
     tell_faults(screen, file)
     for variable, value in chosen:
-        screen.say(f"  {place_text(variable)} {escape(variable.name)} = {escape(value_text(value))}")
+        screen.say(f"  {place_text(variable)} {escape(variable.name)} = {escape(value_text(variable, value))}")
     screen.say(f"{escape(output)}: DCF of node {commissioning.node_id}, {counted(len(chosen), 'new setting')}")
 
 
@@ -97,6 +99,7 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
     canopen eds to-cdcf drive.eds --id 5 --set 1017=200 -o axis5.cdcf
     """
     screen = settings.screen()
+    check_new_file(settings, screen, output, path)
     file = open_description(path)
     commissioning = _commissioned(file.description, node_id, path)
     assert commissioning.node_id is not None
@@ -148,4 +151,4 @@ def _assigned(file: DescriptionFile, assignments: tuple[str, ...]) -> list[Setti
 
 def _as_json(setting: Setting) -> dict[str, Any]:
     variable, value = setting
-    return {"index": variable.index, "sub": variable.subindex, "name": variable.name, "value": as_json(value)}
+    return {"index": variable.index, "sub": variable.subindex, "name": variable.name, "value": as_json(variable, value)}

@@ -6,12 +6,12 @@ from enum import IntEnum
 from typing import Any, Final
 
 import click
-from rich.markup import escape
 
-from canopen_master.cli.eds_files import counted, open_description, plain, tell_faults
+from canopen_master.cli.eds_files import counted, open_description, tell_faults
 from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode
-from canopen_master.cli.values import as_json
+from canopen_master.cli.screen import escape
+from canopen_master.cli.values import plain_json
 from canopen_proto.dictionary.difference import Change, Difference, Relative, compare
 
 _MARKS: Final = {Change.ADDED: "[green]+[/]", Change.REMOVED: "[red]-[/]", Change.CHANGED: "[yellow]~[/]"}
@@ -40,7 +40,7 @@ def diff(settings: Settings, before: str, after: str) -> int:
     for file in files:
         tell_faults(screen, file)
     for each in found:
-        screen.out.print(f"{_MARKS[each.change]} {escape(plain(_text(each)))}", soft_wrap=True, highlight=False)
+        screen.out.print(f"{_MARKS[each.change]} {escape(_text(each))}", soft_wrap=True, highlight=False)
     screen.say(f"{counted(len(found), 'difference')} between {escape(before)} and {escape(after)}")
     return ExitCode.DIFFERENT if found else ExitCode.OK
 
@@ -69,4 +69,4 @@ def _value(value: Any) -> Any:
         return value.name
     if isinstance(value, frozenset):
         return sorted(value)
-    return None if value is None else as_json(value)
+    return None if value is None else plain_json(value)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 
 import click
-from rich.markup import escape
 
-from canopen_master.cli.eds_files import open_description, tell_faults, write_file
+from canopen_master.cli.eds_files import open_description, tell_faults
 from canopen_master.cli.eds_html import html_of
 from canopen_master.cli.eds_markdown import markdown_of
 from canopen_master.cli.eds_page import page_of
+from canopen_master.cli.new_files import check_new_file, write_file
 from canopen_master.cli.options import Settings, common
+from canopen_master.cli.screen import escape
 
 FORMS = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 
@@ -30,6 +31,8 @@ def doc(settings: Settings, path: str, output: str | None, form: str | None) -> 
     canopen eds doc drive.eds --form md
     """
     screen = settings.screen()
+    if output is not None:
+        check_new_file(settings, screen, output, path)
     file = open_description(path)
     if form is None:
         ending = "" if output is None else output[output.rfind(".") :].lower() if "." in output else ""

@@ -1,19 +1,16 @@
-"""Device descriptions from files, findings with the line that they are about, and new files."""
+"""Device descriptions from files, and findings with the line that they are about."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
-
-from rich.markup import escape
 
 from canopen_data import DataError
 from canopen_data.descriptions import read_file
-from canopen_master.cli.problem import ExitCode, Problem, usage
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.problem import ExitCode, Problem
+from canopen_master.cli.screen import Screen, escape
+from canopen_master.plain_text import clean
 from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.dictionary.findings import Finding, Severity
 from canopen_proto.dictionary.reading import read_description
@@ -85,7 +82,7 @@ def finding_lines(finding: Finding, lines: list[str]) -> list[str]:
     """A finding for people, as rich's markup: what is wrong, and below it the line with a mark at the place."""
     where = f"{finding.source}:{finding.line}:{finding.column}" if finding.line else finding.source
     style = _STYLES[finding.severity]
-    head = f"[bold]{escape(where)}[/]: [{style}]{finding.severity}[/] CO301 {escape(plain(finding.message))}"
+    head = f"[bold]{escape(where)}[/]: [{style}]{finding.severity}[/] CO301 {escape(finding.message)}"
     shown = [f"{head} [dim]\\[{escape(finding.code)}][/]"]
     if 1 <= finding.line <= len(lines):
         text, mark = _window(lines[finding.line - 1], finding.column)
@@ -99,12 +96,7 @@ def _window(line: str, column: int) -> tuple[str, int]:
     """The part of a line around a column (from 1), and where the mark stands below it."""
     mark = min(max(column - 1, 0), len(line))
     start = 0 if len(line) <= MAX_SHOWN else max(0, min(mark - MAX_SHOWN // 2, len(line) - MAX_SHOWN))
-    return plain(line[start : start + MAX_SHOWN]), mark - start
-
-
-def plain(text: str) -> str:
-    """Text of a file without what a terminal would obey: tabs and control characters become spaces."""
-    return "".join(each if each.isprintable() else " " for each in text)
+    return clean(line[start : start + MAX_SHOWN]), len(clean(line[start:mark]))
 
 
 def finding_as_json(finding: Finding) -> dict[str, Any]:
@@ -131,24 +123,3 @@ def counts_text(counts: Mapping[Severity, int]) -> str:
     """ "2 errors, 1 warning"."""
     parts = [counted(number, str(severity)) for severity, number in counts.items() if number]
     return ", ".join(parts) or "nothing found"
-
-
-# ---- new files ----
-
-
-def write_file(path: str, data: bytes, *inputs: str) -> None:
-    """Write a new file whole, or leave what was there. A Problem where it is one of the inputs, or cannot be written."""
-    target = Path(path)
-    for each in inputs:
-        with suppress(OSError):
-            if target.exists() and target.samefile(each):
-                raise usage("CO123", f"{path} is the file that is read; it is not overwritten", tries=("another name after -o",))
-    beside = target.with_name(f"{target.name}.part")
-    try:
-        beside.write_bytes(data)
-        beside.replace(target)
-    except (OSError, ValueError) as error:
-        with suppress(OSError, ValueError):
-            beside.unlink()
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",)) from error

@@ -5,11 +5,12 @@ from __future__ import annotations
 import difflib
 
 import click
-from rich.markup import escape
 
-from canopen_master.cli.eds_files import counted, finding_as_json, lines_of, open_description, plain, write_file
+from canopen_master.cli.eds_files import counted, finding_as_json, lines_of, open_description
+from canopen_master.cli.new_files import check_new_file, write_file
 from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode, usage
+from canopen_master.cli.screen import escape
 from canopen_proto.dictionary.checks import check
 from canopen_proto.dictionary.description import FileKind
 from canopen_proto.dictionary.findings import Severity
@@ -44,6 +45,8 @@ def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_r
         raise usage("CO001", f"{path} is an {file.description.kind}; only EDS and DCF can be repaired")
     repaired = repair(file.description)
     target = path if in_place else output
+    if output is not None:
+        check_new_file(settings, screen, output, path)
     if target is not None:
         write_file(target, repaired.text.encode("utf-8", "replace"), *(() if in_place else (path,)))
     left = [*repaired.description.findings, *check(repaired.description)]
@@ -56,11 +59,11 @@ def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_r
     else:
         for each in repaired.repairs:
             where = f"{path}:{each.line}: " if each.line else f"{path}: "
-            screen.say(f"{escape(where)}{escape(plain(each.message))} [dim]\\[{each.code}][/]")
+            screen.say(f"{escape(where)}{escape(each.message)} [dim]\\[{each.code}][/]")
         if dry_run:
             for line in lines:
                 style = _STYLES.get(line[:1], "")
-                screen.out.print(escape(plain(line)), style=style, soft_wrap=True, highlight=False)
+                screen.out.print(escape(line), style=style, soft_wrap=True, highlight=False)
         told = counted(len(repaired.repairs), "repair")
         more = f"; {counted(len(left), 'finding')} left for you: canopen eds lint {target or path}" if left else ""
         screen.say(f"{told}{f', written to {escape(target)}' if target else ''}{escape(more)}")

@@ -11,6 +11,7 @@ from typing import Final
 
 from canopen_master.cli.eds_page import Group, Page, Row
 from canopen_master.cli.eds_text import PdoText
+from canopen_master.plain_text import clean
 
 _STYLE: Final = """
 :root{--ink:#1b1f24;--dim:#667085;--line:#e3e7ec;--page:#fff;--soft:#f6f8fa;--mark:#0b6bcb;--rpdo:#dcecfb;--tpdo:#ddf3e4}
@@ -48,7 +49,7 @@ def html_of(page: Page) -> str:
 
 
 def _e(text: str) -> str:
-    return html.escape(text, quote=True)
+    return html.escape(clean(text), quote=True)
 
 
 def _lines(page: Page) -> Iterator[str]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import click
-from rich.markup import escape
 
 from canopen_master.cli.eds_files import (
     DescriptionFile,
@@ -19,7 +18,7 @@ from canopen_master.cli.eds_files import (
 )
 from canopen_master.cli.options import Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_proto.dictionary.checks import RULES, check
 from canopen_proto.dictionary.description import FileKind
 from canopen_proto.dictionary.findings import Finding, Severity

@@ -11,6 +11,7 @@ from typing import Final
 
 from canopen_master.cli.eds_page import Group, Page, Row
 from canopen_master.cli.eds_text import PdoEntry
+from canopen_master.plain_text import clean
 
 _SPECIAL: Final = re.compile(r"([\\`*_\[\]<>#|~&])")
 _COLUMNS: Final = ("object", "name", "type", "access", "PDO", "default", "limits")
@@ -23,7 +24,7 @@ def markdown_of(page: Page) -> str:
 
 def _e(text: str) -> str:
     """On one line, with nothing that Markdown would take for its own."""
-    return _SPECIAL.sub(r"\\\1", " ".join(text.split()))
+    return _SPECIAL.sub(r"\\\1", clean(" ".join(text.split())))
 
 
 def _lines(page: Page) -> Iterator[str]:

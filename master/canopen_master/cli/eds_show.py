@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import click
-from rich.markup import escape
 
 from canopen_master.cli import eds_text
-from canopen_master.cli.eds_files import counted, finding_as_json, open_description, plain, tell_faults
+from canopen_master.cli.eds_files import counted, finding_as_json, open_description, tell_faults
 from canopen_master.cli.options import Settings, common
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_master.cli.values import as_json, place_text
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.description import DeviceDescription
@@ -49,7 +48,7 @@ def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
     has_configured = any(variable.configured is not None for _, variables in chosen for variable in variables)
     columns = (*COLUMNS, "configured") if has_configured else COLUMNS
     rows = [row[: len(columns)] for each, variables in chosen for row in _rows(each, variables)]
-    screen.table(columns, [tuple(escape(plain(cell)) for cell in row) for row in rows])
+    screen.table(columns, [tuple(escape(cell) for cell in row) for row in rows])
     if not keys:
         screen.say(f"{counted(len(chosen), 'object')} in {escape(path)}")
 
@@ -121,7 +120,7 @@ def _row(variable: Variable, place: str, name: str) -> tuple[str, ...]:
 def _show_head(screen: Screen, description: DeviceDescription) -> None:
     width = max(len(label) for label, _ in eds_text.head_of(description))
     for label, text in eds_text.head_of(description):
-        screen.out.print(f"[dim]{label:<{width}}[/]  {escape(plain(text))}", soft_wrap=True, highlight=False)
+        screen.out.print(f"[dim]{label:<{width}}[/]  {escape(text)}", soft_wrap=True, highlight=False)
     screen.out.print()
 
 
@@ -134,7 +133,7 @@ def _show_pdos(screen: Screen, description: DeviceDescription) -> None:
         entries = ", ".join(_entry_text(entry) for entry in pdo.entries) or pdo.note or "nothing"
         when = pdo.transmission + (f", {pdo.times}" if pdo.times else "")
         off = "" if pdo.exists else " (off)"
-        rows.append((pdo.name, pdo.cob_id + off, when, str(pdo.bits), escape(plain(entries))))
+        rows.append((pdo.name, pdo.cob_id + off, when, str(pdo.bits), escape(entries)))
     screen.table(("PDO", "CAN-ID", "sent", "bits", "carries"), rows, right=("bits",))
     screen.out.print()
 
@@ -201,14 +200,14 @@ def _variable_as_json(variable: Variable) -> dict[str, Any]:
         "type": variable.data_type.name,
         "access": str(variable.access),
         "pdo": variable.pdo_mappable,
-        "default": _value(variable.default),
+        "default": _value(variable, variable.default),
         "adds_node_id": variable.adds_node_id,
-        "configured": _value(variable.configured),
+        "configured": _value(variable, variable.configured),
         "configured_adds_node_id": variable.configured_adds_node_id,
         "low": variable.low_limit,
         "high": variable.high_limit,
     }
 
 
-def _value(value: Value | None) -> Any:
-    return None if value is None else as_json(value)
+def _value(variable: Variable, value: Value | None) -> Any:
+    return None if value is None else as_json(variable, value)

@@ -188,7 +188,7 @@ def number_text(variable: Variable, value: Value | None) -> str:
         and value > 9
     ):
         return f"0x{value:X}"
-    text = value_text(value)
+    text = value_text(variable, value)
     return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}..."
 
 

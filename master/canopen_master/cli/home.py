@@ -6,13 +6,12 @@ from typing import Any, Final
 
 import click
 import trio
-from rich.markup import escape
 
 from canopen_master.cli.demo_view import DemoView, JointView
 from canopen_master.cli.options import Duration, NodeId, Settings, common
 from canopen_master.cli.problem import problem_of, usage
 from canopen_master.cli.running import notes_of, run
-from canopen_master.cli.screen import node_text
+from canopen_master.cli.screen import escape, node_text
 from canopen_master.cli.session import Session, open_session
 from canopen_master.joint_procedures import awake
 from canopen_proto.cia402.axis import Axis, AxisSettings, HomingStyle

@@ -15,7 +15,7 @@ from canopen_master.cli.session import Session, open_session
 from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, text_for_people
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
 from canopen_proto.dictionary.description import DeviceDescription, FileKind
 from canopen_proto.dictionary.standard import find_standard
@@ -64,8 +64,8 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
         facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
         for name, index in (("name", 0x1008), ("hardware version", 0x1009), ("software version", 0x100A)):
             text = await _standard(node, index)
-            if isinstance(text, str) and text:
-                facts[name] = (text, text)
+            if isinstance(text, str) and (shown := text_for_people(text, DataType.VISIBLE_STRING).rstrip("\0 ")):
+                facts[name] = (shown, shown)
         for subindex, name in IDENTITY:
             number = await _standard(node, 0x1018, subindex)
             if isinstance(number, int):

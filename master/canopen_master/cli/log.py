@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import Counter
 from itertools import islice
@@ -11,14 +10,15 @@ from typing import Final
 
 import click
 import trio
-from rich.markup import escape
 
 from canopen_master.cli.device_files import description_of, read_device_files
+from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.options import NodeIds, Settings, common
 from canopen_master.cli.problem import ExitCode, usage
 from canopen_master.cli.running import run, same_file
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_master.cli.session import read_dictionary
+from canopen_master.plain_text import clean, json_text
 from canopen_proto.decoding import Decoder
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND
@@ -55,6 +55,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
     screen = settings.screen()
     if same_file(source, target):
         raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
+    check_new_file(settings, screen, target)
     reader, kind = LogReader(source), kind_of(target)
     records = iter(reader)
     first = list(islice(records, 1))  # a source that cannot be read shall not cost the target that is there
@@ -213,11 +214,11 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
         if settings.json:
             line = {"time": record.time, "channel": record.channel, "frame": str(record.frame), "sent": record.sent}
             line |= {"service": meaning.service, "node": meaning.node_id, "text": meaning.text}
-            screen.out.out(json.dumps(line, ensure_ascii=False), highlight=False)
+            screen.out.out(json_text(line), highlight=False)
         else:
             node = str(meaning.node_id) if meaning.node_id else ""
             screen.out.out(
-                f"{seconds:12.6f} {record.frame!s:<25} {meaning.service:<9} {node:>3}  {meaning.text}", highlight=False
+                f"{seconds:12.6f} {record.frame!s:<25} {meaning.service:<9} {node:>3}  {clean(meaning.text)}", highlight=False
             )
     _tell_skipped(screen, reader)
 

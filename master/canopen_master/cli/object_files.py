@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import trio
-from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
 from canopen_master.cli.problem import ExitCode, Problem
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.node import Node
 from canopen_proto.dictionary import Variable
 from canopen_proto.sdo.client import Block

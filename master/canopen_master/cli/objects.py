@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import click
-from rich.markup import escape
 
+from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
 from canopen_master.cli.values import (
     BYTES,
@@ -53,7 +53,7 @@ class Reading:
         place, name = place_text(self.variable), escape(self.variable.name)
         words = escape(", ".join(self.constants))
         meaning = physical_text(self.variable, self.value)
-        value = value_text(self.value) + (f" = {meaning}" if meaning else "")
+        value = value_text(self.variable, self.value) + (f" = {meaning}" if meaning else "")
         return place, name, escape(value), hex_text(self.variable, self.value), words
 
     def as_json(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class Reading:
             "sub": self.variable.subindex,
             "name": self.variable.name,
             "type": self.variable.data_type.name,
-            "value": as_json(self.value),
+            "value": as_json(self.variable, self.value),
             "hex": hex_text(self.variable, self.value) or None,
             "constants": list(self.constants),
             "physical": physical(self.variable, self.value),
@@ -133,6 +133,7 @@ def read(
     if output is not None:
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
+        check_new_file(settings, screen, output)
         taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output))
         _tell_file(settings, screen, taken, "→")
         return
@@ -222,7 +223,13 @@ def write(
         raise usage("CO001", "either a VALUE or --file FILE is written", tries=("canopen write --help",))
     before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, block, verify))
     if settings.json:
-        screen.json({**after.as_json(), "previous": None if before is None else as_json(before.value), "verified": verify})
+        screen.json(
+            {
+                **after.as_json(),
+                "previous": None if before is None else as_json(before.variable, before.value),
+                "verified": verify,
+            }
+        )
         return
     old = "?" if before is None else _shown(before)
     screen.data(f"{node_text(node_id)} {after.variable.label}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
@@ -232,7 +239,7 @@ def _shown(reading: Reading) -> str:
     numbers = (hex_text(reading.variable, reading.value), physical_text(reading.variable, reading.value))
     number = ", ".join(text for text in numbers if text)
     words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
-    return f"{value_text(reading.value)}{f' ({number})' if number else ''}{words}"
+    return f"{value_text(reading.variable, reading.value)}{f' ({number})' if number else ''}{words}"
 
 
 async def _write_file(

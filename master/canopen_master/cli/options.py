@@ -1,7 +1,7 @@
 """The options and the kinds of argument that all commands share.
 
-`common` adds -b, -e, --overlay, --timeout, --trace, --json, -q, -v and --no-color to a command. They may also stand before the
-command's name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
+`common` adds -b, -e, --overlay, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They may also stand
+before the command's name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
 """
 
 from __future__ import annotations
@@ -36,14 +36,15 @@ DEMO: Final = "demo"
 @dataclass
 class Settings:
     """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
-    overlays.py. trace: where all that is said on the bus is recorded. clock: a test's virtual one.
-    late: what is to be said when the command has told its results."""
+    overlays.py. trace: where all that is said on the bus is recorded. force: overwrite files; some commands do more with it.
+    clock: a test's virtual one. late: what is to be said when the command has told its results."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
     overlays: tuple[str, ...] = ()
     timeout: Time | None = None
     trace: Path | None = None
+    force: bool = False
     json: bool = False
     verbosity: int = 0
     no_color: bool = False
@@ -175,6 +176,8 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
             settings.timeout = value
         case "trace" if value is not None:
             settings.trace = value
+        case "force" if value:
+            settings.force = True
         case "json_output" if value:
             settings.json = True
         case "no_color" if value:
@@ -219,6 +222,7 @@ def common(command: F) -> F:
             metavar="FILE",
             help="Record all that is said on the bus meanwhile: .log (candump's), .asc, .blf, .trc.",
         ),
+        _option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
         _option("--json", "json_output", is_flag=True, help="Results and errors as JSON."),
         _option("-q", "--quiet", is_flag=True, help="Only results and errors."),
         _option("-v", "--verbose", count=True, help="Tell more; -vv with tracebacks."),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
@@ -12,19 +12,19 @@ from canopen_master.cli.backup_reading import shown
 from canopen_master.cli.nmt import confirm
 from canopen_master.cli.options import NodeId, Settings, common
 from canopen_master.cli.problem import ExitCode, Problem, usage
-from canopen_master.cli.restore_telling import show, story, told
+from canopen_master.cli.restore_telling import show, story, tell_unread, told
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import Session, open_session
-from canopen_master.errors import SdoRefused
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.procedures.backup import ObjectRead
+from canopen_proto.dictionary.configured import moved_to
+from canopen_proto.dictionary.download_order import settings_of
+from canopen_proto.procedures.backup import ObjectRead, upload_again
 from canopen_proto.procedures.restore import ObjectRestored, Restoration, plan_restore
 from canopen_proto.procedures.restore import restore as carry_out
-
-if TYPE_CHECKING:
-    from canopen_proto.dictionary.description import DeviceDescription
+from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.sdo.abort import AbortOrigin
 
 IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
 """Subindices of 0x1018 by which a device shows that it is of the type that a file describes."""
@@ -54,7 +54,7 @@ class Wanted:
 @click.option("--all", "everything", is_flag=True, help="Write also what the device has already.")
 @click.option("--process-data", is_flag=True, help="Write set-points and outputs too: OUTPUTS SWITCH.")
 @click.option("--skip", metavar="OBJECT", multiple=True, help="Leave this object out; may be repeated.")
-@click.option("--force", is_flag=True, help="Though the file is of another node-ID, or of another type of device.")
+@click.option("--to", metavar="NODE", type=NodeId(), help="Write another node than the file's; its COB-IDs move along.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @common
 @click.pass_obj
@@ -68,24 +68,28 @@ def restore(
     everything: bool,
     process_data: bool,
     skip: tuple[str, ...],
-    force: bool,
+    to: int | None,
     yes: bool,
-) -> None:
+) -> int:
     """Write the settings of a DCF or XDC to a node: what differs from what it has.
 
     The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
     is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
-    Set-points, outputs, commands and what is read-only are not written.
+    Set-points, outputs, commands and what is read-only are not written, nor what could not be read before. --force: though the
+    file is of another node-ID, or of another type of device. Exit status: 7 if something was left out that could not be read.
 
     \b
     canopen restore 5 before.dcf --dry-run
     canopen restore 5 before.dcf --verify --store --yes
+    canopen restore 5 before.dcf --to 6
     """
     screen = settings.screen()
-    description, values = settings_in(path, node_id, force)
-    dictionary = description.dictionary
+    dictionary = settings_in(path, node_id, settings.force)
+    if to is not None:
+        dictionary, node_id = moved_to(dictionary, node_id, to), to
+    values = settings_of(dictionary, node_id)
     options = {"everything": everything, "process_data": process_data, "skip": {dictionary.variable(key).mux for key in skip}}
-    wanted = Wanted(node_id, path, dictionary, values, options, force, verify, store, dry_run)
+    wanted = Wanted(node_id, path, dictionary, values, options, settings.force, verify, store, dry_run)
     question = f"restore {node_text(node_id)} from {path}: it becomes Pre-operational (a drive stops, or coasts), and is written"
     confirm(screen, question, yes, needed=not dry_run)
     so_far: list[Restoration] = []
@@ -98,12 +102,12 @@ def restore(
         show(screen, so_far[0], path, dry_run=dry_run)
     if failure is not None:
         raise told(failure, so_far, path) from failure
+    return ExitCode.PARTIAL if tell_unread(screen, dictionary, so_far[0]) else ExitCode.OK
 
 
-def settings_in(path: str, node_id: int, any_node: bool) -> tuple[DeviceDescription, dict[int, Value]]:
-    """The file, and the settings in it, by mux. A Problem where it is of another node, or sets nothing."""
+def settings_in(path: str, node_id: int, any_node: bool) -> ObjectDictionary:
+    """The dictionary of a file that sets something. A Problem where it is of another node, or sets nothing."""
     from canopen_master.cli.eds_files import open_description
-    from canopen_proto.dictionary.download_order import settings_of
 
     description = open_description(path).description
     named = None if description.commissioning is None else description.commissioning.node_id
@@ -112,10 +116,13 @@ def settings_in(path: str, node_id: int, any_node: bool) -> tuple[DeviceDescript
             "CO128",
             f"{path} is of {node_text(named)}, not of {node_text(node_id)}",
             cause="its COB-IDs are those of the other node, and no two nodes may have the same",
-            tries=(f"canopen restore {named} {path}", "--force, if that is what you want"),
+            tries=(
+                f"canopen restore {named} {path}",
+                f"canopen restore {named} {path} --to {node_id}    (its COB-IDs become those of node {node_id})",
+                "--force, to write it as it is",
+            ),
         )
-    values = settings_of(description.dictionary, node_id)
-    if not values:
+    if not any(each.configured is not None for each in description.dictionary):
         raise usage(
             "CO129",
             f"{path} sets nothing",
@@ -125,7 +132,7 @@ def settings_in(path: str, node_id: int, any_node: bool) -> tuple[DeviceDescript
                 f"canopen eds to-dcf {path} --id {node_id} --set OBJECT=VALUE -o new.dcf",
             ),
         )
-    return description, values
+    return description.dictionary
 
 
 async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: list[Restoration]) -> None:
@@ -134,13 +141,13 @@ async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: l
             await _check_identity(session, wanted)
         node = session.node(wanted.node_id).remote
         planning = plan_restore(node, wanted.dictionary, wanted.values, **wanted.options)
-        plan = await shown(session, screen, f"reading {node_text(wanted.node_id)}", ObjectRead, planning)
+        plan = await shown(session, screen, f"reading {node_text(wanted.node_id)}", planning, ObjectRead)
         so_far.append(Restoration(plan))
         if wanted.dry_run:
             return
         nmt = session.master.nmt_master(session.master.bus())
         writing = carry_out(node, nmt, plan, so_far[0], verify=wanted.verify, store=wanted.store)
-        await shown(session, screen, f"writing {node_text(wanted.node_id)}", ObjectRestored, writing)
+        await shown(session, screen, f"writing {node_text(wanted.node_id)}", writing, ObjectRestored)
 
 
 async def _check_identity(session: Session, wanted: Wanted) -> None:
@@ -152,9 +159,12 @@ async def _check_identity(session: Session, wanted: Wanted) -> None:
         if not isinstance(expected, int) or not expected:
             continue
         try:
-            found = int.from_bytes(await node.read_bytes(0x1018, subindex), "little")
-        except SdoRefused:
+            data = await session.master.run(upload_again(node.remote, 0x1018, subindex, False))
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise
             continue
+        found = int.from_bytes(data, "little")
         if found and found != expected:
             raise Problem(
                 ExitCode.DIFFERENT,

@@ -6,16 +6,17 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final
 
-from rich.markup import escape
-
 from canopen_master.cli.backup_reading import both_notations
 from canopen_master.cli.problem import ExitCode, Problem, problem_of
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.values import as_json, hex_text, place_text
-from canopen_proto.dictionary import Variable
+from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.backup import ReadResult
 from canopen_proto.procedures.restore import PlannedWrite, Restoration, RestoreFailed, VerifyMismatch
 
+MISSING: Final = frozenset(str(each) for each in ReadResult if each.is_missing)
+"""What a file says of objects that a complete backup would have."""
 MAX_NAMED: Final = 5
 """Objects that one line names; the rest is counted."""
 
@@ -52,6 +53,21 @@ def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> No
         screen.say(f"{who}: {_counted(len(writes), 'write')} done{', and stored' if so_far.stored else ''}{_state_text(so_far)}")
 
 
+def tell_unread(screen: Screen, dictionary: ObjectDictionary, so_far: Restoration) -> bool:
+    """Name what was left alone since nobody knows what the device, or the one that the file is of, holds there.
+
+    Whether the device has something of that.
+    """
+    plan = so_far.plan
+    unread = [dictionary.variable((key >> 8, key & 0xFF)) for key in sorted(plan.unread) if key in plan.left_out]
+    if unread:
+        screen.say(f"[yellow]left alone, since it could not be read:[/] {escape(_places(unread))}")
+    missing = [each for each in dictionary if each.not_read in MISSING]
+    if missing:
+        screen.say(f"[yellow]the file has no value, since it could not be read then:[/] {escape(_places(missing))}")
+    return bool(unread)
+
+
 def _state_text(so_far: Restoration) -> str:
     if so_far.state is None:
         return ""
@@ -71,8 +87,8 @@ def _as_json(write: PlannedWrite, is_done: bool) -> dict[str, Any]:
         "index": write.variable.index,
         "sub": write.variable.subindex,
         "name": write.variable.name,
-        "before": None if write.value_before is None else as_json(write.value_before),
-        "value": as_json(write.value),
+        "before": None if write.value_before is None else as_json(write.variable, write.value_before),
+        "value": as_json(write.variable, write.value),
         "hex": hex_text(write.variable, write.value) or None,
         "done": is_done,
     }

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 import trio
-from rich.markup import escape
 
+from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.options import Settings
 from canopen_master.cli.problem import ExitCode, Problem, problem_of, usage
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.tracing import Trace, recording
 
@@ -43,7 +43,8 @@ def run(
     """What `command` returns. story: told on interruption. devices: the simulated devices are what this command is about.
     reads: a log file that it reads.
 
-    Raises a Problem of status 130 after a Ctrl-C, and whatever the command raises; LogFileError where --trace cannot begin.
+    Raises a Problem of status 130 after a Ctrl-C, one where --trace would overwrite a file, and whatever the command raises;
+    LogFileError where --trace cannot begin.
     """
     if settings.trace is None:
         return trio.run(_run, screen, command, story, clock=settings.clock)
@@ -51,6 +52,7 @@ def run(
     replayed = Path(bus.removeprefix("file:").partition("?")[0]) if bus.startswith("file:") else reads
     if replayed is not None and same_file(replayed, settings.trace):
         raise usage("CO123", f"--trace would replace {replayed}, which is being read", tries=("--trace other.log",))
+    check_new_file(settings, screen, settings.trace)
     with recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
         try:
             return trio.run(_run, screen, command, story, clock=settings.clock)

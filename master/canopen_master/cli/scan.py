@@ -7,13 +7,12 @@ from typing import Any, Final
 
 import click
 import trio
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 
 from canopen_master.cli.device_types import device_type_text
 from canopen_master.cli.options import Duration, NodeIds, Settings, common
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network

@@ -1,5 +1,7 @@
 """Where a command writes: data to stdout, talk and progress to stderr, both without colour where nobody looks.
 
+Strings of others pass `escape` (or `clean`) on their way here; the consoles themselves let no control character through.
+
 A Screen is made once per command, from the common options. `--json` makes data JSON, and errors too; `--quiet` leaves only data
 and errors. Progress (what is drawn anew again and again) is shown on a terminal only; elsewhere it becomes plain lines.
 """
@@ -7,7 +9,6 @@ and errors. Progress (what is drawn anew again and again) is shown on a terminal
 from __future__ import annotations
 
 import errno
-import json
 import os
 import select
 import sys
@@ -16,14 +17,15 @@ import traceback
 from collections.abc import Iterable, Sequence
 from typing import IO, Any, Final
 
-from rich import box
+from rich import box, markup
 from rich.console import Console, RenderableType
-from rich.markup import escape
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from canopen_master.cli.problem import ExitCode, Problem
+from canopen_master.plain_text import clean, clean_lines, json_text
 
 WIDTH_OFF_TERMINAL: Final = 200
 """Columns of a table that goes into a file or a pipe: nothing of ours is wider, so nothing is cut."""
@@ -33,6 +35,11 @@ NAME_WIDTH: Final = 18
 
 GAP: Final = 2
 """Characters between two columns of a table."""
+
+
+def escape(text: str) -> str:
+    """A string of others (of a device, a file, a driver, the user) for markup: clean, and without markup of its own."""
+    return markup.escape(clean(text))
 
 
 def node_text(node_id: int) -> str:
@@ -63,14 +70,14 @@ class Screen:
 
     def fact(self, name: str, text: str) -> None:
         """One of several named results, to stdout: where a line is too long, it goes on below itself."""
-        lines = textwrap.wrap(text, max(self.out.width - NAME_WIDTH, NAME_WIDTH), break_on_hyphens=False) or [""]
+        lines = textwrap.wrap(clean(text), max(self.out.width - NAME_WIDTH, NAME_WIDTH), break_on_hyphens=False) or [""]
         head = [name, *[""] * (len(lines) - 1)]
         for label, line in zip(head, lines, strict=True):
-            self.out.print(f"[dim]{label:<{NAME_WIDTH}}[/]{escape(line)}", soft_wrap=True)
+            self.out.print(f"[dim]{label:<{NAME_WIDTH}}[/]{markup.escape(line)}", soft_wrap=True)
 
     def json(self, value: Any) -> None:
         """A result as one JSON document, to stdout."""
-        self.out.out(json.dumps(value, indent=None if isinstance(value, str) else 2, ensure_ascii=False, default=str))
+        self.out.out(json_text(value, None if isinstance(value, str) else 2))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> None:
         """A table to stdout. right: the columns that are aligned at the right. Where it is too wide, one block for each row."""
@@ -133,14 +140,14 @@ class Screen:
     def detail(self, text: str) -> None:
         """Tell more, with -v."""
         if self.verbosity >= 1:
-            self.err.print(Text(text, style="dim"), soft_wrap=True)
+            self.err.print(Text(clean(text), style="dim"), soft_wrap=True)
 
     def problem(self, problem: Problem) -> None:
         """Show what went wrong; with -vv also where."""
         if self.verbosity >= 2 and problem.__cause__ is not None:
             self.err.out("".join(traceback.format_exception(problem.__cause__)).rstrip(), highlight=False)
         if self.json_output:
-            self.err.out(json.dumps(problem.as_json(), ensure_ascii=False), highlight=False)
+            self.err.out(json_text(problem.as_json()), highlight=False)
             return
         interrupted = problem.exit_code is ExitCode.INTERRUPTED
         failed = problem.failed.removeprefix("interrupted ") if interrupted else problem.failed
@@ -156,7 +163,7 @@ class Screen:
         grid.add_column()
         for label, text in problem.details():
             style = "bold cyan" if label.startswith(("try", "or")) else ""
-            grid.add_row(f"  {label}", Text(text, style=style))
+            grid.add_row(f"  {label}", Text(clean(text), style=style))
         self.err.print(grid)
 
 
@@ -176,6 +183,10 @@ class _Console(Console):
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
+
+    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
+        """Whatever came here unclean is shown, not obeyed; control codes of rich's own are segments of their own."""
+        return super()._render_buffer(each if each.control else each._replace(text=clean_lines(each.text)) for each in buffer)
 
 
 def _console(stream: IO[str], color: bool) -> Console:

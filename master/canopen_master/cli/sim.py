@@ -10,13 +10,12 @@ from typing import Final
 
 import click
 import trio
-from rich.markup import escape
 
 from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
 from canopen_master.cli.options import DEMO, NodeIds, Settings, common
 from canopen_master.cli.problem import ExitCode, Problem
 from canopen_master.cli.running import run
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.sim_devices import SHAPES, models, script_problem, wanted
 from canopen_master.hooks import ScriptError
 from canopen_master.parameter_keeper import ParameterKeeper, StateFileError

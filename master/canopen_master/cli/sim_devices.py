@@ -8,13 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from rich.markup import escape
-
 from canopen_data import load_dictionary
 from canopen_master.cli.options import NodeIds
 from canopen_master.cli.overlays import overlaid, read_text
 from canopen_master.cli.problem import ExitCode, Problem, usage
-from canopen_master.cli.screen import Screen, node_text
+from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.hooks import Script, ScriptError
 from canopen_master.plant import DeviceEntry, Plant, parse_plant
 from canopen_master.simulation import DeviceModel

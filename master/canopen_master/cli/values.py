@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 from canopen_master.cli.problem import usage
-from canopen_proto.datatypes import DataType, Value, is_number
+from canopen_proto.datatypes import DataType, Value, is_number, text_for_people
 from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary.eds.writer_values import bytes_text
 
 _TRUTH: Final = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
@@ -29,19 +31,20 @@ def place_text(variable: Variable) -> str:
     return f"{variable.index:04X}:{variable.subindex:02X}"
 
 
-def value_text(value: Value) -> str:
-    """A value for people."""
+def value_text(variable: Variable, value: Value) -> str:
+    """A value for people. A text of a device is UTF-8 where it is valid, else Latin-1."""
     if isinstance(value, bytes):
         return value.hex(" ") if len(value) <= 64 else f"{value[:64].hex(' ')} ... ({len(value)} bytes)"
     if isinstance(value, str):
-        return repr(value)
+        return repr(text_for_people(value, variable.data_type))
     return str(value)
 
 
 def hex_text(variable: Variable, value: Value) -> str:
-    """A whole number as the wire has it, with all its digits; "" for anything else."""
+    """A whole number as the wire has it, with all its digits; the bytes of a text or REAL that its notation for people does not
+    tell exactly; "" for anything else."""
     if not isinstance(value, int) or isinstance(value, bool):
-        return ""
+        return "" if isinstance(value, bytes) else bytes_text(variable, value) or ""
     bits = variable.bit_length or 32
     return f"0x{value & (1 << bits) - 1:0{bits // 4}X}"
 
@@ -59,11 +62,17 @@ def physical_text(variable: Variable, value: Value) -> str:
     return "" if number is None else f"{number:.10g} {variable.unit}".rstrip()
 
 
-def as_json(value: Value) -> Any:
-    """A value in a JSON document: bytes as hexadecimal text, times as text."""
+def as_json(variable: Variable, value: Value) -> Any:
+    """A value of an object in a JSON document: a text as people read it, all else as `plain_json` has it."""
+    return text_for_people(value, variable.data_type) if isinstance(value, str) else plain_json(value)
+
+
+def plain_json(value: Value) -> Any:
+    """A value in a JSON document: bytes as hexadecimal text; times, NaN and infinities as text."""
     if isinstance(value, bytes):
         return value.hex()
-    return value if isinstance(value, bool | int | float | str) else str(value)
+    is_known = isinstance(value, int | str) or (isinstance(value, float) and math.isfinite(value))
+    return value if is_known else str(value)
 
 
 def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:

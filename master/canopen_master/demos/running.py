@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from canopen_master import direct as canopen
 from canopen_master.cli.options import node_id_of
 from canopen_master.cli.problem import ExitCode, problem_of
+from canopen_master.plain_text import clean_lines
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,8 @@ def run(demo: Callable[[Options], None], read_options: Callable[[], Options | No
     except Exception as error:  # noqa: BLE001 - whatever it is becomes one screen
         reason = error.__cause__ if isinstance(error, Failed) and error.__cause__ is not None else error
         if isinstance(error, Failed):
-            print(error, file=sys.stderr)
+            print(clean_lines(str(error)), file=sys.stderr)
         problem = problem_of(reason)
-        print(problem, file=sys.stderr)
+        print(clean_lines(str(problem)), file=sys.stderr)
         return problem.exit_code
     return ExitCode.OK

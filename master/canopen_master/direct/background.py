@@ -28,6 +28,7 @@ from typing import Any, Final, Generic, TypeVar
 import trio
 
 from canopen_master.errors import MasterClosed
+from canopen_master.plain_text import clean_lines
 from canopen_proto.machine import LocalProtocolError
 
 T = TypeVar("T")
@@ -128,7 +129,7 @@ class Background(Generic[T]):
             self._was_told = True
             self._entered.set_exception(self._error or MasterClosed())
         if self._error is not None and not self._was_told and not threading.main_thread().is_alive():
-            print(self._error, file=sys.stderr)  # nobody is left to ask
+            print(clean_lines(str(self._error)), file=sys.stderr)  # nobody is left to ask
 
     async def _serve(self) -> None:
         self._token = trio.lowlevel.current_trio_token()

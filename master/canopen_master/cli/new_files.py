@@ -1,0 +1,65 @@
+"""New files: whether one may be written, and writing it whole or not at all.
+
+Every command that writes a file which a user has named (-o, --trace, --plot ...) asks `check_new_file` before its work begins:
+what is there already is overwritten only if the user says so, on a terminal or by --force.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import click
+
+from canopen_master.cli.options import Settings
+from canopen_master.cli.problem import ExitCode, Problem, usage
+from canopen_master.cli.screen import Screen
+from canopen_master.plain_text import clean
+
+
+def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
+    """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it is there already and the user does
+    not want it overwritten.
+
+    Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). What is no file, such as /dev/null
+    or a pipe, is not overwritten by writing to it.
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise Problem(
+            ExitCode.BAD_FILE, "CO341", f"cannot write {path}: there is no folder {target.parent}", tries=("write elsewhere",)
+        )
+    _check_no_input(target, inputs)
+    if settings.force or not target.is_file():
+        return
+    if not (screen.err.is_terminal and sys.stdin.isatty()):
+        tries = (f"another name than {path}", "the same with --force")
+        raise usage("CO135", f"{path} is there already, and is not overwritten", seen="nothing was done", tries=tries)
+    if not click.confirm(f"{clean(str(path))} is there already. Overwrite it?", err=True):
+        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was done")
+
+
+def write_file(path: str, data: bytes, *inputs: str) -> None:
+    """Write a new file whole, or leave what was there. A Problem where it is one of the inputs, or cannot be written."""
+    target = Path(path)
+    _check_no_input(target, inputs)
+    beside = target.with_name(f"{target.name}.part")
+    try:
+        beside.write_bytes(data)
+        beside.replace(target)
+    except (OSError, ValueError) as error:
+        with suppress(OSError, ValueError):
+            beside.unlink()
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",)) from error
+
+
+def _check_no_input(target: Path, inputs: Iterable[str]) -> None:
+    for each in inputs:
+        with suppress(OSError):
+            if target.exists() and target.samefile(each):
+                raise usage(
+                    "CO123", f"{target} is the file that is read; it is not overwritten", tries=("another name after -o",)
+                )

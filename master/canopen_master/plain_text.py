@@ -1,0 +1,47 @@
+"""Strings of others, made fit to be shown: of a device, a file, a driver, an operating system.
+
+Theory of operation
+-------------------
+A terminal obeys control characters: a device name with an escape sequence can clear the screen, write a line that looks like
+ours, or fill a clipboard. So each string that is not ours passes `clean` on its way to a terminal or a page: what cannot be
+printed is shown as its escape sequence in Python (`\\x1b`), and a long string is cut. JSON escapes control characters by itself,
+and nothing is cut there; `json_text` escapes those that JSON lets pass.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any, Final
+
+MAX_SHOWN: Final = 2000
+"""Characters of one string that people get to see. A whole screen has about as many."""
+
+_UNPRINTABLE: Final = re.compile(r"[\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""What JSON need not escape, and a terminal may obey."""
+
+
+def clean(text: str, limit: int = MAX_SHOWN) -> str:
+    """The text without what a terminal would obey, in one line, and cut behind `limit` characters."""
+    cut = "" if len(text) <= limit else f" ... ({len(text)} characters)"
+    text = text[:limit]
+    return (text if text.isprintable() else "".join(map(_shown, text))) + cut
+
+
+def clean_lines(text: str) -> str:
+    """As `clean`, for a text of ours that has lines, with strings of others in them. Nothing is cut."""
+    return "\n".join(clean(line, len(line)) for line in text.split("\n"))
+
+
+def json_text(value: Any, indent: int | None = None) -> str:
+    """A JSON document that a terminal shows as it is. What JSON does not know becomes text."""
+    text = json.dumps(value, indent=indent, ensure_ascii=False, default=str)
+    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def _shown(character: str) -> str:
+    if character.isprintable():
+        return character
+    if character in "\u00a0\u2007\u202f\u3000":
+        return " "  # blanks of other widths
+    return character.encode("unicode_escape").decode("ascii")

@@ -1,0 +1,154 @@
+"""Files that commands write: nothing that is there is overwritten without asking."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+
+from canopen_data.descriptions import load_description
+from canopen_master.cli.problem import ExitCode
+from canopen_proto.sdo.abort import AbortCode
+from tests.master.backup_world import Lasting, answering, change, lasting_device
+from tests.master.cli_support import Run, runner
+from tests.proto.devices import TEXT
+from tests.proto.restore_bench import GAIN
+
+OLD = "what was there"
+DEMO = ("-b", "demo")
+COMMANDS = {
+    "backup": ("backup", "5", "-e", "device.eds", *DEMO, "-o", "OUT.dcf"),
+    "dump": ("dump", "5", "-e", "device.eds", *DEMO, "-o", "OUT.json"),
+    "read": ("read", "5", "2003", "-e", "device.eds", *DEMO, "-o", "OUT.bin"),
+    "trace": ("read", "5", "1000", *DEMO, "--trace", "OUT.log"),
+    "to-dcf": ("eds", "to-dcf", "device.eds", "--id", "5", "-o", "OUT.dcf"),
+    "to-cdcf": ("eds", "to-cdcf", "device.eds", "--id", "5", "-o", "OUT.bin"),
+    "doc": ("eds", "doc", "device.eds", "-o", "OUT.html"),
+    "fix": ("eds", "fix", "device.eds", "-o", "OUT.eds"),
+    "convert": ("log", "convert", "in.log", "OUT.trc"),
+    "check": ("check", "device.eds", "--junit", "OUT.xml"),
+}
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return runner(capsys, monkeypatch, tmp_path)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
+    Path("in.log").write_text("(1.000000) can0 705#05\n")
+    return lasting_device(monkeypatch)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_is_there_is_not_overwritten_without_asking(
+    run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    command = COMMANDS[name]
+    target = Path(next(each for each in command if each.startswith("OUT.")))
+    target.write_text(OLD)
+    outcome = run(*command)
+    assert outcome.status == ExitCode.USAGE
+    assert f"error CO135: {target} is there already" in outcome.err
+    assert "--force" in outcome.err
+    assert world.state is None  # nobody was asked
+    monkeypatch.setattr(sys, "stdin", Terminal("n\n"))
+    monkeypatch.setenv("FORCE_COLOR", "1")  # a terminal
+    assert run(*command).status == ExitCode.INTERRUPTED
+    assert target.read_text() == OLD
+    monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
+    assert run(*command).status in (0, 1)
+    assert target.read_bytes() != OLD.encode()
+    target.write_text(OLD)
+    monkeypatch.delenv("FORCE_COLOR")
+    assert run(*command, "--force").status in (0, 1)
+    assert target.read_bytes() != OLD.encode()
+
+
+class Terminal(io.StringIO):
+    """A stdin on which somebody types."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_what_is_no_file_is_written_to(run: Run, world: Lasting) -> None:
+    assert run("read", "5", "1000", *DEMO, "--trace", "/dev/null/x.log").status == ExitCode.BAD_FILE
+    Path("folder").mkdir()
+    assert run("eds", "doc", "device.eds", "-o", "folder").status == ExitCode.BAD_FILE
+
+
+# ---- what a backup and a restore keep ----
+
+
+def test_a_backup_keeps_bytes_and_compare_and_restore_see_them(run: Run, world: Lasting) -> None:
+    held = "\xc3\xbc \x1b\r\n"
+    world.values = {TEXT << 8: held, GAIN << 8: float("nan")}
+    backup = ("backup", "5", "-e", "device.eds", *DEMO, "-o", "before.dcf")
+    assert run(*backup).status == 0
+    assert load_description("before.dcf").dictionary.variable(TEXT).configured == held
+    assert run("compare", "5", "before.dcf", *DEMO).status == 0
+    world.values |= {TEXT << 8: "\xfc", GAIN << 8: 2.0}
+    outcome = run("compare", "5", "before.dcf", *DEMO)
+    assert outcome.status == ExitCode.DIFFERENT
+    assert "'ü' (FC)" in outcome.out
+    assert "'ü \\x1b\\r\\n' (C3 BC 20 1B 0D 0A)" in outcome.out
+    assert run("restore", "5", "before.dcf", *DEMO, "--yes", "--verify").status == 0
+    assert world.values[TEXT << 8] == held
+
+
+def test_what_a_file_cannot_keep_is_named(run: Run, world: Lasting) -> None:
+    world.prepare = lambda node: answering(node, {GAIN: b"\x01\0\x80\x7f"})  # a signalling NaN
+    outcome = run("backup", "5", "-e", "device.eds", *DEMO, "-o", "before.dcf")
+    assert outcome.status == ExitCode.PARTIAL
+    assert "not exact in the file: 2012:00 gain: bytes 01 00 80 7f" in outcome.err
+    document = run("backup", "5", "-e", "device.eds", *DEMO, "-o", "again.dcf", "--json").json
+    assert [each["index"] for each in document["not_exact"]] == [GAIN]
+
+
+def test_an_old_backup_lends_nothing_to_a_new_one(run: Run, world: Lasting) -> None:
+    assert run("backup", "5", "-e", "device.eds", *DEMO, "-o", "old.dcf").status == 0
+    world.prepare = lambda node: answering(node, {GAIN: AbortCode.DEVICE_STATE})
+    assert run("backup", "5", "-e", "old.dcf", *DEMO, "-o", "new.dcf").status == ExitCode.PARTIAL
+    gain = load_description("new.dcf").dictionary.variable("gain")
+    assert (gain.configured, gain.not_read) == (None, "refused")
+    world.prepare = lambda node: None
+    world.values[GAIN << 8] = 7.0
+    outcome = run("restore", "5", "new.dcf", *DEMO, "--yes")
+    assert outcome.status == 0
+    assert "the file has no value, since it could not be read then: 2012:00 (gain)" in outcome.err
+    assert world.values[GAIN << 8] == 7.0
+
+
+def test_a_backup_without_a_file_has_the_pdos_of_the_device(run: Run, world: Lasting) -> None:
+    assert run("backup", "5", *DEMO, "-o", "whole.dcf").status == 0
+    found = load_description("whole.dcf").dictionary
+    pdos = {index for index in world.dictionary.objects if 0x1400 <= index < 0x1C00}
+    assert pdos <= set(found.objects)
+    assert all(found.variable((index, 1)).configured is not None for index in pdos)
+
+
+def test_a_restore_leaves_alone_what_it_could_not_read(run: Run, world: Lasting) -> None:
+    change(run, world)
+    world.prepare = lambda node: answering(node, {GAIN: AbortCode.DEVICE_STATE, 0x1801: AbortCode.HARDWARE_ERROR})
+    outcome = run("restore", "5", "before.dcf", *DEMO, "--yes")
+    assert outcome.status == ExitCode.PARTIAL
+    assert "left alone, since it could not be read: 1801:01" in outcome.err
+    assert world.writes == [(TEXT, 0)]
+
+
+def test_the_settings_of_one_node_go_to_another(run: Run, world: Lasting) -> None:
+    change(run, world)
+    moved = Path("before.dcf").read_text().replace("NodeID=5", "NodeID=9").replace("0x00000285", "0x00000289")
+    Path("nine.dcf").write_text(moved)
+    assert "canopen restore 9 nine.dcf --to 5" in run("restore", "5", "nine.dcf", *DEMO, "--yes").err
+    outcome = run("restore", "9", "nine.dcf", "--to", "5", *DEMO, "--yes")
+    assert outcome.status == 0
+    assert world.values[0x1801_01] == 0x285
+    assert "node 5 (0x05)" in outcome.err
