@@ -163,3 +163,16 @@ class Bench:
     def held(self, keys: Iterable[int]) -> dict[int, Value]:
         """What the device has now."""
         return {key: self.device.values.store[key] for key in keys}
+
+
+def changed(**options: object) -> tuple[Bench, dict[int, Value]]:
+    """A device whose settings were changed after a backup of it."""
+    bench = Bench(**options)  # type: ignore[arg-type]
+    before = bench.held(CHANGES)
+    bench.change()
+    assert bench.held(CHANGES) == CHANGES
+    return bench, before
+
+
+def nmt_commands(bench: Bench) -> list[str]:
+    return [line for line in bench.bus.trace() if line.startswith("000#")]
