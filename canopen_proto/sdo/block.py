@@ -18,17 +18,22 @@ CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16.
     c CRC is supported   s size is indicated   f final segment   q sequence number, 1..127   n unused bytes of the final segment
 
     initiate: byte 4 is the block size where the receiver sends it, bytes 4..7 are the size where the sender does; an upload's
-    request has the protocol switch threshold (pst) in byte 5.
+    request has the protocol switch threshold (pst) in byte 5. Each side says what it can; there is a CRC if both can.
 
 After the initiation both directions are alike, so there are two machines and not four: `BlockSender` (block_sender.py) for the
 side that has the data, `BlockReceiver` (block_receiver.py) for the other; block_client.py and block_server.py begin and end
 them. Each belongs to a `Party`, the SdoClient or SdoServer whose channel it uses.
 
-Loss. The receiver takes segments in order only. Where one is missing it acknowledges those before the gap, at the end of the
-sub-block or when no more come, and the sender goes on behind them. What is repeated is numbered from 1 again.
+Loss. The receiver takes segments in order only. Where one is missing it acknowledges those before the gap at the end of the
+sub-block, and the sender goes on behind them. What is repeated is numbered from 1 again.
+
+Pauses. A silence inside a sub-block may be a loss, or a sender that pauses: senders put a whole sub-block into a queue, and an
+acknowledgement that comes while the rest of it waits there confuses both sides. So a silence is a pause for `silence_limit`: 1 s,
+or the time-out if that is longer. Only then the receiver acknowledges what came, once; after a second silence of that length it
+gives up. The sender waits twice as long for an acknowledgement, so that it hears the answer to a loss.
 
 Copies. CAN can deliver a frame twice, immediately. The second copy of a segment does not have the number that is due. (With a
-block size of 1 it has: a receiver asks for that only where both CRC and size protect the transfer.) The second copy of an
+block size of 1 it would have, so a receiver never asks for that.) The second copy of an
 acknowledgement is known by this: none of the next sub-block has been sent yet. That is why an acknowledgement sends nothing by
 itself; the sub-block goes out in the turn after, or `copy_guard` later.
 
@@ -49,22 +54,30 @@ from typing import Final, Protocol
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Outbox, Time
 from canopen_proto.sdo.abort import AbortOrigin
-from canopen_proto.sdo.codec import BLOCK_UPLOAD, INITIATE
+from canopen_proto.sdo.codec import (
+    BLOCK_DOWNLOAD,
+    BLOCK_UPLOAD,
+    INITIATE,
+    INITIATE_DOWNLOAD,
+    INITIATE_UPLOAD,
+    SPECIFIER,
+)
 
 MAX_BLOCK_SIZE: Final = 127
 """Segments in a sub-block: their numbers have seven bits."""
 SEGMENT_SIZE: Final = 7
 """Bytes of data in a segment."""
+MAX_SIZE: Final = 0xFFFFFFFF
+"""Bytes: what the size field of an initiate frame can say."""
 SUB_BLOCK_SIZE: Final = MAX_BLOCK_SIZE * SEGMENT_SIZE
 """Bytes of data in the longest sub-block: what has to be held for repetition, and the largest piece of a stream."""
 
 MAX_BURST: Final = 8
 """Segments that go out in one turn: a SocketCAN interface queues ten frames by default, and others want to send too."""
-SEGMENT_TIMEOUT: Final = 100 * MILLISECOND
-"""After so long a silence within a sub-block its end must have been lost: what came is acknowledged. A burst has no such gaps
-(a frame takes 13 ms at 10 kbit/s), and senders wait 300 ms and more for an acknowledgement."""
-SUB_BLOCK_TIMEOUT: Final = 250 * MILLISECOND
-"""After so long a silence before its first segment, all of a (short) sub-block must have been lost."""
+LEAST_SILENCE: Final = 1 * SECOND
+"""The shortest silence inside a block transfer that is not taken for a pause. A well-known C stack repairs a loss after 0.7 s."""
+STRAGGLER_TIME: Final = 100 * MILLISECOND
+"""How long segments may still be on the way after the receiver has ended a transfer."""
 STREAM_TIMEOUT: Final = 5 * SECOND
 """How long whoever feeds or takes a stream may need for each piece: reading and writing files takes less."""
 MAX_STALLS: Final = 10
@@ -87,11 +100,16 @@ ACKNOWLEDGE: Final = struct.Struct("<BBB5x")
 """Command, ackseq, block size."""
 END_FRAME: Final = struct.Struct("<BH5x")
 """Command, CRC."""
-INITIATE_BY_RECEIVER: Final = struct.Struct("<BHBBB2x")
-"""Command, index, subindex, block size, protocol switch threshold (in an upload's request)."""
+INITIATE_BY_RECEIVER: Final = struct.Struct("<BHBB3x")
+"""Command, index, subindex, block size."""
 
 HEADS: Final = tuple(bytes((sequence,)) for sequence in range(128))
 """The first byte of a segment that is not the final one, by its number."""
+
+
+def silence_limit(timeout: Time) -> Time:
+    """The longest pause that a party with this time-out survives inside a block transfer, in ns."""
+    return max(timeout, LEAST_SILENCE)
 
 
 class Party(Protocol):
@@ -121,20 +139,30 @@ class Party(Protocol):
     def _ignore(self, frame: Frame, reason: str) -> None: ...
 
 
+def is_initiate(command: int) -> bool:
+    """Whether a client's frame begins a transfer, of whatever kind."""
+    specifier = command & SPECIFIER
+    if specifier == BLOCK_UPLOAD:
+        return not command & 3
+    if specifier == BLOCK_DOWNLOAD:
+        return not command & 1
+    return specifier in (INITIATE_DOWNLOAD, INITIATE_UPLOAD)
+
+
 def sender_initiate(specifier: int, index: int, subindex: int, size: int | None, crc: bool) -> bytes:
     """The initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13"""
     command = specifier | (CRC_BIT if crc else 0) | (0 if size is None else BLOCK_SIZE_BIT)
     return INITIATE.pack(command, index, subindex, size or 0)
 
 
-def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool, threshold: int = 0) -> bytes:
-    """The initiate frame of the other side: a server's for a download, a client's for an upload (with its pst). .9, .13"""
-    return INITIATE_BY_RECEIVER.pack(BLOCK_UPLOAD | (CRC_BIT if crc else 0), index, subindex, block_size, threshold)
+def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool) -> bytes:
+    """The initiate frame of the other side: a server's for a download, a client's for an upload (with pst = 0). .9, .13"""
+    return INITIATE_BY_RECEIVER.pack(BLOCK_UPLOAD | (CRC_BIT if crc else 0), index, subindex, block_size)
 
 
-def chosen_block_size(block_size: int, is_safe: bool) -> int:
-    """What a receiver asks for: 1..127; at least 2 where CRC or size is not known, see "Copies"."""
-    return max(1 if is_safe else 2, min(block_size, MAX_BLOCK_SIZE))
+def chosen_block_size(block_size: int) -> int:
+    """What a receiver asks for: 2..127; see "Copies"."""
+    return max(2, min(block_size, MAX_BLOCK_SIZE))
 
 
 def least_frames(size: int) -> tuple[int, int]:

@@ -1,12 +1,12 @@
 """How an SDO client begins and ends block transfers, and what it is asked for there.
 
-block.py tells how a block transfer goes. The client says in its initiate request whether it supports CRC, and, for an upload, the
-first block size and the protocol switch threshold (pst): the server may answer with a normal upload where the size is not above
-it; 0 forbids that.
+block.py tells how a block transfer goes. The client says in its initiate request whether it supports CRC, and, for an upload,
+the first block size. The protocol switch threshold (pst), which could allow a normal upload of a small object, is always 0: if
+such an object is empty, one server in the field stops at an assertion, and another answers four zeros.
 
 A request for block = "auto" bears the plain request beside it. It falls back on that if the server refuses at the initiation with
 0x05040001 (it does not know block transfer; the client remembers that) or 0x06010000 (not this object), and it takes a normal
-upload for an answer whatever the threshold was: there are servers that do not look at it.
+upload for an answer though it did not allow one: there are servers that do not look at the threshold.
 
 Source: CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13.
 """
@@ -20,10 +20,12 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import (
+    ACKNOWLEDGEMENT,
     BLOCK_SIZE_BIT,
     CRC_BIT,
     END_RESPONSE,
     KIND,
+    MAX_SIZE,
     START_UPLOAD,
     chosen_block_size,
     receiver_initiate,
@@ -43,15 +45,13 @@ from canopen_proto.sdo.codec import (
 )
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request import Request, impossible
+from canopen_proto.sdo.request_queue import IDLE, UPLOAD_INITIATED
 
 if TYPE_CHECKING:
     from canopen_proto.sdo.client import SdoClient
 
 MAX_FED: Final = 1 << 16
 """Bytes of a download stream that may be held: half a second of a bus at 1 Mbit/s."""
-MAX_SIZE: Final = 0xFFFFFFFF
-"""What the size field of an initiate frame can say."""
-
 NO_BLOCKS: Final = (AbortCode.INVALID_COMMAND, AbortCode.UNSUPPORTED_ACCESS)
 """How servers refuse block transfer, at its initiation."""
 
@@ -62,7 +62,9 @@ _START_PAYLOAD: Final = bytes((START_UPLOAD,)).ljust(8, b"\x00")
 def lacks_blocks(aborted: SdoAborted) -> bool:
     """Whether a stream ended because the server knows no block transfer, or not for this object: it refused, or answered with a
     normal upload all the same. To be asked only of a stream that had not begun yet."""
-    return aborted.abort_code in NO_BLOCKS and aborted.origin in (AbortOrigin.PEER, AbortOrigin.LOCAL)
+    if aborted.origin is AbortOrigin.LOCAL:
+        return aborted.abort_code == AbortCode.UNSUPPORTED_ACCESS
+    return aborted.origin is AbortOrigin.PEER and aborted.abort_code in NO_BLOCKS
 
 
 class BlockRequest(Request):
@@ -104,12 +106,11 @@ class BlockRequest(Request):
 
 
 def block_upload_request(
-    index: int, subindex: int, block_size: int, crc: bool, threshold: int, is_stream: bool, plain: Request | None
+    index: int, subindex: int, block_size: int, crc: bool, is_stream: bool, plain: Request | None
 ) -> BlockRequest:
-    """index 0..0xFFFF, subindex 0..0xFF, threshold 0..255; else LocalProtocolError."""
+    """index 0..0xFFFF, subindex 0..0xFF; else LocalProtocolError."""
     try:
-        # Whether the server has CRC too, and the size, is not known yet
-        first = receiver_initiate(index, subindex, chosen_block_size(block_size, False), crc, threshold)
+        first = receiver_initiate(index, subindex, chosen_block_size(block_size), crc)
     except struct.error:
         raise impossible("block upload", index, subindex) from None
     return BlockRequest(index, subindex, first, crc, is_stream, plain)
@@ -130,6 +131,27 @@ def block_download_request(
     request.size = size
     request.is_whole = content is not None or size == 0
     return request
+
+
+def fall_back(client: SdoClient, data: bytes, now: Time) -> bool:
+    """Take the server's abort at the initiation: go on by plain transfer if it is blocks that it refused, and we may choose."""
+    request = client._request
+    assert isinstance(request, BlockRequest)
+    plain, abort_code = request.plain, SIZE.unpack_from(data, 4)[0]
+    if abort_code == AbortCode.INVALID_COMMAND:
+        client.serves_blocks = False
+    if plain is None or abort_code not in NO_BLOCKS:
+        return False
+    plain.request_id = request.request_id
+    request.content = b""
+    client._last = data
+    client._ended = now
+    client._unsettled = True  # a second copy of the abort may come: copy_guard
+    client._state = IDLE
+    client._transfer = None
+    client._urgent.appendleft(plain)
+    client._begin_next(now)
+    return True
 
 
 class BlockDownload(BlockSender):
@@ -163,8 +185,11 @@ class BlockDownload(BlockSender):
                 self.with_crc = self.with_crc and bool(command & CRC_BIT)
                 self._start(data[4], now)
                 return
-            if command & SPECIFIER == ABORT and client._fall_back(data, now):
+            if command & SPECIFIER == ABORT and fall_back(client, data, now):
                 return
+        elif self._state == SENDER_STARTING and command & KIND == ACKNOWLEDGEMENT:
+            client._ignore(frame, "acknowledgement of a block download whose initiate response was lost")
+            return
         client._on_other(command, data, frame, now)
 
 
@@ -207,10 +232,16 @@ class BlockUpload(BlockReceiver):
             if command & 0xE1 == BLOCK_DOWNLOAD:  # 110 is the server's specifier for uploads
                 self._on_initiated(command, data, now)
                 return
-            if self._request.plain is not None and command & SPECIFIER == INITIATE_UPLOAD_RESPONSE:
-                client._switch_to_plain_upload(command, data, now)
-                return
-            if command & SPECIFIER == ABORT and client._fall_back(data, now):
+            if command & SPECIFIER == INITIATE_UPLOAD_RESPONSE:
+                if self._request.plain is not None:
+                    client._state = UPLOAD_INITIATED
+                    client._transfer = None
+                    client._on_upload_initiated(command, data, now)
+                    return
+                if not client._unsettled and data[:4] != client._last[:4]:  # else it may be an answer to a request before
+                    client._fail(AbortCode.UNSUPPORTED_ACCESS, AbortOrigin.LOCAL, now)
+                    return
+            if command & SPECIFIER == ABORT and fall_back(client, data, now):
                 return
         client._on_other(command, data, frame, now)
 
@@ -224,4 +255,5 @@ class BlockUpload(BlockReceiver):
             client._fail(AbortCode.OUT_OF_MEMORY, AbortOrigin.LOCAL, now)
             return
         client._send(_START_PAYLOAD)
+        self._last_said = _START_PAYLOAD
         self._start(size, limit, self._request.crc and bool(command & CRC_BIT), now)

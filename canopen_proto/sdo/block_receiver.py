@@ -4,12 +4,18 @@ block.py tells how a block transfer goes. Within a sub-block every frame but an 
 byte might mean: the sequence number decides. Segments are taken in order only. What is acknowledged, and when:
 
     the last segment of the sub-block came          those in order, at once; behind a gap too, but not before
-    silence, and some segment came                  those in order (SEGMENT_TIMEOUT): the end of the sub-block was lost
-    silence, and none came                          none (SUB_BLOCK_TIMEOUT), which asks for all: if a CRC guards us
+    silence, and some segment came                  those in order: the end of the sub-block was lost, or the sender pauses
+    silence, and none came                          our last frame again, if CRC and size guard the whole: it was lost. Where
+                                                    a single segment is due that may have been lost instead, and is asked for
+    a second silence                                the transfer is aborted
 
-The last one is a guess: that our acknowledgement was lost looks the same, and then the sender repeats the sub-block *before*,
-which only a CRC reveals. Without one the transfer is given up instead. `timeout` ns after the last segment in order it is in
-any case. A segment of less than eight bytes counts as lost.
+A silence lasts `silence_limit`; it is a second one if no segment came in order since the first. A sender that only paused goes
+on with the numbers of its sub-block; one whose last segments were lost begins with 1. So after an early acknowledgement a number
+that is higher than all before it ends the transfer: the bytes can't be wrong, even without CRC. If nothing came, such a sign is
+missing, and a sender that only pauses may take our repetition for the next acknowledgement: CRC and size have to guard it.
+
+On CAN the numbers of a sub-block only rise. A number that was received already, with other data, shows a frame out of its order;
+without a CRC that is an abort. A segment of less than eight bytes counts as lost.
 
 A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0,
 so zeros at the beginning of the data do not count in it: while it is 0 it guards nothing, unless the size is known too.
@@ -34,12 +40,13 @@ from canopen_proto.sdo.block import (
     END,
     FINAL,
     KIND,
+    MAX_STALLS,
     SEGMENT_SIZE,
-    SEGMENT_TIMEOUT,
     SEQUENCE,
-    SUB_BLOCK_TIMEOUT,
+    STRAGGLER_TIME,
     Party,
     chosen_block_size,
+    silence_limit,
 )
 from canopen_proto.sdo.codec import ABORT
 
@@ -49,13 +56,16 @@ _RECEIVING: Final = 1
 HELD: Final = 2  # the next step is up to whoever takes the pieces
 _ENDING: Final = 3  # the end frame is due
 
+_BEHIND_A_GAP: Final = -1
+"""The number that is due then: none is taken before the sub-block is over."""
+
 
 class BlockReceiver:
     """See this module's text. Subclasses say what follows from what, by the methods at the end."""
 
     __slots__ = (
-        "_block_size", "_buffer", "_checked", "_crc", "_give_up_at", "_heard", "_is_stream", "_limit", "_party", "_received",
-        "_size", "_state", "offset", "with_crc",
+        "_block_size", "_buffer", "_checked", "_crc", "_due", "_heard", "_is_stream", "_last_said", "_limit", "_party",
+        "_paused_behind", "_received", "_silence", "_size", "_stalls", "_state", "_was_silent", "offset", "with_crc",
     )  # fmt: skip
 
     def __init__(self, party: Party, is_stream: bool) -> None:
@@ -70,16 +80,26 @@ class BlockReceiver:
         self._limit = 0  # of the whole
         self._block_size = 0
         self._received = 0  # segments of this sub-block, in order
-        self._heard = False  # segments of this sub-block, out of order
-        self._give_up_at: Time = 0
+        self._due = 1  # the number that is taken next
+        self._heard = 0  # the highest number behind the gap
+        self._paused_behind = 0  # the highest number before an early acknowledgement; 0: there was none
+        self._was_silent = False  # for as long as _silence, since the last segment in order
+        self._silence = silence_limit(party.timeout)
+        self._stalls = 0  # acknowledgements of nothing, one behind the other
+        self._last_said = b""  # what to repeat if it may have been lost
         self._state = STARTING
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the initiation is over."""
+        return self._state != STARTING
 
     def stragglers(self) -> tuple[int, Time]:
         """If the transfer ends now: the number of the segment that may come nevertheless (0: none), and until when it may."""
-        if self._state != _RECEIVING:
+        heard = max(self._received, self._heard)
+        if self._state != _RECEIVING or heard >= self._block_size:
             return 0, 0
-        heard = self._party._last[0] & SEQUENCE if self._received or self._heard else 0
-        return (heard + 1) & SEQUENCE, self._give_up_at - self._party.timeout + SEGMENT_TIMEOUT
+        return heard + 1, self._party.deadline - self._silence + STRAGGLER_TIME
 
     # ---- inputs ----
 
@@ -87,33 +107,38 @@ class BlockReceiver:
         if self._state != _RECEIVING or command == ABORT:
             if self._state == _ENDING and command & KIND == END and self._on_end(command, data, frame, now):
                 return
-            self._on_other(command, data, frame, now)
+            if self._state != STARTING and data == self._party._last:
+                self._party._ignore(frame, "second copy of the last frame")
+            else:
+                self._on_other(command, data, frame, now)
             return
         party = self._party
         sequence = command & SEQUENCE
-        if sequence != self._received + 1 or data is not frame.data:
+        if sequence != self._due or data is not frame.data:
             self._on_gap(command, sequence, data, frame, now)
             return
         self._buffer += data[1:]
         self._received = sequence
+        self._due = sequence + 1
         party._last = data
-        self._give_up_at = now + party.timeout
         if command & FINAL or sequence == self._block_size:
             self._end_sub_block(command & FINAL, now)
             return
-        party.deadline = deadline = now + SEGMENT_TIMEOUT
+        party.deadline = deadline = now + self._silence
         if deadline < party._wake:
             party._arm(deadline)
 
     def handle_timeout(self, now: Time) -> None:
         if self._state == HELD:
             self._party._fail(AbortCode.CANNOT_TRANSFER, AbortOrigin.TIMEOUT, now)
-        elif self._state != _RECEIVING or now >= self._give_up_at:
+        elif self._state == _RECEIVING and (self._received or (self._heard and not self._was_silent)):
+            self._end_sub_block(0, now, is_early=True)
+        elif self._state == STARTING or self._was_silent:
             self._party._fail(AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT, now)
-        elif self._received or self._heard or (self.with_crc and (self._crc or self._size is not None)):
-            self._end_sub_block(0, now)
         else:
-            self._party._arm(self._give_up_at)
+            self._was_silent = True
+            self._remind()
+            self._party._arm(now + self._silence)
 
     # ---- the transfer ----
 
@@ -122,20 +147,19 @@ class BlockReceiver:
         self._size = size
         self._limit = limit if size is None else size
         self.with_crc = with_crc
-        self._state = _RECEIVING
-        self._give_up_at = now + self._party.timeout
         self._listen(now)
 
     def _listen(self, now: Time) -> None:
         """For the first segment of a sub-block."""
+        self._state = _RECEIVING
         self._received = 0
-        self._heard = False
-        self._party._arm(min(now + SUB_BLOCK_TIMEOUT, self._give_up_at))
+        self._due = 1
+        self._heard = 0
+        self._party._arm(now + self._silence)
 
     def _choose_block_size(self) -> int:
         """Of the next sub-block."""
-        is_safe = self.with_crc and self._size is not None
-        self._block_size = chosen_block_size(self._party.block_size, is_safe)
+        self._block_size = chosen_block_size(self._party.block_size)
         return self._block_size
 
     def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> None:
@@ -143,24 +167,47 @@ class BlockReceiver:
         party = self._party
         if data == party._last:
             party._ignore(frame, "second copy of the last frame")
+        elif self._size == 0 and not self._received and command & KIND == END:  # some senders send no empty segment
+            self._on_end(command, data, frame, now)
         elif len(frame.data) < 8:
-            self._heard = True
+            self._due = _BEHIND_A_GAP
+            self._heard = max(self._heard, sequence)
             party._ignore(frame, "too short for a segment")
-        elif not 1 <= sequence <= self._block_size:
-            party._fail(AbortCode.INVALID_SEQUENCE_NUMBER, AbortOrigin.LOCAL, now)
-        elif sequence == self._received + 1:
+        elif sequence == self._due:
             self.receive(command, data, Frame(frame.can_id, data, frame.flags), now)  # more than eight bytes: the first count
+        elif 1 <= sequence <= self._received and (self.with_crc or self._is_known(sequence, data)):
+            party._ignore(frame, "late copy of a segment")
+        elif not self._received < sequence <= self._block_size or 0 < self._paused_behind < sequence:
+            self._heard = sequence
+            party.deadline = now + self._silence
+            party._fail(AbortCode.INVALID_SEQUENCE_NUMBER, AbortOrigin.LOCAL, now)
+        elif sequence <= self._heard:
+            party._ignore(frame, "segment out of its order")
         else:
-            self._heard = True
+            self._due = _BEHIND_A_GAP
+            self._heard = sequence
+            self._paused_behind = 0
             party._last = data
             if command & FINAL or sequence == self._block_size:
                 self._end_sub_block(0, now)
             else:
-                party._arm(min(now + SEGMENT_TIMEOUT, self._give_up_at))
+                party._arm(now + self._silence)
 
-    def _end_sub_block(self, is_final: int, now: Time) -> None:
-        """Acknowledge what came in order, as soon as it may be."""
+    def _is_known(self, sequence: int, data: bytes) -> bool:
+        """Whether the segment was received with these data, in this sub-block."""
+        offset = len(self._buffer) - (self._received - sequence + 1) * SEGMENT_SIZE
+        return self._buffer[offset : offset + SEGMENT_SIZE] == data[1:]
+
+    def _end_sub_block(self, is_final: int, now: Time, is_early: bool = False) -> None:
+        """Acknowledge what came in order, as soon as it may be. is_early: after a silence, not after the last segment."""
         party = self._party
+        if is_early:
+            self._was_silent = True
+            self._paused_behind = max(self._received, self._heard)
+        elif self._received:
+            self._was_silent = False
+            self._paused_behind = 0
+        self._stalls = 0 if self._received else self._stalls + 1
         excess = self.offset + len(self._buffer) - SEGMENT_SIZE - self._limit
         if excess > 0:
             code = AbortCode.OUT_OF_MEMORY if self._size is None else AbortCode.LENGTH_TOO_HIGH
@@ -168,7 +215,9 @@ class BlockReceiver:
         elif is_final:
             self._acknowledge()
             self._state = _ENDING
-            party._arm(now + party.timeout)
+            party._arm(now + self._silence)
+        elif self._stalls > MAX_STALLS:  # without this a transfer might never end
+            party._fail(AbortCode.TIMED_OUT, AbortOrigin.LOCAL, now)
         elif self._is_stream and self._received:
             self._check(len(self._buffer))
             self._state = HELD
@@ -184,14 +233,23 @@ class BlockReceiver:
     def _go_on(self, now: Time) -> None:
         """The piece was taken."""
         self._acknowledge()
-        self._state = _RECEIVING
-        self._give_up_at = now + self._party.timeout
         self._listen(now)
 
     def _acknowledge(self) -> None:
         """7.2.4.3.10 and 7.2.4.3.14"""
         received = self._received
-        self._party._send(ACKNOWLEDGE.pack(ACKNOWLEDGEMENT, received, self._choose_block_size()))
+        self._last_said = ACKNOWLEDGE.pack(ACKNOWLEDGEMENT, received, self._choose_block_size())
+        self._party._send(self._last_said)
+
+    def _remind(self) -> None:
+        """Say once more what may have been lost, where CRC and size guard the whole."""
+        if not self.with_crc or self._size is None:
+            return
+        remaining = self._size - self.offset - len(self._buffer)
+        if self._state == _RECEIVING and remaining <= SEGMENT_SIZE:
+            self._party._send(ACKNOWLEDGE.pack(ACKNOWLEDGEMENT, 0, self._block_size))  # the only segment that is due
+        elif self._last_said:
+            self._party._send(self._last_said)
 
     def _check(self, end: int) -> None:
         """Take the buffer's bytes into the CRC, up to `end`."""
@@ -204,7 +262,7 @@ class BlockReceiver:
 
         The final segment may look like one (0xC1 is the end, and number 65): then it is the end only if it is right as such.
         """
-        end = len(self._buffer) - (command >> 2 & 7)
+        end = max(0, len(self._buffer) - (command >> 2 & 7))
         is_doubtful = data == self._party._last
         if is_doubtful and not self.with_crc and self._size is None:
             return False

@@ -30,6 +30,7 @@ from canopen_proto.sdo.block import (
     MAX_STALLS,
     SEGMENT_SIZE,
     Party,
+    silence_limit,
 )
 
 # States
@@ -44,13 +45,14 @@ class BlockSender:
     """See this module's text. Subclasses say what follows from what, by the methods at the end."""
 
     __slots__ = (
-        "_base", "_block_size", "_content", "_count", "_crc", "_is_final", "_is_whole", "_party", "_sent", "_stalls", "_state",
-        "_unused", "with_crc",
+        "_base", "_block_size", "_content", "_count", "_crc", "_is_final", "_is_whole", "_party", "_patience", "_sent", "_stalls",
+        "_state", "_unused", "with_crc",
     )  # fmt: skip
 
     def __init__(self, party: Party, content: bytes | bytearray, is_whole: bool, with_crc: bool) -> None:
         """content: all of it, or, where it is fed piece by piece (is_whole = False), a bytearray that `extend` adds to."""
         self._party = party
+        self._patience = 2 * silence_limit(party.timeout)  # a receiver asks again after one silence
         self._content = content
         self._is_whole = is_whole
         self.with_crc = with_crc
@@ -63,6 +65,11 @@ class BlockSender:
         self._block_size = 0
         self._stalls = 0
         self._state = STARTING
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the initiation is over."""
+        return self._state != STARTING
 
     @property
     def is_all_sent(self) -> bool:
@@ -148,7 +155,7 @@ class BlockSender:
             party._arm(now + party.burst_interval)
         else:
             self._state = _SENT
-            party._arm(now + party.timeout)
+            party._arm(now + self._patience)
 
     def _on_acknowledgement(self, data: bytes, frame: Frame, now: Time) -> None:
         """7.2.4.3.10 and 7.2.4.3.14"""
@@ -173,7 +180,7 @@ class BlockSender:
         if is_end:
             self._state = _ENDING
             party._send(END_FRAME.pack(END | self._unused << 2, self._crc))
-            party._arm(now + party.timeout)
+            party._arm(now + self._patience)
             return
         self._block_size = block_size
         self._begin_sub_block(now)

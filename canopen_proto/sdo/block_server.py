@@ -1,8 +1,8 @@
 """How an SDO server begins and ends block transfers.
 
-block.py tells how a block transfer goes. In an upload the server announces the size, and supports CRC if the client does. It
-answers with a normal upload instead where the client's protocol switch threshold (pst, in bytes) allows that: who sets one wants
-it. In a download the server tells the block size.
+block.py tells how a block transfer goes. In an upload the server announces the size; an object of no bytes is one segment without
+data. It answers with a normal upload instead if the client's protocol switch threshold (pst, in bytes) allows that. In a download
+the server tells the block size.
 
 An object that the host serves in pieces (`ObjectAccessPending.more`): each sub-block of a download is one, and is acknowledged
 when the host has taken it; for an upload the host is asked for the next one while the one before goes out.
@@ -22,7 +22,10 @@ from canopen_proto.sdo.block import (
     CRC_BIT,
     END_RESPONSE,
     KIND,
+    MAX_SIZE,
     START_UPLOAD,
+    STRAGGLER_TIME,
+    is_initiate,
     receiver_initiate,
     sender_initiate,
 )
@@ -32,9 +35,6 @@ from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, SIZE
 
 if TYPE_CHECKING:
     from canopen_proto.sdo.server import SdoServer
-
-MAX_SIZE: Final = 0xFFFFFFFF
-"""What the size field of an initiate frame can say."""
 
 _END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 
@@ -46,13 +46,12 @@ class BlockServerUpload(BlockSender):
 
     def __init__(self, server: SdoServer, request: bytes, content: bytes, more: bool, size: int | None, now: Time) -> None:
         """Answers the initiate request. size: of the whole, if the host gives it in pieces and knows."""
-        with_crc = server.crc and bool(request[0] & CRC_BIT)
-        super().__init__(server, bytearray(content) if more else content, not more, with_crc)
+        super().__init__(server, bytearray(content) if more else content, not more, server.crc and bool(request[0] & CRC_BIT))
         self._server = server
         self._wanted_block_size = request[4]
         announced = size if more else len(content)
-        server._send(sender_initiate(BLOCK_DOWNLOAD, server._index, server._subindex, announced, with_crc))
-        server._arm(now + server.timeout)
+        server._send(sender_initiate(BLOCK_DOWNLOAD, server._index, server._subindex, announced, server.crc))
+        server._arm(now + self._patience)
 
     def _wants_more(self) -> None:
         self._server._ask_for_piece()
@@ -84,10 +83,10 @@ class BlockServerDownload(BlockReceiver):
         """Answers the initiate request, which the store has agreed to."""
         super().__init__(server, in_pieces)
         self._server = server
-        self.with_crc = with_crc = server.crc and bool(request[0] & CRC_BIT)
+        self.with_crc = server.crc and bool(request[0] & CRC_BIT)
         self._size = size
-        server._send(receiver_initiate(server._index, server._subindex, self._choose_block_size(), with_crc))
-        self._start(size, MAX_SIZE if in_pieces else server.max_download, with_crc, now)
+        server._send(receiver_initiate(server._index, server._subindex, self._choose_block_size(), server.crc))
+        self._start(size, MAX_SIZE if in_pieces else server.max_download, self.with_crc, now)
 
     def taken(self, now: Time) -> None:
         """The host has taken the piece."""
@@ -105,12 +104,21 @@ class BlockServerDownload(BlockReceiver):
         else:
             server._write(content, answer, now)
 
-    def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
+    def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> None:
+        """A client whose request was answered in vain (the answer was lost, or the request was a late copy) begins anew.
+
+        An initiate request has a number from 32 on. Before the first segment 31 or more would have to be lost for it to be one.
+        """
         server = self._server
-        if data == server._last:
-            server._ignore(frame, "second copy of the last segment")
+        has_heard = self._last_said or self._received or self._heard
+        is_copy = data == server._last and now < server.deadline - self._silence + STRAGGLER_TIME
+        if has_heard or is_copy or not is_initiate(command):
+            super()._on_gap(command, sequence, data, frame, now)
         else:
             server._on_other(command, data, frame, now)
+
+    def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
+        self._server._on_other(command, data, frame, now)
 
 
 def announced_size(request: bytes) -> int | None:
@@ -122,8 +130,3 @@ def announced_size(request: bytes) -> int | None:
 def may_switch(request: bytes, size: int) -> bool:
     """Whether a block upload's initiate request allows a normal upload of so many bytes."""
     return 0 < request[5] >= size
-
-
-def is_initiate(command: int) -> bool:
-    """Whether a frame with the specifier of a block transfer begins one, on the client's side."""
-    return not command & (1 if command & 0xE0 == BLOCK_DOWNLOAD else 3)

@@ -13,7 +13,7 @@ announced size against what arrives, and `max_upload`. A fault ends the transfer
 
 What is not of this transfer is ignored and reported (FrameIgnored) where that is safe:
 - an initiate response or abort for another object: late, of a transfer that we gave up (an abort for 0x0000:00 counts while
-  segments go, because a server that lost its transfer cannot name the object);
+  segments go, because a server that lost its transfer cannot name the object; before, it answers a copy of the last segment);
 - the second copy of the last response, which CAN itself can make. Its toggle tells it from the next one;
 - anything unexpected before the first response, if the transfer before ended without its last response.
 Everything else unexpected is an abort with 0x05040001 or 0x05030000.
@@ -32,9 +32,9 @@ has a one-bit sequence number and no checksum. Block transfer has one.
 
 A download that ends without an answer may have been executed: SdoAborted says so (`not_confirmed`).
 
-Block transfer, on request: `block=True` (that or an abort), `block="auto"` (for more than AUTO_BLOCK bytes, and where the server
-knows it; see block_client.py), and streams, which never hold the whole: `download_stream` is fed piece by piece, `upload_stream`
-hands out SdoChunk by SdoChunk. block.py tells how it goes.
+Block transfer, on request: `block=True` (that or an abort), `block="auto"` (for downloads of more than AUTO_BLOCK bytes and any
+upload, where the server knows it; see block_client.py), and streams, which never hold the whole: `download_stream` is fed piece
+by piece, `upload_stream` hands out SdoChunk by SdoChunk. block.py tells how it goes.
 
 Left out: network indication. Retries are the caller's: SDO knows no repetition (block transfer repeats lost segments only), and a
 repeated download may be executed twice.
@@ -49,12 +49,12 @@ from canopen_proto.machine import NEVER, LocalProtocolError, Outbox, Outcome, Re
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
 from canopen_proto.sdo.block_client import (
-    NO_BLOCKS,
     BlockDownload,
     BlockRequest,
     BlockUpload,
     block_download_request,
     block_upload_request,
+    fall_back,
 )
 from canopen_proto.sdo.codec import (
     ABORT,
@@ -81,6 +81,7 @@ from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDow
 from canopen_proto.sdo.request import Buffer, Request, download_request, own, upload_request
 from canopen_proto.sdo.request_queue import IDLE as _IDLE
 from canopen_proto.sdo.request_queue import LATE_GUARD, MAX_QUEUE, TIMEOUT, RequestQueue
+from canopen_proto.sdo.request_queue import UPLOAD_INITIATED as _UPLOAD_INITIATED
 
 __all__ = [
     "AUTO_BLOCK", "LATE_GUARD", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk", "SdoClient",
@@ -95,8 +96,7 @@ AUTO_BLOCK: Final = 28
 Block: TypeAlias = bool | Literal["auto"]
 """Whether a transfer goes in blocks: False, True (or it fails), or where it pays and the server knows it."""
 
-# States; 0 is IDLE
-_UPLOAD_INITIATED: Final = 1
+# States; 0 is IDLE, 1 is UPLOAD_INITIATED
 _DOWNLOAD_INITIATED: Final = 2
 _UPLOAD_SEGMENT: Final = 3  # these three have frames that do not name the object
 _DOWNLOAD_SEGMENT: Final = 4
@@ -104,13 +104,16 @@ _BLOCK: Final = 5
 
 _UNKNOWN_SIZE: Final = -1
 
+_OUT_OF_PLACE: Final = (AbortCode.INVALID_COMMAND, AbortCode.TOGGLE_NOT_ALTERNATED)
+"""What servers say to a second copy of a segment."""
+
 
 class SdoClient(RequestQueue):
     """The client of one SDO channel; see this module's text."""
 
     __slots__ = (
-        "_announced", "_buffer", "_command", "_limit", "_multiplexer", "_offset", "_segment_requests", "_transfer", "block_size",
-        "burst_interval", "crc", "max_burst", "max_upload", "serves_blocks", "stream_timeout",
+        "_announced", "_buffer", "_command", "_limit", "_multiplexer", "_nameless_abort", "_offset", "_segment_requests",
+        "_transfer", "block_size", "burst_interval", "crc", "max_burst", "max_upload", "serves_blocks", "stream_timeout",
     )  # fmt: skip
 
     def __init__(
@@ -132,7 +135,8 @@ class SdoClient(RequestQueue):
         stream_timeout: Time = STREAM_TIMEOUT,
     ) -> None:
         """node_id: of the server. request_key, response_key: the channel (client to server, server to client) as `Frame.key`;
-        the server's first one by default. timeout, copy_guard, late_guard: ns; see this module's text.
+        the server's first one by default. timeout, copy_guard, late_guard: ns; see this module's text. Inside a block transfer
+        pauses of at least 1 s are survived whatever the timeout is; see `silence_limit` in block.py.
 
         For block transfer: crc, if the server has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; stream_timeout: ns that the caller
@@ -153,6 +157,7 @@ class SdoClient(RequestQueue):
         }
         # The transfer under way
         self._transfer: BlockDownload | BlockUpload | None = None
+        self._nameless_abort = b""  # one that came while a block transfer was initiated
         self._multiplexer = b""  # bytes 1..3 of each frame that names its object
         self._command = 0  # the command byte of a plain segment response with the toggle that is due
         self._buffer = bytearray()  # uploaded so far
@@ -167,14 +172,13 @@ class SdoClient(RequestQueue):
 
         Sends an initiate request, at once if no transfer is under way. SdoUploaded or SdoAborted follows, at the latest `timeout`
         after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not.
-        block: see `Block`; "auto" lets the server answer normally up to AUTO_BLOCK bytes. Raises LocalProtocolError if the queue
-        is full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
+        block: see `Block`; "auto" asks for a block transfer first, whatever the size. Raises LocalProtocolError if the queue is
+        full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
         """
         if not block or (block == "auto" and not self.serves_blocks):
             return self._submit(upload_request(index, subindex), urgent, now)
         plain = upload_request(index, subindex) if block == "auto" else None
-        threshold = AUTO_BLOCK if block == "auto" else 0
-        request = block_upload_request(index, subindex, self.block_size, self.crc, threshold, False, plain)
+        request = block_upload_request(index, subindex, self.block_size, self.crc, False, plain)
         return self._submit(request, urgent, now)
 
     def download(
@@ -200,7 +204,7 @@ class SdoClient(RequestQueue):
         SdoChunk follows for each piece, and waits for `proceed` (the last one does not); then SdoStreamUploaded or SdoAborted.
         Else as `upload(block=True)`. Source: CiA 301 v4.2.0, 7.2.4.3.12.
         """
-        return self._submit(block_upload_request(index, subindex, self.block_size, self.crc, 0, True, None), urgent, now)
+        return self._submit(block_upload_request(index, subindex, self.block_size, self.crc, True, None), urgent, now)
 
     def proceed(self, request_id: RequestId, now: Time) -> bool:
         """The last SdoChunk was taken, the next may come. The server waits meanwhile: for `stream_timeout` at most, and for as
@@ -281,6 +285,9 @@ class SdoClient(RequestQueue):
             return
         if self._state == _IDLE:
             self._begin_next(now)  # a request was held back by copy_guard
+        elif self._nameless_abort and self._transfer is not None and not self._transfer.has_begun:
+            if not fall_back(self, self._nameless_abort, now):
+                self._end_by_abort(self._nameless_abort, False, now)
         elif self._transfer is not None:
             self._transfer.handle_timeout(now)
         elif self._state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT) and not self._last:
@@ -379,13 +386,7 @@ class SdoClient(RequestQueue):
         elif state == _IDLE:
             self._ignore(frame, "no transfer is under way")
         elif specifier == ABORT:
-            multiplexer = data[1:4]
-            in_segments = state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT, _BLOCK)
-            if multiplexer == self._multiplexer or (in_segments and multiplexer == NO_MULTIPLEXER):
-                self._last = data
-                self._end(self._aborted(self._request, SIZE.unpack_from(data, 4)[0], AbortOrigin.PEER), now)
-            else:
-                self._ignore(frame, "abort of another object's transfer")
+            self._on_abort(data, frame, now)
         elif specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE) and data[1:4] != self._multiplexer:
             self._ignore(frame, "response about another object")
         elif specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE) and data[:4] == self._last[:4]:
@@ -401,6 +402,31 @@ class SdoClient(RequestQueue):
         else:
             self._fail(AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL, now)
 
+    def _on_abort(self, data: bytes, frame: Frame, now: Time) -> None:
+        """CiA 301 v4.2.0, 7.2.4.3.17.
+
+        Where a last segment came twice and the answer to the first copy was lost, the server says that the second one is out of
+        place, without an object or with that of the transfer that it has just executed: that is no refusal. Where the answer was
+        not lost, this abort meets the next transfer. Servers that do not know block transfer say the same to its initiation: so
+        there it counts only if nothing else comes.
+        """
+        is_named = data[1:4] == self._multiplexer
+        transfer = self._transfer
+        in_segments = self._state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT) or (transfer is not None and transfer.has_begun)
+        if is_named or (in_segments and data[1:4] == NO_MULTIPLEXER):
+            finds_a_copy = in_segments and SIZE.unpack_from(data, 4)[0] in _OUT_OF_PLACE
+            is_refusal = is_named and not finds_a_copy
+            self._end_by_abort(data, not is_refusal and self._is_all_sent(), now)
+            return
+        if transfer is not None and data[1:4] == NO_MULTIPLEXER:
+            self._nameless_abort = data
+        self._ignore(frame, "abort of another object's transfer")
+
+    def _end_by_abort(self, data: bytes, not_confirmed: bool, now: Time) -> None:
+        self._last = data
+        code: int = SIZE.unpack_from(data, 4)[0]
+        self._end(self._aborted(self._request, code, AbortOrigin.PEER, not_confirmed), now)
+
     # ---- inside ----
 
     def _begin(self, request: Request, now: Time) -> None:
@@ -413,6 +439,7 @@ class SdoClient(RequestQueue):
             assert isinstance(request, BlockRequest)
             is_upload = command & SPECIFIER == BLOCK_UPLOAD
             self._transfer = BlockUpload(self, request) if is_upload else BlockDownload(self, request)
+            self._nameless_abort = b""
             self._state = _BLOCK
         self.out.frames.append(Frame(self._send_can_id, request.first, self._send_flags, 8))
         self.deadline = deadline = now + self.timeout
@@ -457,35 +484,7 @@ class SdoClient(RequestQueue):
         if self._queue or self._urgent:
             self._begin_next(now)
 
-    # ---- what a block transfer needs at its initiation ----
-
     def _accept(self, data: bytes) -> None:
-        """The first response of a transfer came."""
+        """The first response of a block transfer came."""
         self._last = data
         self._settle()
-
-    def _fall_back(self, data: bytes, now: Time) -> bool:
-        """The server refused: by plain transfer then, if it is block transfer that it refused and we have the choice."""
-        request = self._request
-        assert isinstance(request, BlockRequest)
-        plain, abort_code = request.plain, SIZE.unpack_from(data, 4)[0]
-        if abort_code == AbortCode.INVALID_COMMAND:
-            self.serves_blocks = False
-        if plain is None or abort_code not in NO_BLOCKS:
-            return False
-        plain.request_id = request.request_id
-        request.content = b""
-        self._last = data
-        self._ended = now
-        self._unsettled = True  # a second copy of the abort may come: copy_guard
-        self._state = _IDLE
-        self._transfer = None
-        self._urgent.appendleft(plain)
-        self._begin_next(now)
-        return True
-
-    def _switch_to_plain_upload(self, command: int, data: bytes, now: Time) -> None:
-        """The server answers with a normal upload. CiA 301 v4.2.0, 7.2.4.3.13 (pst)"""
-        self._state = _UPLOAD_INITIATED
-        self._transfer = None
-        self._on_upload_initiated(command, data, now)

@@ -45,6 +45,8 @@ a hurry cannot starve the rest."""
 
 IDLE: Final = 0
 """The state in which no transfer is under way."""
+UPLOAD_INITIATED: Final = 1
+"""The state in which the response to a normal upload is due. SdoClient has the other states."""
 
 
 class RequestQueue(Machine):

@@ -40,12 +40,11 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, Outbox, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE, SUB_BLOCK_SIZE
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, SEQUENCE, SUB_BLOCK_SIZE, is_initiate
 from canopen_proto.sdo.block_server import (
     BlockServerDownload,
     BlockServerUpload,
     announced_size,
-    is_initiate,
     may_switch,
 )
 from canopen_proto.sdo.codec import (
@@ -289,7 +288,7 @@ class SdoServer(ServerBase):
             return
         self._send(INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0))
         self._announced = _UNKNOWN_SIZE if size is None else size
-        self._limit = self.max_download if size is None else size
+        self._limit = size if size is not None else MAX_SIZE if self._in_pieces else self.max_download
         self._state = _DOWNLOADING
         self._command = DOWNLOAD_SEGMENT
         self._arm(now + self.timeout)
@@ -412,6 +411,7 @@ class SdoServer(ServerBase):
         if self._state != _IDLE:
             self._report(SIZE.unpack_from(data, 4)[0], AbortOrigin.PEER)
             self._become_idle()
+        self._straggler = 0  # the client sends nothing behind its abort
 
     def _on_block(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13: an initiate ends a running transfer like any other."""
@@ -457,9 +457,9 @@ class SdoServer(ServerBase):
         self._arm(now + self.access_timeout)
 
     def _become_idle(self) -> None:
-        super()._become_idle()
         if isinstance(self._transfer, BlockServerDownload):
             self._straggler, self._straggler_until = self._transfer.stragglers()
+        super()._become_idle()
         self._transfer = None
         self._content = b""
         if self._buffer:

@@ -248,13 +248,14 @@ def sdo_error(network: Network, node: RemoteNode, bus: str, aborted: SdoAborted,
         seen, cause, tries = sdo_silence(network, node, now)
         silent = SdoNotConfirmed if aborted.not_confirmed else SdoTimeout
         return silent(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
-    if aborted.origin is AbortOrigin.PEER:
+    if aborted.origin is AbortOrigin.PEER and not aborted.not_confirmed:
         cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
         if node.dictionary.get(aborted.index, aborted.subindex) is None:
             cause = cause.partition(", though our dictionary")[0]
         return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
     given_up = SdoNotConfirmed if aborted.not_confirmed else SdoGivenUp
-    cause = _OWN_REASONS.get(aborted.abort_code, "")
+    is_peers = aborted.origin is AbortOrigin.PEER
+    cause = "its answer to the last frame was lost" if is_peers else _OWN_REASONS.get(aborted.abort_code, "")
     return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", code_text, cause, ())
 
 

@@ -126,6 +126,7 @@ BLOCK_SIZES = [1, 6, 7, 8, 127 * 7, 127 * 7 + 1, 3000, 20_000]
 @pytest.mark.parametrize("size", BLOCK_SIZES)
 def test_blocks_down_and_up(rig: Rig, size: int, crc: bool) -> None:
     text = bytes(0x41 + number * 7 % 53 for number in range(size))
+    rig.device.sdo.crc = crc  # the peer checks a CRC wherever the server can, even where it has said that it cannot itself
     with rig.remote.sdo.open(TEXT, 0, "wb", size=size, block_transfer=True, request_crc_support=crc) as stream:
         for offset in range(0, size, 7):  # its own write() takes no other pieces
             stream.write(text[offset : offset + 7])

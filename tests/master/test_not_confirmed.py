@@ -47,6 +47,25 @@ async def test_nor_is_one_whose_node_was_reset_meanwhile() -> None:
 
 
 @virtual_time
+async def test_an_abort_that_finds_no_transfer_is_no_refusal() -> None:
+    async with open_master(BUS) as master, await open_transport(BUS) as device, trio.open_nursery() as nursery:
+
+        async def answer() -> None:
+            while True:
+                frame, _ = await device.receive()
+                if str(frame).startswith("60C#21"):
+                    await device.send(frame.parse("58C#6000200000000000"))
+                elif str(frame).startswith("60C#05"):  # executed, but the answer is lost, and the segment came twice
+                    await device.send(frame.parse("58C#8000000001000405"))
+
+        nursery.start_soon(answer)
+        with pytest.raises(SdoNotConfirmed, match=r"given up .not confirmed: it may have been executed") as caught:
+            await master.node(12).write_bytes(0x2000, 0, b"01234")
+        assert (caught.value.code, caught.value.cause) == ("CO203", "its answer to the last frame was lost")
+        nursery.cancel_scope.cancel()
+
+
+@virtual_time
 async def test_what_is_certain_is_no_such_error() -> None:
     async with simulated(12), open_master(BUS) as master:
         node = master.node(12)

@@ -13,8 +13,8 @@ a Network. It asks for `can_ids()` and deadlines anew in each step, so any Machi
 
 Faults happen per frame and receiver. `loss`, `copies`, `late_copies`, `reordering` are their probabilities; or `fates` says it
 frame by frame (hypothesis shrinks such a list well); what lies behind its end is delivered. What a real CAN can do is LOST,
-COPIED and any delay: the order within a CAN-ID is kept, another CAN-ID may overtake. COPIED_LATE and LATE break that order; no
-CAN does so, but gateways do.
+COPIED, PAUSED and any delay: the order within a CAN-ID is kept, another CAN-ID may overtake. COPIED_LATE and LATE break that
+order; no CAN does so, but gateways do.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class Fate(Enum):
     DELIVERED = "delivered"
     LOST = "lost"
     COPIED = "copied"  # delivered, and once more right behind it
+    PAUSED = "paused"  # it waits in its sender's queue, and so do all that stand behind it there
     COPIED_LATE = "copied late"  # delivered, and once more at any later time, out of order
     LATE = "late"  # overtaken by frames of its own CAN-ID
 
@@ -62,10 +63,11 @@ class Bus:
         late_copies: float = 0.0,
         reordering: float = 0.0,
         late: tuple[Time, Time] = (0, SECOND),
+        pause: Time = 0,
         fates: Iterable[Fate] = (),
         now: Time = 0,
     ) -> None:
-        """delay: least and largest; late: how much later than that COPIED_LATE and LATE frames come."""
+        """delay: least and largest; late: how much later than that COPIED_LATE and LATE frames come; pause: PAUSED ones."""
         self.now = now
         self.machines: list[Machine | Network] = []
         self.sent: list[tuple[Time, Frame]] = []  # every frame that was put on the bus, lost ones too
@@ -74,6 +76,7 @@ class Bus:
         self._random = seed if isinstance(seed, random.Random) else random.Random(seed)
         self._delay = delay
         self._late = late
+        self._pause = pause
         self._odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
         self._fates: Iterator[Fate] = iter(fates)
         self._on_the_way: list[tuple[Time, int, Outbox, Frame]] = []
@@ -193,6 +196,8 @@ class Bus:
         if fate is Fate.LATE:
             self._enter(arrival + self._random.randint(*self._late), receiver, frame)
             return
+        if fate is Fate.PAUSED:
+            arrival += self._pause
         last = (id(receiver), frame.key)
         arrival = max(arrival, self._last_arrival.get(last, 0))
         self._enter(arrival, receiver, frame)

@@ -17,17 +17,17 @@ LOSES = [("605#815501(.*)", r"605#810000\1")]
 NO_BLOCKS = Fault("no blocks", heard=[("605#[AC].*", "605#E000000000000000")])
 
 FAULTS = [
-    ("2.19", Fault("another size", sent=[("585#C2001000.*", "585#C200100005000000")]), "against the one announced"),
-    ("2.19", Fault("five bytes", sent=[("585#C2001000.*", "585#C000100000000000"), ("585#CD(.*)", r"585#C9\1")]),
+    ("2.19", Fault("another size", sent=[("585#C6001000.*", "585#C600100005000000")]), "against the one announced"),
+    ("2.19", Fault("five bytes", sent=[("585#C6001000.*", "585#C000100000000000"), ("585#CD(.*)", r"585#C9\1")]),
      "number of bytes of 0x1000:00 is 5"),
     ("2.19", Fault("begins with 2", sent=[("585#81(.*)", r"585#82\1")]), "sequence number of a segment is 2"),
     ("2.19", Fault("ends strangely", sent=[("585#CD(.*)", r"585#A1\1")]), "end of a block upload is 0xA1"),
-    ("2.19", Fault("another object", sent=[("585#C2001000(.*)", r"585#C2001001\1")]), "names"),
-    ("2.19", Fault("no segments", heard=[("605#A3.*", None)]), "segment 1 did not come, but abort 0x05040000"),
+    ("2.19", Fault("another object", sent=[("585#C6001000(.*)", r"585#C6001001\1")]), "names"),
+    ("2.19", Fault("no segments", heard=[("605#A3.*", None)]), "segment 1 of a block did not come within 1 s"),
     ("2.19", Fault("silent", sent=[("585#8[01].*", None)]), "segment 1 of a block did not come"),
     ("2.20", Fault("loses it", heard=LOSES), "0x100C:00, read back"),
     ("2.20", Fault("acknowledges nothing", sent=[("585#A201(.*)", r"585#A200\1")]), "number of acknowledged segments is 0"),
-    ("2.20", Fault("wants no segments", sent=[("585#A00C10007F(.*)", r"585#A00C100000\1")]), "asks for is 0"),
+    ("2.20", Fault("wants no segments", sent=[("585#A40C10007F(.*)", r"585#A40C100000\1")]), "asks for is 0"),
     ("2.21", Fault("loses it", heard=LOSES), "0x1017:00, read back"),
     ("2.21", Fault("aborts", sent=[("585#A1.*", "585#8017100000000008")]), "end of a block download was answered by abort"),
     ("2.21", Fault("ends strangely", sent=[("585#A1(.*)", r"585#A2\1")]), "answered by the command byte 0xA2"),
@@ -66,7 +66,7 @@ def test_device_without_crc() -> None:
 
 
 def test_wrong_block_size_that_is_refused_at_once() -> None:
-    at_once = Fault("at once", sent=[("585#C2081000.*", "585#8008100002000405")])
+    at_once = Fault("at once", sent=[("585#C6081000.*", "585#8008100002000405")])
     assert verdict_of("2.26", at_once).result is Result.PASSED
 
 
@@ -82,5 +82,5 @@ def test_an_endless_upload_ends() -> None:
 
 
 def test_a_refusal_with_another_code() -> None:
-    busy = Fault("busy", sent=[("585#C2001000.*", "585#8000100021000008")], node=LocalNode)
+    busy = Fault("busy", sent=[("585#C6001000.*", "585#8000100021000008")], node=LocalNode)
     assert "answered by abort 0x08000021" in verdict_of("2.19", busy).reason

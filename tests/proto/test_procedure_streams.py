@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canopen_proto.machine import LocalProtocolError, Outbox, Outcome, Time
+from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Cancelled, Procedure, Request, SdoFailed, download, upload
 from canopen_proto.procedures.streams import download_stream, upload_stream
-from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sdo.server import SdoServer
 from tests.proto.block_pair import INDEX, Store, pattern
-from tests.proto.bus import Bus
+from tests.proto.bus import Bus, Fate
 from tests.proto.desk import Desk, cancel, cancelled
 
 NO_BLOCKS = "58C#8000200001000405"
@@ -202,6 +202,30 @@ def test_a_refusal_is_a_refusal(desk: Desk, block: Any) -> None:
         assert isinstance(error, SdoFailed)
         assert error.origin is AbortOrigin.PEER
         assert not error.not_confirmed
+
+
+@pytest.mark.parametrize("size", [4, 5000])
+def test_a_lost_initiate_response_is_a_time_out_and_not_a_server_without_blocks(size: int) -> None:
+    """Whatever the server says to a client that has not begun."""
+    pair = Pair()
+    pair.bus = bus = Bus(fates=[Fate.DELIVERED, Fate.LOST])
+    bus.attach(pair.network)
+    bus.attach(pair.server)
+    pair.client.timeout = 3 * SECOND
+    error = pair.run(download_stream(pair.client, INDEX, 0, [pattern(size)], None if size < 29 else size))
+    assert isinstance(error, SdoFailed)
+    assert (error.abort_code, error.origin) != (AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL)
+    assert not any(frame.startswith("60C#2") for frame in bus.trace())
+    assert pair.client.serves_blocks
+
+
+def test_an_acknowledgement_before_the_initiate_response_is_ignored(desk: Desk) -> None:
+    request_id = desk.run(download_stream(desk.sdo, 0x2000, 0, [bytes(40)]))
+    desk.receive("58C#A200020000000000")
+    desk.wait(SECOND)
+    error = desk.result(request_id)
+    assert isinstance(error, SdoFailed)
+    assert error.origin is AbortOrigin.TIMEOUT
 
 
 def test_a_refusal_in_the_middle_does_not_begin_anew(desk: Desk) -> None:

@@ -8,7 +8,8 @@ from canopen_proto.machine import NEVER
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted
 from tests.proto.block_bench import ClientBench
-from tests.proto.bus import take_events
+from tests.proto.block_pair import BlockPair, pattern
+from tests.proto.bus import Bus, Fate, take_events
 from tests.proto.test_sdo_client import Bench
 
 WAYS = ["timeout", "cancel", "gone", "nonsense"]
@@ -94,3 +95,45 @@ def test_what_was_refused_read_or_never_sent_is_certain() -> None:
     assert len(reports) == 4
     assert [report.not_confirmed for report in reports] == [False] * 4
     assert reports[0].origin is AbortOrigin.PEER
+
+
+@pytest.mark.parametrize(
+    ("abort", "not_confirmed"),
+    [
+        ("80 00 00 00 01 00 04 05", True),  # 0x0000:00: there is no transfer (any more)
+        ("80 00 00 00 30 00 09 06", True),
+        ("80 00 20 03 01 00 04 05", True),  # out of place
+        ("80 00 20 03 00 00 03 05", True),  # toggle bit not alternated
+        ("80 00 20 03 30 00 09 06", False),  # the value is refused
+        ("80 00 20 03 04 00 04 05", False),
+    ],
+)
+def test_an_abort_that_may_answer_a_second_copy_of_the_last_segment_is_no_refusal(abort: str, not_confirmed: bool) -> None:
+    bench = Bench()
+    bench.client.download(0x2000, 3, b"01234", 0)
+    bench.hear("60 00 20 03 00 00 00 00", abort)
+    (report,) = take_events(bench.out)
+    assert isinstance(report, SdoAborted)
+    assert (report.origin, report.not_confirmed) == (AbortOrigin.PEER, not_confirmed)
+    bench.client.download(0x2000, 3, b"0123456789", 0)
+    bench.hear("60 00 20 03 00 00 00 00", abort)  # the last segment has not been sent
+    (report,) = take_events(bench.out)
+    assert isinstance(report, SdoAborted)
+    assert not report.not_confirmed
+
+
+@pytest.mark.parametrize("block", [True, False])
+def test_the_last_frame_comes_twice_and_its_answer_is_lost(block: bool) -> None:
+    """What the server stored is never called refused, whatever it says of the second copy."""
+    content = pattern(20)
+    clean = BlockPair()
+    clean.download(content, block)
+    clean.settle()
+    fates = [Fate.DELIVERED] * (len(clean.bus.sent) - 2) + [Fate.COPIED, Fate.LOST]
+    pair = BlockPair(Bus(fates=fates))
+    pair.download(content, block)
+    outcome = pair.settle()
+    assert pair.store.written == [content]
+    assert isinstance(outcome, SdoAborted)
+    assert outcome.origin is (AbortOrigin.TIMEOUT if block else AbortOrigin.PEER)
+    assert outcome.not_confirmed
