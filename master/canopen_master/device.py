@@ -141,7 +141,7 @@ class Device:
     @property
     def where(self) -> str:
         """It, for people: "joint1 (node 3 on can0)"."""
-        return f"{self.name} (node {self.node.node_id} on {self.node.bus})"
+        return f"{self.name} ({self.node.where})"
 
     def describe(self) -> str:
         """State, statusword and what else explains it, in one line for people."""

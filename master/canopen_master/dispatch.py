@@ -1,6 +1,6 @@
 """Who is told of what the machines report: requests of their outcome, subscriptions and chains of events.
 
-All of this happens inside the pump's turn: nothing here blocks, raises or calls a user's code.
+All of this happens inside the pump's turn: nothing here blocks. A callback that raises keeps no other from its event.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Dispatcher:
             self._by_kind.clear()
 
     def dispatch(self, bus: Bus, event: Event) -> None:
-        """An event came out of a bus's network."""
+        """Tell an event that came out of a bus's network. Raises what the first callback raised, once all were called."""
         if isinstance(event, Outcome):
             waiter = self._waiters.pop((bus.network.out.root, event.request_id), None)
             if waiter is not None:
@@ -146,6 +146,12 @@ class Dispatcher:
         watchers = self._by_kind.get(kind)
         if watchers is None:
             watchers = self._by_kind[kind] = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+        failure: Exception | None = None
         for watcher in watchers:
             if (watcher.bus is None or watcher.bus is bus) and watcher.node_id in (0, event.node_id):
-                watcher.callback(event)
+                try:
+                    watcher.callback(event)
+                except Exception as error:  # noqa: BLE001 - raised below, when all have been told
+                    failure = failure or error
+        if failure is not None:
+            raise failure

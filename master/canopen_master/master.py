@@ -32,7 +32,7 @@ from canopen_master.chain_file import ChainDescription, on_buses, parse_chains, 
 from canopen_master.device import Device
 from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, UnknownChain
-from canopen_master.joint_procedures import stop
+from canopen_master.halting import Halt
 from canopen_master.node import Node
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
@@ -42,9 +42,8 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
-from canopen_proto.procedures.objects import read
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of
+from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from canopen_transports import Transport, TransportError
@@ -91,7 +90,7 @@ class Master:
         self._files: dict[str, ObjectDictionary] = {}
         self.devices: dict[Node, Device] = {}
         self.chains: list[Chain] = []
-        self.unconfirmed: dict[Device, str] = {}  # drives that may still move after the master was left, and why
+        self.halts: list[Halt] = []  # when it has been left: of the drives that it halted
         self._procedures: set[RequestId] = set()
         self._procedure_ended = trio.lowlevel.ParkingLot()
         self._subscriptions: dict[Subscription[Any], Watcher] = {}
@@ -427,7 +426,8 @@ class Master:
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         if self.failure is None:
             self.failure = BusError(bus.name, error) if bus is not None and isinstance(error, TransportError) else error
-        self._end_waiting(self.failure)
+        if not self.is_closed:  # else nobody waits any more, and what runs are the halts
+            self._end_waiting(self.failure)
         self._body.cancel()
 
     def _end_waiting(self, reason: Exception) -> None:
@@ -453,37 +453,33 @@ class Master:
     async def halt_and_flush(self) -> None:
         """Take no new commands, end everything that runs, halt all drives that are enabled, and send what is queued.
 
-        `unconfirmed` then holds the drives that did not confirm that they stand. May be cancelled: what was sent is sent.
+        `halts` then tells which drives did not confirm that they stand. May be cancelled: what was sent is sent.
         """
         self.is_closed = True
         self._end_waiting(MasterClosed())
         for request_id in tuple(self._procedures):
             self.take_back(request_id)
-        for node in self._nodes.values():
-            if node.was_enabled:
-                self.device(node)  # it was enabled by hand, and is a drive therefore
         halts = []
-        for node, device in self.devices.items():
-            failed = self.buses[node.bus].failed
-            if device.may_move:
-                self.unconfirmed[device] = "its bus has failed" if failed else "it has not answered yet"
-            if not failed and (device.may_move or device.may_be_enabled):
-                halts.append(self._halt(device))
+        for node in self._nodes.values():
+            device = self._drive_on(node)
+            if node.was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
+                halt = Halt(node, device)
+                self.halts.append(halt)
+                if self.buses[node.bus].failed:
+                    halt.problem = halt.problem and "its bus has failed"
+                else:
+                    halts.append(halt.run())
         self.launch(all_of(*halts))
         while self._procedures:
             await self._procedure_ended.park()
         await self._pump.flush()
 
-    def _halt(self, device: Device) -> Procedure[None]:
+    def _drive_on(self, node: Node) -> Device | None:
+        """The drive on a node; also one that was enabled by hand, if its dictionary is that of a drive."""
         try:
-            # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.
-            yield from read(device.node.remote, "0x6041")
-            yield from stop(device)
-        except ProcedureError as error:
-            if device.may_move:
-                self.unconfirmed[device] = str(error)
-        else:
-            self.unconfirmed.pop(device, None)
+            return self.device(node) if node.was_enabled else self.devices.get(node)
+        except LocalProtocolError:
+            return None
 
 
 def nanoseconds(seconds: float) -> Time:

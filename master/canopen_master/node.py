@@ -69,6 +69,11 @@ class Node:
         return self._bus.name
 
     @property
+    def where(self) -> str:
+        """It, for people: "node 3 on can0"."""
+        return f"node {self.node_id} on {self.bus}"
+
+    @property
     def dictionary(self) -> ObjectDictionary:
         return self.remote.dictionary
 

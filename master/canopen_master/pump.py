@@ -53,7 +53,7 @@ class Listener(Protocol):
     """Who is told of each event, and of a failure."""
 
     def on_event(self, bus: Bus, event: Event) -> None:
-        """An event came out of a bus's network. May mutate machines; must not raise or block."""
+        """An event came out of a bus's network. May mutate machines; must not block. What it raises goes to `on_failure`."""
 
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
@@ -125,7 +125,10 @@ class Pump:
         except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
             self._fail(bus, error, "send")
         for each in events:
-            self._listener.on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
+            try:
+                self._listener.on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
+            except Exception as error:  # noqa: BLE001 - it must reach the user, but the other events be told before
+                self._listener.on_failure(None, error)
 
     def stop(self) -> None:
         """End the tasks. What is queued is not sent any more: `flush` first."""

@@ -4,7 +4,10 @@
 new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent, SHUTDOWN_TIME at
 most. Only then do its tasks end and its transports close. The tasks are shielded all that time: without that a cancel would put
 nothing on the wire, and the drives would run on. Drives that did not confirm that they stand are told by HaltNotConfirmed, or in
-a note on the exception that is under way. A second Ctrl-C ends the waiting at once.
+a note on the exception that is under way.
+
+A further Ctrl-C on the way out shortens nothing. trio raises it in the main task, which only waits there; the halts go out in a
+task of their own. It comes out of the block when the drives stand.
 
 The block's own exception comes out as it is, never wrapped in a group: the nursery of the master's tasks does not see it.
 
@@ -88,11 +91,11 @@ class MasterSession:
         try:
             self._master = self._make(*await self._open())
             self._tasks = trio.open_nursery()
-            nursery = await self._tasks.__aenter__()
+            self._nursery = await self._tasks.__aenter__()
         except BaseException:
             await self._close()
             raise
-        nursery.start_soon(self._master.pump.run)
+        self._nursery.start_soon(self._serve)
         self._master.body.__enter__()
         return self._master
 
@@ -105,26 +108,41 @@ class MasterSession:
             came = None if master.body.__exit__(kind, error, traceback) else error
         except BaseException as rest:  # noqa: BLE001 - of a group, the Cancelled that was ours was taken out; raised again below
             came = rest
+        self._nursery.start_soon(self._halt)
         try:
-            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME):
-                await master.halt_and_flush()
-        finally:
-            master.pump.stop()
             await self._tasks.__aexit__(None, None, None)
-            await self._close()
+        except BaseExceptionGroup as late:  # a Ctrl-C on the way out, or a bug there
+            came = came if _is_interrupt(came) else late.exceptions[0]
         ours = came is None or _is_only(came, master.failure)
         result = master.failure if ours else came
-        if master.unconfirmed:
-            problems = "; ".join(f"{device.where}: {why}" for device, why in master.unconfirmed.items())
-            if result is not None:
+        problems = "; ".join(f"{halt.where}: {halt.problem}" for halt in master.halts if halt.problem)
+        if problems:
+            if result is not None and not _is_cancelled(result):
                 result.add_note(f"not confirmed to stand: {problems}")
-            else:
+            else:  # in place of Cancelled, too: a note on that would be lost with it
                 result = _not_confirmed(problems)
         if result is None:
             return True
         if result is error:
             return False
         raise result
+
+    @enable_ki_protection
+    async def _serve(self) -> None:
+        """Run the pump until it is stopped, then close the transports."""
+        try:
+            await self._master.pump.run()
+        finally:
+            await self._close()
+
+    @enable_ki_protection
+    async def _halt(self) -> None:
+        """The way out: see this module's text."""
+        try:
+            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME):
+                await self._master.halt_and_flush()
+        finally:
+            self._master.pump.stop()
 
     async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
         """Open the buses, each once: the transports by name, and the names beyond the first of each."""
@@ -155,6 +173,20 @@ def _is_only(error: BaseException, failure: Exception | None) -> bool:
     if failure is not None and isinstance(error, BaseExceptionGroup):
         return all(_is_only(each, failure) for each in error.exceptions)
     return error is failure
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether an exception is a Ctrl-C, or a group that bears one."""
+    if isinstance(error, BaseExceptionGroup):
+        return error.subgroup(KeyboardInterrupt) is not None
+    return isinstance(error, KeyboardInterrupt)
+
+
+def _is_cancelled(error: BaseException) -> bool:
+    """Whether an exception ends with the scope that was cancelled: Cancelled, or a group of nothing else."""
+    if isinstance(error, BaseExceptionGroup):
+        return error.split(trio.Cancelled)[1] is None
+    return isinstance(error, trio.Cancelled)
 
 
 def _not_confirmed(problems: str) -> HaltNotConfirmed:

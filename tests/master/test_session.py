@@ -249,6 +249,31 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
     assert all(node.drive.state is State.OPERATION_ENABLED for node in drives(hosts[0]))
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.0005, 0.009])
+@pytest.mark.parametrize("at", [0.012, 0.5, 1.64])
+@pytest.mark.parametrize("scenario", [_home, _follow, _by_hand])
+def test_further_ctrl_c_come_out_when_the_drives_stand(scenario: Scenario, at: float, gap: float) -> None:
+    async def press() -> None:
+        await trio.sleep(at)
+        for _ in range(3):
+            signal.raise_signal(signal.SIGINT)
+            await trio.sleep(gap)
+
+    @virtual_time
+    async def test() -> None:
+        async with simulated(3, 4, 5) as host:
+            try:
+                async with open_master(BUS) as master:
+                    trio.lowlevel.spawn_system_task(press)
+                    await scenario(master, arm_of(master, 3, 4))
+            finally:
+                assert_all_halted(host)
+                await assert_all_stand(host)
+
+    with pytest.raises(KeyboardInterrupt):
+        test()
+
+
 def test_ctrl_c_in_the_users_own_code_halts_the_drives() -> None:
     @virtual_time
     async def test() -> None:

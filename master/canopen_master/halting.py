@@ -1,0 +1,81 @@
+"""The last that a master does with a drive: halt it, whatever it is and does, and see that it stands.
+
+What a drive's bits say of standstill depends on its mode and on its maker, and a drive may have been taken for another maker's.
+So they are not all that counts here: its position has to stop running, too.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_master.device import Device
+from canopen_master.joint_procedures import awake, stop
+from canopen_master.node import Node
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
+from canopen_proto.cia402.states import Command, ControlBit, State, state_of
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.steps import Procedure, download, sleep, upload
+
+POWERED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+"""The states in which a drive moves, or brakes by its ramps."""
+LOOK: Final = 30 * MILLISECOND
+"""Between two looks at a position; one that changes by no more than a count in that time stands."""
+
+
+class Halt:
+    """The halt of one drive. device: None for a node whose dictionary describes no drive, though somebody has enabled one there.
+
+    where: the drive, for people. problem: why it is not known that it stands; empty once it is, and for one that could not move.
+    """
+
+    def __init__(self, node: Node, device: Device | None) -> None:
+        self._node = node
+        self._device = device
+        self.where = node.where if device is None else device.where
+        self.problem = "it has not answered yet" if device is None or device.may_move else ""
+
+    def run(self) -> Procedure[None]:
+        """Halt it and wait until it stands. It never fails: no drive keeps another one from being halted."""
+        try:
+            yield from (self._by_number() if self._device is None else self._by_axis(self._device))
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is told as this drive's
+            self.problem = self.problem and str(error)
+
+    def _by_axis(self, device: Device) -> Procedure[None]:
+        # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.
+        yield from awake(device.node, "0x6041")
+        may_move = device.state in POWERED
+        self.problem = "it still moves" if may_move else ""
+        yield from stop(device)
+        if may_move:
+            yield from see_it_stand(device.axis)
+        self.problem = ""
+
+    def _by_number(self) -> Procedure[None]:
+        """Its objects have the numbers of CiA 402, where it is a drive."""
+        client = self._node.remote.sdo
+        statusword = int.from_bytes((yield from upload(client, STATUSWORD >> 8)), "little")
+        if state_of(statusword) is State.OPERATION_ENABLED:
+            word = Command.ENABLE_OPERATION | ControlBit.HALT
+            self.problem = "its dictionary describes no drive: it was told to halt, and nothing shows whether it stands"
+            yield from download(client, CONTROLWORD >> 8, 0, word.to_bytes(2, "little"))
+        else:
+            self.problem = ""
+
+
+def see_it_stand(axis: Axis) -> Procedure[None]:
+    """Wait until the actual position (0x6064) runs no more in one direction. A drive that does not have it is believed.
+
+    A noisy encoder's position wavers where it stands; it does not run.
+    """
+    before, direction = (yield from read_if_present(axis.node, "0x6064")), 0
+    while isinstance(before, int):
+        yield from sleep(LOOK)
+        position = yield from read_if_present(axis.node, "0x6064")
+        assert isinstance(position, int)
+        step, before = position - before, position
+        if abs(step) <= 1 or step * direction < 0:
+            return
+        direction = step
