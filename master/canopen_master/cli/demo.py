@@ -13,6 +13,7 @@ from canopen_master.cli.options import Duration, Fault, Settings, common
 from canopen_master.cli.plot import check_plot, write_plot
 from canopen_master.cli.problem import usage
 from canopen_master.cli.running import run
+from canopen_master.cli.screen import escape
 from canopen_proto.machine import MILLISECOND, Time
 
 CHAINS = "multiple_devices.csv"
@@ -87,7 +88,7 @@ def demo(
     status = demonstration.show_result()
     if plot is not None:
         write_plot(plot, demonstration.recording, *demonstration.titles())
-        screen.say(f"Drawn: [bold]{plot}[/]")
+        screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
     return status
 
 

@@ -13,7 +13,7 @@ from canopen_master.chain_file import JointDescription, read_chains
 from canopen_master.cli.device_files import DeviceFiles, description_of, read_device_files
 from canopen_master.cli.options import Duration, Settings, common
 from canopen_master.cli.problem import ExitCode, usage
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
 from canopen_master.planning import plan as plan_network
 from canopen_proto.dictionary import ObjectDictionary
@@ -133,7 +133,7 @@ def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Sc
         if cob_id & COB_ID_INVALID or not 0 < bits <= 64:
             continue
         if cob_id & COB_ID_EXTENDED:
-            screen.say(f"[yellow]{name}: PDO {cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier: it is left out[/]")
+            screen.say(f"[yellow]{escape(name)}: PDO {cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier: it is left out[/]")
             continue
         if index < 0x1800:
             received.append((can_id, size))
@@ -142,7 +142,7 @@ def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Sc
         elif distance:
             events.append((can_id, size, distance))
         else:
-            screen.say(f"[yellow]{name}: TPDO {can_id:03X} has no inhibit time and no event timer: it is left out[/]")
+            screen.say(f"[yellow]{escape(name)}: TPDO {can_id:03X} has no inhibit time and no event timer: it is left out[/]")
     return Exchange(name, node_id, tuple(received), tuple(sent), tuple(events))
 
 

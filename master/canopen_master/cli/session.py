@@ -19,7 +19,7 @@ from canopen_master.cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_master.cli.options import DEMO, Settings
 from canopen_master.cli.overlays import overlaid
 from canopen_master.cli.problem import Problem, advice, problem_of
-from canopen_master.cli.screen import Screen
+from canopen_master.cli.screen import Screen, escape
 from canopen_master.errors import NO_ANSWER, SdoTimeout
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.node import Node
@@ -72,7 +72,7 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
     dictionary, findings = load_dictionary()
     for finding in findings:
         if finding.severity is Severity.NOTICE:
-            screen.say(f"[dim]{finding.source}: {finding.message}[/]")
+            screen.say(f"[dim]{escape(finding.source)}: {escape(finding.message)}[/]")
         else:
             screen.detail(str(finding))
     return dictionary

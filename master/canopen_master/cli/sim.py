@@ -101,7 +101,7 @@ def sim(
 
     async def serve() -> None:
         what, fleet = devices()
-        screen.say(f"[bold]{what} on {bus}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+        screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
         if locator.startswith("virtual:"):
             screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
         try:

@@ -1,0 +1,177 @@
+"""Strings of others on a terminal: no command lets a control character of a device, a file or a driver through."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from canopen_master.cli import session
+from canopen_master.plain_text import clean, clean_lines, json_text
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
+from canopen_proto.dictionary.configured import with_configured
+from canopen_proto.dictionary.describing import describe
+from canopen_proto.dictionary.description import Commissioning, DeviceInfo, FileInfo
+from canopen_proto.dictionary.eds.writer import write_eds
+from canopen_proto.sdo.abort import AbortCode
+from canopen_transports import TransportError
+from tests.master.backup_world import Lasting, answering, lasting
+from tests.master.cli_support import Run, runner
+from tests.proto.devices import TEXT
+from tests.proto.restore_bench import GAIN, device
+
+EVIL = "\x1b]0;gone\x07\x1b[2J\x9b31m\x08\x7f\u202e[bold]x[/]"
+"""A title, a cleared screen, colours, a step back, text from right to left; and markup of the library that draws."""
+EVIL_TEXT = EVIL.encode().decode("latin-1")
+"""The same as a device sends it, in UTF-8."""
+DEMO = ("-b", "demo")
+
+
+def evil_device() -> tuple[Object, ...]:
+    return (
+        Object.of(f"name {EVIL}", [Variable(0x1008, 0, f"name {EVIL}", DataType.VISIBLE_STRING, Access.CONST)]),
+        Object.of(f"own {EVIL}", [Variable(0x2300, 0, f"own {EVIL}", DataType.VISIBLE_STRING, default=f"a{EVIL[:-12]}z")]),
+        Object.of(f"wide {EVIL}", [Variable(0x2301, 0, f"wide {EVIL}", DataType.UNICODE_STRING, default=f"a{EVIL}z")]),
+    )
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return runner(capsys, monkeypatch, tmp_path)
+
+
+@functools.cache
+def described() -> ObjectDictionary:
+    return device(200, *evil_device())
+
+
+@functools.cache
+def evil_files() -> dict[str, str]:
+    """Files of all kinds whose strings are EVIL."""
+    texts = DeviceInfo(vendor_name=EVIL, product_name=EVIL, order_code=EVIL)
+    info = FileInfo(file_name=EVIL, description=EVIL, created_by=EVIL, eds_version="4.0")
+    whole = describe(described(), device_info=texts, file_info=info)
+    eds = write_eds(replace(whole, comments=(EVIL, EVIL)))
+    dcf = with_configured(whole, {TEXT << 8: EVIL_TEXT, GAIN << 8: 9.5}, Commissioning(5, node_name=EVIL))
+    keys = ("ParameterName", "DataType", "AccessType", "DefaultValue")
+    lines = f"[{EVIL}]\nwhat={EVIL}\n[2002]\n" + "".join(f"{key}={EVIL}\n" for key in keys) + f"{EVIL}\n"
+    return {
+        "device.eds": eds,
+        "device.dcf": write_eds(dcf),
+        "odd.eds": eds + lines,
+        "odd.log": f"(1.0) can0 705#05\n{EVIL}\n(1.1) {EVIL} 705#05\n(1.2) can0 585#430810001B5D303B\n",
+        "odd.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5 joint2 bus{EVIL} 5 {EVIL}\n",
+        "good.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5\n",
+        "units.toml": '[objects.2003]\nunit = "\\u001b[2J"\naliases = ["\\u001b[2J"]\ndescription = "\\u009b"\n',
+        "odd.toml": '[objects."\\u001b[2J"]\nunit = "\\u001b"\n[objects.2003]\n"\\u001b" = 1\n',
+        "odd.py": f"raise ValueError({EVIL!r})\n",
+    }
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
+    """A device whose strings are all EVIL, and such files."""
+    for name, text in evil_files().items():
+        Path(name).write_text(text)
+    held = lasting(monkeypatch, described())
+    held.values = {0x1008_00: EVIL_TEXT, TEXT << 8: EVIL_TEXT, 0x2300_00: EVIL_TEXT}
+    held.prepare = lambda node: answering(node, {0x2301: AbortCode.DEVICE_STATE})
+    return held
+
+
+COMMANDS = [
+    ("scan", "--ids", "5", *DEMO),
+    ("info", "5", *DEMO),
+    ("info", "5", "-e", "device.eds", *DEMO),
+    ("read", "5", "1008", "2003", "2300", "-e", "device.eds", *DEMO),
+    ("read", "5", "2003", "-e", "device.eds", "--overlay", "units.toml", *DEMO),
+    ("read", "5", "2003", "--overlay", "odd.toml", *DEMO),
+    ("read", "5", EVIL, "-e", "device.eds", *DEMO),
+    ("read", "5", "2300", "-o", f"{EVIL[:-3]}.bin", "-e", "device.eds", *DEMO),
+    ("write", "5", "2300", EVIL[:5], "-e", "device.eds", *DEMO, "--verify"),
+    ("write", "5", "1008", "x", "-e", "device.eds", *DEMO),
+    ("backup", "5", "-e", "device.eds", *DEMO, "-o", "new.dcf", "-v"),
+    ("dump", "5", "-e", "device.eds", *DEMO),
+    ("dump", "5", "--walk", "1000-1020,2300", *DEMO),
+    ("compare", "5", "device.dcf", *DEMO),
+    ("compare", "device.eds", "device.dcf", "--defaults", "--process-data"),
+    ("restore", "5", "device.dcf", *DEMO, "--dry-run", "-v"),
+    ("restore", "5", "device.dcf", *DEMO, "--yes", "--verify"),
+    ("restore", "6", "device.dcf", *DEMO, "--yes"),
+    ("check", "device.eds"),
+    ("check", "odd.eds"),
+    ("sim", "device.eds", "--id", "5", "--seconds", "0.2", "-b", "virtual:x"),
+    ("sim", "odd.eds", "--id", "5", "--seconds", "0.2", "-b", "virtual:x", "--script", "odd.py"),
+    ("plan", "--chains", "good.csv"),
+    ("plan", "--chains", "odd.csv"),
+    ("plan", "--chains", "good.csv", "-e", "5=device.eds"),
+    ("demo", "--chains", "odd.csv"),
+    ("demo", "--eds", "odd.eds", "--seconds", "0.1"),
+    ("home", "5", *DEMO, "-e", "device.eds"),
+    ("eds", "show", "device.eds"),
+    ("eds", "show", "odd.eds", "2002"),
+    ("eds", "show", "device.dcf", "2300", "2003"),
+    ("eds", "lint", "device.eds"),
+    ("eds", "lint", "odd.eds"),
+    ("eds", "fix", "odd.eds", "--dry-run"),
+    ("eds", "diff", "device.eds", "odd.eds"),
+    ("eds", "diff", "device.eds", "device.dcf"),
+    ("eds", "doc", "odd.eds"),
+    ("eds", "doc", "device.dcf", "--form", "md"),
+    ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"2300={EVIL[:4]}", "-o", "new.dcf"),
+    ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"{EVIL}=1", "-o", "new.dcf"),
+    ("eds", "to-cdcf", "device.dcf", "-o", "new.bin", "-v"),
+    ("log", "decode", "odd.log"),
+    ("log", "decode", "odd.log", "-e", "5=device.eds"),
+    ("log", "stats", "odd.log", "-e", "5=device.eds"),
+    ("log", "convert", "odd.log", "new.trc"),
+    ("log", "decode", EVIL),
+    ("scan", "-b", EVIL),
+    ("scan", "-b", "broken:x"),
+    ("doctor", "-b", "broken:x"),
+    ("read", "5", "1000", *DEMO, "--trace", f"{EVIL[:-3]}.log"),
+    (EVIL,),
+    ("read", EVIL, "1000"),
+]
+
+
+AS_JSON = [(*command, "--json") for command in COMMANDS if command[0] in ("info", "read", "compare", "eds") or "-o" in command]
+
+
+def broken(*arguments: object, **options: object) -> None:
+    raise TransportError("CO101", "broken:x", f"cannot open: {EVIL}", seen=EVIL, cause=EVIL, tries=(EVIL,))
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *AS_JSON], ids=lambda command: clean(" ".join(command))[:40])
+def test_no_control_character_reaches_a_terminal(
+    run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    if "broken:x" in command:
+        monkeypatch.setattr(session, "open_master", broken)
+    outcome = run(*command)
+    assert outcome.status != 10
+    for text in (outcome.out, outcome.err):
+        assert [each for each in text if not each.isprintable() and each != "\n"] == []
+
+
+def test_a_long_string_is_cut_and_says_so(run: Run, world: Lasting) -> None:
+    world.values[TEXT << 8] = "x" * 5_000
+    shown = run("read", "5", "2003", "-e", "device.eds", *DEMO).out
+    assert len(shown) < 3000
+    assert "characters)" in shown
+    assert run("read", "5", "2003", "-e", "device.eds", *DEMO, "--json").json["value"] == "x" * 5_000
+
+
+def test_how_characters_are_shown() -> None:
+    assert clean("plain ü 設") == "plain ü 設"
+    assert clean("\x1b[1m\n\t\x9b\u202e") == "\\x1b[1m\\n\\t\\x9b\\u202e"
+    assert clean("a\u00a0b") == "a b"
+    assert clean("abc", 2) == "ab ... (3 characters)"
+    assert clean_lines("one\x1b\ntwo") == "one\\x1b\ntwo"
+    assert json_text(["\x1b\x9b\u202e", "ü"]) == '["\\u001b\\u009b\\u202e", "ü"]'
