@@ -32,14 +32,14 @@ class Halt:
 
     def __init__(self, node: Node, device: Device | None) -> None:
         self._node = node
-        self._device = device
+        self.device = device
         self.where = node.where if device is None else device.where
         self.problem = "it has not answered yet" if device is None or device.may_move else ""
 
     def run(self) -> Procedure[None]:
         """Halt it and wait until it stands. It never fails: no drive keeps another one from being halted."""
         try:
-            yield from (self._by_number() if self._device is None else self._by_axis(self._device))
+            yield from (self._by_number() if self.device is None else self._by_axis(self.device))
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told as this drive's
             self.problem = self.problem and str(error)
 

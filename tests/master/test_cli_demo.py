@@ -20,6 +20,7 @@ from canopen_master.cli.fleet import Fleet, simulated_fleet
 from canopen_master.cli.problem import ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
+from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.cia402.states import State
 from tests.master.cli_support import Alarm, Run, runner, stands, watched_fleets
 
@@ -149,6 +150,38 @@ def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[Fleet], alarm: A
     outcome = run("demo", *SHORT)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "already ending" in outcome.err
+    assert_all_stand(fleets)
+
+
+@pytest.mark.parametrize("file", [False, True])
+def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: list[Fleet], alarm: Alarm, file: bool) -> None:
+    """Two joints need longer to stop than anybody waits."""
+
+    async def wear_out_the_brakes(fleet: Fleet) -> None:
+        for node_id in (4, 7):
+            fleet.drives[node_id].values.store[PROFILE_DECELERATION] = 1_000
+
+    alarm.task = wear_out_the_brakes
+    alarm.set((1.3, signal.SIGINT), (0.005, signal.SIGINT))
+    outcome = run("demo", *(("--eds", "sample_drive.eds") if file else ()), "--seconds", "20")
+    assert outcome.status == ExitCode.INTERRUPTED
+    told = [line.removeprefix("  also:  ").partition(": ") for line in outcome.err.splitlines()]
+    fates = {what: set(joints.split(", ")) for what, _, joints in told if what in ("halted", "told to halt", "STILL MOVING")}
+    moving = {f"joint{node_id - 2}" for node_id, drive in fleets[0].drives.items() if not stands(drive)}
+    assert moving
+    assert moving <= fates["STILL MOVING"]
+    assert sum(map(len, fates.values())) == len(set().union(*fates.values())) == 6
+    assert "CO131" in outcome.err
+    assert "emergency stop" in outcome.err
+
+
+@pytest.mark.parametrize("at", [2.0, 3.1])
+def test_ctrl_c_halts_drives_made_of_a_file(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
+    alarm.set((at, signal.SIGINT), (0.009, signal.SIGINT))
+    outcome = run("demo", "--eds", "sample_drive.eds", "--seconds", "20")
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "STILL MOVING" not in outcome.err
+    assert "halted: joint1, joint2, joint3, joint4, joint5, joint6" in outcome.err
     assert_all_stand(fleets)
 
 

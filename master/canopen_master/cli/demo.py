@@ -84,7 +84,7 @@ def demo(
     screen = settings.screen()
     files = drive_files(settings.eds, defaults, screen)
     demonstration = Demonstration(screen, Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files))
-    run(settings, screen, demonstration.run, story=demonstration.story)
+    run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
     status = demonstration.show_result()
     if plot is not None:
         write_plot(plot, demonstration.recording, *demonstration.titles())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
@@ -24,10 +24,11 @@ from canopen_master.cli.fleet import Fleet, drive_maker, simulated_fleet
 from canopen_master.cli.path import Path
 from canopen_master.cli.problem import ExitCode, problem_of, usage
 from canopen_master.cli.recording import JointTrack, Recording
-from canopen_master.cli.running import notes_of
+from canopen_master.cli.running import all_stand
 from canopen_master.cli.screen import Screen, escape
 from canopen_master.device import Device
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
+from canopen_master.halting import Halt
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
@@ -136,6 +137,7 @@ class Demonstration:
         self._has_begun = False  # to move
         self._fleet: Fleet | None = None
         self._devices: tuple[Device, ...] = ()
+        self._halts: Sequence[Halt] = ()
         self._latest: list[tuple[float, float]] = []  # of each joint: actual and commanded position
 
     def _chosen_chain(self) -> ChainDescription:
@@ -185,7 +187,7 @@ class Demonstration:
             if _nobody_reads(error):
                 raise BrokenPipeError from error
             problem = problem_of(error)
-            problem.more += self.story(not notes_of(error))
+            problem.more += self.story()
             if problem.code == CHAIN_FAULT:
                 problem.tries = self._after_fault(problem.node)
             raise problem from error
@@ -219,7 +221,7 @@ class Demonstration:
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
         settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
         chain = master.chain(description, settings, axes=axes)
-        self._devices = chain.devices
+        self._devices, self._halts = chain.devices, master.halts
         self._latest = [(0.0, 0.0)] * len(chain.devices)
         for number, device in enumerate(chain.devices):
             master.watch((PdoReceived,), partial(self._on_position, number), master.bus(device.node.bus), device.node.node_id)
@@ -338,20 +340,28 @@ class Demonstration:
         drives += f" made of {files}" if files and self.plan.bus is None else ""
         return title, f"{source}, {drives}, one SYNC each {_ms(self.plan.cycle)}"
 
-    def story(self, confirmed: bool) -> list[str]:
-        """What has happened to the drives, where it did not end as planned. confirmed: they have said that they stand."""
+    def story(self) -> list[str]:
+        """What has happened to the drives, where it did not end as planned. Each joint is named once.
+
+        What a simulated drive does goes before what it has confirmed.
+        """
         if not self._devices:
             return []
         told = [self._stage]
-        faulty = [device.name for device in self._devices if device.has_fault]
-        others = [device.name for device in self._devices if not device.has_fault]
-        if faulty:
-            told.append(f"in fault, without power: {', '.join(faulty)}")
-        if others and self._has_begun:
-            told.append(f"{'halted' if confirmed else 'told to halt'}: {', '.join(others)}")
-        if self._fleet is not None and self._fleet.moving:
-            told.append(f"STILL MOVING: node {', '.join(map(str, self._fleet.moving))}")
-        return told
+        moving = () if self._fleet is None else self._fleet.moving
+        unconfirmed = [halt.device for halt in self._halts if halt.problem]
+        fates: dict[str, list[str]] = {"in fault, without power": [], "halted": [], "told to halt": [], "STILL MOVING": []}
+        for device in self._devices:
+            if device.node.node_id in moving:
+                fate = "STILL MOVING"
+            elif device.has_fault:
+                fate = "in fault, without power"
+            else:
+                fate = "told to halt" if device in unconfirmed else "halted"
+            fates[fate].append(device.name)
+        if not self._has_begun:
+            fates["halted"] = fates["told to halt"] = []
+        return told + [f"{fate}: {', '.join(names)}" for fate, names in fates.items() if names]
 
     def show_result(self) -> ExitCode:
         """The tables on stdout, and what to try next; the exit status."""
@@ -395,7 +405,7 @@ class Demonstration:
 def _nobody_reads(error: Exception) -> bool:
     """Whether it ended only because its reader has gone (`canopen demo | head`), and all drives stand."""
     rest = error.split(BrokenPipeError)[1] if isinstance(error, ExceptionGroup) else error
-    return (rest is None or isinstance(rest, BrokenPipeError)) and not notes_of(error)
+    return (rest is None or isinstance(rest, BrokenPipeError)) and all_stand(error)
 
 
 def _count(number: int, what: str) -> str:

@@ -10,7 +10,7 @@ import trio
 from canopen_master.cli.demo_view import DemoView, JointView
 from canopen_master.cli.options import Duration, NodeId, Settings, common
 from canopen_master.cli.problem import problem_of, usage
-from canopen_master.cli.running import notes_of, run
+from canopen_master.cli.running import all_stand, run
 from canopen_master.cli.screen import escape, node_text
 from canopen_master.cli.session import Session, open_session
 from canopen_master.joint_procedures import awake
@@ -68,7 +68,7 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
     except Exception as error:  # noqa: BLE001 - raised again, with what was done
         problem = problem_of(error)
         if isinstance(problem.__cause__, StepTimeout):
-            problem.more += _story(not notes_of(error))
+            problem.more += _story(all_stand(error))
             problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {limit / SECOND:g} s)")
         raise problem from problem.__cause__
     if settings.json:

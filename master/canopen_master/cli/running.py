@@ -20,6 +20,7 @@ from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.options import Settings
 from canopen_master.cli.problem import ExitCode, Problem, problem_of, usage
 from canopen_master.cli.screen import Screen, escape
+from canopen_master.errors import HaltNotConfirmed
 from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.tracing import Trace, recording
 
@@ -119,8 +120,7 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
 def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
     name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
     problem = Problem(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
-    unconfirmed = notes_of(failure)
-    problem.more = story(not unconfirmed) + unconfirmed
+    problem.more = story(all_stand(failure)) + notes_of(failure)
     errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure
     if errors is not None and not isinstance(errors, trio.Cancelled):
         reason = problem_of(errors)
@@ -128,6 +128,14 @@ def _interrupted(number: int, story: Story, failure: BaseException | None) -> Pr
         problem.seen, problem.cause, problem.tries = reason.seen, reason.cause, reason.tries
         problem.__cause__ = errors
     return problem
+
+
+def all_stand(error: BaseException | None) -> bool:
+    """Whether no exception says that a drive did not confirm that it stands: none is that itself, and none bears a note."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(all_stand(each) for each in error.exceptions)
+    is_halt = isinstance(error, HaltNotConfirmed) or (error is not None and isinstance(error.__cause__, HaltNotConfirmed))
+    return not is_halt and not notes_of(error)
 
 
 def notes_of(error: BaseException | None) -> list[str]:
