@@ -237,8 +237,11 @@ class ChainFault(ChainError):
         self.emcy = emcy
 
 
-def sdo_error(network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time) -> SdoError:
-    """The exception for a transfer that ended with an abort. network: of the node. attempt: "reading", or "writing 5 to"."""
+def sdo_error(
+    network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time, *, size_unknown: bool = False
+) -> SdoError:
+    """The exception for a transfer that ended with an abort. network: of the node. attempt: "reading", or "writing 5 to".
+    size_unknown: it was a download whose size the server was not told."""
     place = f"{attempt} {_name_of(node, aborted.index, aborted.subindex)}"
     who = f"node {aborted.node_id}"
     code_text = f"abort 0x{aborted.abort_code:08X}, {text_of(aborted.abort_code)}"
@@ -250,6 +253,10 @@ def sdo_error(network: Network, node: RemoteNode, bus: str, aborted: SdoAborted,
         return silent(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
     if aborted.origin is AbortOrigin.PEER and not aborted.not_confirmed:
         cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
+        if size_unknown and aborted.abort_code in _OF_SIZE:
+            cause, tries = "the device wants to know the size before the first byte", ("size=... , in bytes",)
+        elif aborted.abort_code in _OF_LENGTH:
+            tries = (f"check the object in {node.dictionary.source or 'the dictionary'}",)
         if node.dictionary.get(aborted.index, aborted.subindex) is None:
             cause = cause.partition(", though our dictionary")[0]
         return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
@@ -276,11 +283,15 @@ _REASONS: Final[dict[int, tuple[str, tuple[str, ...]]]] = {
         "the device does not permit it in its present state",
         ("look at its NMT state and, for a drive, at its statusword",),
     ),
-    AbortCode.LENGTH_MISMATCH: ("the object has another length than our dictionary says", ("check indices.csv",)),
-    AbortCode.LENGTH_TOO_HIGH: ("the object is shorter than our dictionary says", ("check indices.csv",)),
-    AbortCode.LENGTH_TOO_LOW: ("the object is longer than our dictionary says", ("check indices.csv",)),
+    AbortCode.LENGTH_MISMATCH: ("the object has another length than our dictionary says", ()),
+    AbortCode.LENGTH_TOO_HIGH: ("the object is shorter than our dictionary says", ()),
+    AbortCode.LENGTH_TOO_LOW: ("the object is longer than our dictionary says", ()),
 }
 """What CiA 301's abort codes mean in practice, where that says more than their text."""
+
+_OF_LENGTH: Final = (AbortCode.LENGTH_MISMATCH, AbortCode.LENGTH_TOO_HIGH, AbortCode.LENGTH_TOO_LOW)
+_OF_SIZE: Final = (*_OF_LENGTH, AbortCode.OUT_OF_MEMORY, AbortCode.INVALID_COMMAND)
+"""What devices say that need the size first."""
 
 
 def _name_of(node: RemoteNode, index: int, subindex: int) -> str:

@@ -286,9 +286,10 @@ class Node:
         """Give a command to its machines that has an outcome."""
         return self._master.begin(self._bus, self.remote, submit)
 
-    def error_of(self, aborted: SdoAborted, attempt: str) -> SdoError:
-        """The exception for a transfer that ended with an abort. attempt: "reading", or "writing 5 to"."""
-        return sdo_error(self._bus.network, self.remote, self.bus, aborted, attempt, self._master.now())
+    def error_of(self, aborted: SdoAborted, attempt: str, *, size_unknown: bool = False) -> SdoError:
+        """The exception for a transfer that ended with an abort; see `sdo_error`."""
+        now = self._master.now()
+        return sdo_error(self._bus.network, self.remote, self.bus, aborted, attempt, now, size_unknown=size_unknown)
 
     # ---- inside ----
 

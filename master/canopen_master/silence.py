@@ -47,9 +47,13 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
     heard = network.heard(node.node_id)
     time, seen = _sign_of_life(heard, node, now)
     if time is None:
-        return _silent(network, heard, now)
+        silent = _silent(network, heard, now)
+        if network.last_heard is None:
+            return silent
+        stopped = f"canopen nmt preop {node.node_id}    (a node that is Stopped answers again)"
+        return Diagnosis(silent.seen, f"{silent.cause}; or it is Stopped and has no heartbeat", (*silent.tries, stopped))
     node_id, state = node.node_id, _state(heard, node)
-    others, their_cause = _other_clients(heard, now)
+    others, their_cause = _other_clients(network, heard, now)
     seen += others
     if state is NmtState.INITIALISING:
         return Diagnosis(seen, "it was reset, and has not booted since", ("the same once it has booted", SCAN))
@@ -62,13 +66,15 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
         longer = LONGER if advised is None else f"{LONGER}: {advised:g} s"
         seen += f"; it answered after {_duration(late.behind + node.sdo.timeout)}, when nobody waited any more"
         return Diagnosis(seen, "it is slower than the time limit", (longer,))
-    if now - time > RECENT:
+    if now - time > RECENT or node.heartbeat.lost:
         cause = "its power is off or its cable loose by now, or it is busy"
         return Diagnosis(seen, cause, (f"check power and cable of node {node_id}", SCAN))
     if heard.service is HeardService.BOOT_UP and now - time <= BOOTING:
         return Diagnosis(seen, "it has just started, and is not ready yet", ("the same once more", LONGER))
     if their_cause:
-        return Diagnosis(seen, their_cause, ("end the other one, or wait until it is done",))
+        is_client = heard.foreign_request is not None and now - heard.foreign_request.time <= RECENT
+        tries = ("end the other one, or wait until it is done",) if is_client else ("take one of the two off the bus", SCAN)
+        return Diagnosis(seen, their_cause, tries)
     return Diagnosis(seen, "it is busy, or the answer was lost", (LONGER,))
 
 
@@ -115,7 +121,11 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
     else:
         time, what = heard.time, heard.service.value
     age = now - time
-    text = f"node {heard.node_id} is alive: {what} {_ago(age)}" if age <= RECENT else f"last heard {_ago(age)} ({what})"
+    is_lost = node.heartbeat.lost and what == HeardService.HEARTBEAT.value
+    if age <= RECENT and not is_lost:
+        text = f"node {heard.node_id} is alive: {what} {_ago(age)}"
+    else:
+        text = f"{'its heartbeat is lost, ' if is_lost else ''}last heard {_ago(age)} ({what})"
     state = _state(heard, node)
     if state is not None:
         text += f", NMT state {state.name}"
@@ -129,7 +139,7 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
     return time, text
 
 
-def _other_clients(heard: NodeHeard, now: Time) -> tuple[str, str]:
+def _other_clients(network: Network, heard: NodeHeard, now: Time) -> tuple[str, str]:
     """What shows that somebody else asks this node, and what that means; "" where nothing does."""
     node_id, request, answer = heard.node_id, heard.foreign_request, heard.unasked_answer
     if request is not None and now - request.time <= RECENT:
@@ -138,7 +148,9 @@ def _other_clients(heard: NodeHeard, now: Time) -> tuple[str, str]:
     if answer is not None and now - answer.time <= RECENT:
         can_id = SDO_SERVER_TO_CLIENT + node_id
         seen = f"; answers seen on 0x{can_id:X} that were not for us, the last {_ago(now - answer.time)}"
-        return seen, f"another SDO client talks to it, or two devices have node-ID {node_id}"
+        if network.hears_all:  # a request of somebody else's would have been heard
+            return seen, f"two devices have node-ID {node_id}, or it answers something else than it is asked, or twice"
+        return seen, f"two devices have node-ID {node_id}, or another SDO client talks to it (its requests are filtered)"
     return "", ""
 
 

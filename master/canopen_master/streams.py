@@ -141,7 +141,7 @@ async def write_stream(node: Node, index: int, subindex: int, pieces: Pieces, si
             request.take_back()
             raise
         if block is True or source.has_begun or not lacks_blocks_of(outcome):
-            _check(node, outcome)
+            _check(node, outcome, size_unknown=size is None)
             return
     data = await source.whole()
     _check(node, await node.begin(lambda now: client.download(index, subindex, data, now)).outcome())
@@ -152,10 +152,10 @@ def lacks_blocks_of(outcome: Outcome) -> bool:
     return isinstance(outcome, SdoAborted) and lacks_blocks(outcome)
 
 
-def _check(node: Node, outcome: Outcome) -> None:
+def _check(node: Node, outcome: Outcome, *, size_unknown: bool = False) -> None:
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
-        raise node.error_of(outcome, "writing to")
+        raise node.error_of(outcome, "writing to", size_unknown=size_unknown)
 
 
 async def _feed(node: Node, request: OpenRequest, source: Source) -> Outcome:

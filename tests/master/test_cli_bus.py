@@ -65,6 +65,11 @@ def test_what_it_says(run: Run) -> None:
     assert "canopen scan -b tcp:127.0.0.1:" in outcome.err
 
 
+def test_its_address_for_programs(run: Run) -> None:
+    (address,) = run("bus", "serve", "--port", "0", "--seconds", "0", "--json").json["bus"]
+    assert address.startswith("tcp:127.0.0.1:")
+
+
 def test_ctrl_c_is_how_it_ends(run: Run) -> None:
     timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()

@@ -349,6 +349,13 @@ def test_the_plot(run: Run, tmp_path: Path) -> None:
     assert str(picture) in outcome.err.replace("\n", "")
 
 
+def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path) -> None:
+    picture = tmp_path / "arm.png"
+    outcome = run("demo", "--seconds", "3", "--fault", "5@1.0", "--plot", str(picture))
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_plot_that_cannot_be_written_is_told_before_anything_moves(run: Run, tmp_path: Path) -> None:
     outcome = run("demo", "--plot", str(tmp_path / "no" / "arm.png"))
     assert outcome.status == ExitCode.BAD_FILE

@@ -78,7 +78,9 @@ def test_only_others_are_there(run: Run, monkeypatch: pytest.MonkeyPatch) -> Non
     populate(monkeypatch, saying((0.9, "706#05"), (0.1, "707#7F")))
     error = run("write", "5", "controlword", "6", "--json", *ON_BUS).error
     assert error["seen"] == "nothing was heard of it: only nodes 6 and 7 were heard"
-    assert error["try"] == ["check the node-ID 5 (0x05) and its power", SCAN.replace("scan", f"scan -b {REAL}")]
+    scan = SCAN.replace("scan", f"scan -b {REAL}")
+    stopped = f"canopen nmt preop 5 -b {REAL}    (a node that is Stopped answers again)"
+    assert error["try"] == ["check the node-ID 5 (0x05) and its power", scan, stopped]
     assert (error["code"], error["node"], error["index"]) == ("CO201", 5, 0x6040)
 
 
@@ -140,7 +142,7 @@ def test_what_else_a_passive_scan_heard(run: Run, monkeypatch: pytest.MonkeyPatc
 def test_a_scan_on_a_bus_without_nodes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "Nothing at all was heard. Is anybody there, with power and the same bit rate?" in run("scan", *ON_BUS).err
     populate(monkeypatch, saying((0.1, "7E4#5000000000000000")))
-    assert "Devices without a node-ID (LSS) are not found" in run("scan", *ON_BUS).err
+    assert "Devices that have no node-ID yet are not found" in run("scan", *ON_BUS).err
 
 
 # ---- the next command ----
@@ -189,3 +191,22 @@ def test_a_note_on_a_problem_is_told_once() -> None:
     problem.add_note("not confirmed to stand: joint1")
     for _ in range(2):
         assert problem_of(problem).more == ["not confirmed to stand: joint1"]
+
+
+# ---- what the next step speaks of ----
+
+
+def test_a_node_without_a_heartbeat_is_not_waited_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    populate(monkeypatch, saying((0.1, "585#4B17100000000000")))
+    error = run("nmt", "start", "5", "--wait", "--json", *ON_BUS).error
+    assert error["message"] == "node 5: start was sent, and nothing will show that it is done"
+    assert error["seen"] == "it sends no heartbeat: 0x1017 is 0"
+
+
+def test_an_object_of_another_length_stands_in_the_file_in_use(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    refusal = saying((0.1, "585#8000100010000706"))
+    populate(monkeypatch, refusal)
+    assert run("read", "5", "1000", "--json", *ON_BUS).error["try"] == ["check the object in installed indices.csv"]
+    populate(monkeypatch, refusal)
+    error = run("read", "5", "1000", "--json", "-e", "sample_io.eds", *ON_BUS).error
+    assert error["try"] == ["check the object in sample_io.eds"]

@@ -378,3 +378,10 @@ def test_read_shows_units_and_names(run: Run, tmp_path: Path) -> None:
     assert "objects.9999" in run("read", "3", "position", "--overlay", "units.toml", "-v", "-b", "demo").err
     told = run("write", "3", "6081", "5", "--overlay", "units.toml", "-b", "demo").out
     assert "5 (0x00000005)" in told
+
+
+def test_its_address_for_programs(run: Run) -> None:
+    assert run("sim", "--id", "3,5", "-b", "virtual:x", "--seconds", "0.1", "--json").json == {
+        "bus": "virtual:x",
+        "nodes": [3, 5],
+    }

@@ -30,6 +30,7 @@ RUNS = {
     "multiple_devices 3 4 --bus virtual:arm --cycles 1 --steps 10": [
         "homing device 3",
         "homing device 4",
+        "moving to and fro for 0.2 s; Ctrl-C ends it and halts all devices",
         "cycle 1: sent to 35, 35 mdeg",
         "device 3 ends at 35 mdeg",
         "device 4 ends at 35 mdeg",

@@ -17,6 +17,7 @@ from tests.master.test_pump import Away
 from tests.master.world import BUS, simulated, virtual_time
 
 NOW = 100 * SECOND
+PREOP = "canopen nmt preop 5    (a node that is Stopped answers again)"
 TIMEOUT = 500 * MILLISECOND
 
 
@@ -145,6 +146,11 @@ def test_answers_that_were_not_for_us() -> None:
     assert "answers seen on 0x585 that were not for us, the last 120 ms ago" in known.seen
     assert "NMT state OPERATIONAL 120 ms ago" not in known.seen
     assert "two devices have node-ID 5" in known.cause
+    assert "client" not in known.cause  # its requests would have been heard
+    assert known.tries == ("take one of the two off the bus", SCAN)
+    desk = hearing("705#05", "585#4300100092010200")
+    desk.network.hears_all = False
+    assert "another SDO client talks to it (its requests are filtered)" in desk.sdo().cause
 
 
 def test_the_state_has_an_age_of_its_own() -> None:
@@ -196,14 +202,27 @@ def test_nothing_at_all() -> None:
 def test_only_others(others: tuple[int, ...], text: str) -> None:
     known = hearing(*(f"{0x700 + node_id:03X}#05" for node_id in others)).sdo()
     assert known.seen == f"nothing was heard of it: {text}"
-    assert known.cause == "no device has this node-ID, or its power is off"
-    assert known.tries == ("check the node-ID 5 (0x05) and its power", SCAN)
+    assert known.cause == "no device has this node-ID, or its power is off; or it is Stopped and has no heartbeat"
+    assert known.tries == ("check the node-ID 5 (0x05) and its power", SCAN, PREOP)
+
+
+def test_a_lost_heartbeat_is_no_sign_of_life() -> None:
+    desk = Desk()
+    desk.node.heartbeat.set_timeout(1000 * MILLISECOND, NOW - 2 * SECOND)
+    desk.hear("705#05", 1200 * MILLISECOND)
+    desk.network.handle_timeout(NOW)
+    known = desk.sdo()
+    assert "alive" not in known.seen
+    assert known.seen.startswith("its heartbeat is lost, last heard 1.2 s ago (heartbeat)")
+    assert known.cause.startswith("its power is off or its cable loose by now")
+    desk.hear("705#05", 0)
+    assert desk.sdo().seen.startswith("node 5 is alive")
 
 
 def test_decimal_for_hexadecimal() -> None:
     desk = Desk(10)
     desk.hear("710#05")
-    assert desk.sdo().cause == "perhaps node 16 was meant, which is 0x10"
+    assert desk.sdo().cause.startswith("perhaps node 16 was meant, which is 0x10; or ")
 
 
 def test_where_frames_are_filtered_nothing_is_said_of_others() -> None:

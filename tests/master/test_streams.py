@@ -372,3 +372,21 @@ async def test_the_end_of_the_master_and_of_the_bus_end_streams() -> None:
         with pytest.raises(BusError):
             async with open_master(cable) as master:
                 await master.node(5, dictionary()).write_stream(IMAGE, 1, pieces())
+
+
+@virtual_time
+async def test_a_device_that_wants_the_size_first_says_so() -> None:
+    async with await open_transport(BUS) as device, open_master(BUS) as master, trio.open_nursery() as nursery:
+        nursery.start_soon(_refuse, device)
+        with pytest.raises(SdoRefused) as caught:
+            await master.node(5).write_stream(0x1F50, 1, [b"firmware"], block=True)
+        assert caught.value.cause == "the device wants to know the size before the first byte"
+        nursery.start_soon(_refuse, device)
+        with pytest.raises(SdoRefused) as caught:
+            await master.node(5).write_stream(0x1F50, 1, [b"firmware"], 8, block=True)
+        assert "size" not in caught.value.cause
+
+
+async def _refuse(device: Transport) -> None:
+    await device.receive()
+    await device.send(Frame.parse("585#80501F0110000706"))

@@ -67,7 +67,10 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
 
     async def be_a_bus() -> None:
         async with trio.open_nursery() as nursery:
-            for locator in await nursery.start(serve_bus, bind, port, BusServer(tell, recorder())):
+            locators = await nursery.start(serve_bus, bind, port, BusServer(tell, recorder()))
+            if settings.json:
+                screen.json({"bus": [joining(locator)[0] for locator in locators]})
+            for locator in locators:
                 screen.say(f"[bold]a bus on {escape(locator)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
                 here, elsewhere = joining(locator)
                 screen.say(f"Join it in other terminals: [bold]canopen sim -b {here}[/], [bold]canopen scan -b {here}[/]")

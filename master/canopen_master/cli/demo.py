@@ -84,12 +84,13 @@ def demo(
     screen = settings.screen()
     files = drive_files(settings.eds, defaults, screen)
     demonstration = Demonstration(screen, Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files))
-    run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
-    status = demonstration.show_result()
-    if plot is not None:
-        write_plot(plot, demonstration.recording, *demonstration.titles())
-        screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
-    return status
+    try:
+        run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
+        return demonstration.show_result()
+    finally:  # a breakdown is drawn too
+        if plot is not None and demonstration.recording.times:
+            write_plot(plot, demonstration.recording, *demonstration.titles())
+            screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
 
 
 def check_cycle(cycle: Time) -> None:

@@ -65,6 +65,11 @@ class Fleet:
         """The drives by node-ID; of the same one on two buses, the first."""
         return {node.node_id: node for host in reversed(self._hosts) for node in host.nodes if isinstance(node, DriveNode)}
 
+    @property
+    def node_ids(self) -> list[int]:
+        """Of all devices."""
+        return sorted({node.node_id for host in self._hosts for node in host.nodes})
+
     def raise_fault(self, node_id: int, error_code: int) -> None:
         """Let a drive break down. KeyError where there is none of that node-ID."""
         drive = self.drives[node_id]

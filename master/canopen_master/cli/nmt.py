@@ -13,6 +13,8 @@ from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
+from canopen_master.errors import SdoError
+from canopen_master.node import Node
 from canopen_master.silence import missing_frame
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
@@ -80,12 +82,25 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
         raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 
 
+async def _has_no_heartbeat(node: Node) -> bool:
+    """Whether the node says that it sends none. One that says nothing, as while it is Stopped, may send one."""
+    try:
+        return not any(await node.read_bytes(0x1017))
+    except SdoError:
+        return False
+
+
 async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id: int | None, wait: bool) -> NmtState | None:
     async with open_session(settings, screen) as session:
         if node_id is None:
             await session.master.nmt(command)
             return None
         node = session.node(node_id)
+        if wait and command not in RESETS and await _has_no_heartbeat(node):
+            await node.nmt(command)
+            failed = f"node {node_id}: {command.name.lower().replace('_', ' ')} was sent, and nothing will show that it is done"
+            hints = (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)", "the same without --wait")
+            raise Problem(ExitCode.NO_ANSWER, "CO210", failed, seen="it sends no heartbeat: 0x1017 is 0", tries=hints)
         expected = NmtState.PRE_OPERATIONAL if command in RESETS else target_of(command)
         signs: tuple[type[Event], ...] = (NodeBooted,) if command in RESETS else (HeartbeatReceived,)
         with node.events(*signs) as reports:

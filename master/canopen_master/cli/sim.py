@@ -105,7 +105,9 @@ def sim(
         if locator.startswith("virtual:"):
             screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
         try:
-            async with fleet:
+            async with fleet as served:
+                if settings.json:
+                    screen.json({"bus": locator, "nodes": served.node_ids})
                 await trio.sleep(math.inf if seconds is None else seconds)
         except* ScriptError as errors:
             raise script_problem(_first(errors)) from None

@@ -33,6 +33,8 @@ def move(options: Options) -> None:
     canopen.send_sync(INTERVAL)
     canopen.send_sync(INTERVAL)
 
+    seconds = options.cycles * (2 * options.steps + 1) * INTERVAL / 1000
+    print(f"moving to and fro for {seconds:.1f} s; Ctrl-C ends it and halts all devices")
     positions = {device: canopen.get_pos(device) for device in devices}
     for cycle in range(1, options.cycles + 1):
         send(positions, STEP, options.steps + 1)
