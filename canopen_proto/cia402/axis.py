@@ -75,6 +75,10 @@ class AxisSettings:
     the user's unit, before it counts as lost; None: as `procedures.following.following_limit` finds it, math.inf: no limit.
     keeps_reference: whether the drive knows its position after a reset or without power, as one with an absolute encoder does; it
     need not be homed again then.
+
+    min_position, max_position: set-points beyond are refused, in the user's unit; None: only what the drive says (0x607D), which
+    counts in any case. max_speed: set-points that ask for more are refused, in the user's unit per second; None: what the drive
+    says (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
     """
 
     counts_per_unit: float | None = None
@@ -86,6 +90,9 @@ class AxisSettings:
     state_timeout: Time = 3 * SECOND
     following_error_limit: float | None = None
     keeps_reference: bool = False
+    min_position: float | None = None
+    max_position: float | None = None
+    max_speed: float | None = None
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
@@ -93,6 +100,12 @@ class AxisSettings:
             raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
         if self.direction not in (1, -1):
             raise LocalProtocolError(f"direction must be 1 or -1; it is {self.direction!r}")
+        lowest = -math.inf if self.min_position is None else self.min_position
+        highest = math.inf if self.max_position is None else self.max_position
+        if not lowest < highest:
+            raise LocalProtocolError(f"min_position must be below max_position; they are {lowest!r} and {highest!r}")
+        if self.max_speed is not None and not self.max_speed > 0:
+            raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
 
     def of_vendor(self, vendor_id: int | None) -> AxisSettings:
         """These settings, with what they leave open filled in as drives of that vendor have it (None: no vendor-ID).
@@ -253,9 +266,13 @@ class Axis:
         """A position in the user's unit as counts on the wire."""
         return round(self.settings.direction * position * self._scale) + self.settings.offset
 
-    def from_counts(self, counts: int) -> float:
+    def from_counts(self, counts: float) -> float:
         """Counts on the wire as a position in the user's unit."""
         return self.settings.direction * (counts - self.settings.offset) / self._scale
+
+    def amount_from_counts(self, counts: float) -> float:
+        """An amount, such as a speed, that is in counts on the wire, in the user's unit."""
+        return counts / self._scale
 
     @property
     def set_point(self) -> float:
