@@ -93,9 +93,9 @@ class SetPointLimits:
         return (to_counts(one) - to_counts(other)) * outward * self.axis.settings.direction > 0
 
 
-def limits_of(axis: Axis, told: DriveLimits = DriveLimits()) -> SetPointLimits:
-    """The limits of an axis. told: what its drive says."""
-    settings = axis.settings
+def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
+    """The limits of an axis. told: what its drive says, None if it was not asked."""
+    settings, told = axis.settings, told or DriveLimits()
     ends = [_converted(limit, axis.from_counts) for limit in (told.lowest, told.highest)]
     lowest, highest = ends[:: settings.direction]
     if settings.min_position is not None and (lowest is None or settings.min_position > lowest.value):

@@ -96,9 +96,9 @@ class ChainSettings:
     """cycle_time: seconds between two SYNCs. rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have
     them declared to the devices (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the
     joint's own dictionary describes (an EDS, a DCF), if it does, and set the device up like that where it is not. max_step: the
-    largest step of a set-point from one cycle to the next, in the user's unit; None for no limit. max_missed_cycles: in a row,
-    until the chain is halted. max_silent_cycles: in a row, of a joint that does not send its PDO, until the chain is stopped; and
-    20 ms at least, since adapters hold frames back.
+    largest step of a set-point from one cycle to the next, in the user's unit, besides what the joint's own limits allow; None
+    for no such limit. max_missed_cycles: in a row, until the chain is halted. max_silent_cycles: in a row, of a joint that does
+    not send its PDO, until the chain is stopped; and 20 ms at least, since adapters hold frames back.
     """
 
     cycle_time: float = 0.01
@@ -282,8 +282,9 @@ class Chain:
         """Give the next set-points, one per joint, in the user's unit; they go out behind the next SYNC.
 
         cycles: be there in that many cycles, on a straight line from the last set-points; no cycle is missed meanwhile. Raises
-        SetPointRefused, with nothing changed, for a wrong count, a number that is not finite or does not fit, or a step beyond
-        `max_step` per cycle. Raises ChainFault, ChainHalted, ChainError as the chain's state is.
+        SetPointRefused, with nothing changed, for a wrong count, a number that is not finite or does not fit, a position or a
+        speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises ChainFault,
+        ChainHalted, ChainError as the chain's state is.
         """
         self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.give(positions, cycles)

@@ -10,7 +10,6 @@ takes longer. A path that is read at a clock would catch up instead, with many t
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
@@ -19,9 +18,8 @@ import trio
 
 from canopen_master.device import Device
 from canopen_master.errors import SetPointRefused
-from canopen_proto.cia402.objects import INTERPOLATION_SET_POINT
-from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.machine import LocalProtocolError
+from canopen_master.set_point_check import check_set_point
+from canopen_proto.machine import SECOND, LocalProtocolError
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,7 @@ class SetPoints:
     sync_cycles: SYNCs while it followed; missed_cycles: those of them without a new set-point; missed_in_row: the last ones of
     these; skipped_cycles: periods in which no SYNC was sent, because this process was late; late_cycles: both together. number:
     of the current period. taken: SYNCs that took new set-points along. given_in: the period in which the last ones were given,
-    or held. sent: the set-points that went out last; empty while none are followed.
+    or held. sent: the set-points that went out last, as they were given; empty while none are followed.
     """
 
     def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
@@ -64,6 +62,7 @@ class SetPoints:
         self.given_in = -1
         self.is_awaited = False  # somebody was handed a cycle: set-points are due from now on
         self._is_new = self._is_held = False  # what the next SYNC takes along
+        self._next: Sequence[float] = ()
         self._path: deque[list[float]] = deque()
 
     @property
@@ -74,7 +73,7 @@ class SetPoints:
     def begin(self) -> None:
         """From now on each SYNC takes the images along."""
         self.end()
-        self.sent = [device.desired_position for device in self.devices]
+        self._next = self.sent = [device.desired_position for device in self.devices]
 
     def end(self) -> None:
         """No set-points are followed any more."""
@@ -104,7 +103,7 @@ class SetPoints:
         self.number += 1 + skipped
         self.sync_cycles += 1
         self.skipped_cycles += skipped
-        self.sent = [device.desired_position for device in self.devices]
+        self.sent = list(self._next)
         if self._is_new or self._is_held:
             self.missed_in_row = 0
             self.taken += self._is_new
@@ -119,6 +118,7 @@ class SetPoints:
     def _put(self, positions: Sequence[float]) -> None:
         for device, position in zip(self.devices, positions, strict=True):
             device.axis.set_position(position)
+        self._next = positions
         self._is_new = True
 
     def _check(self, positions: Sequence[float], cycles: int) -> None:
@@ -128,20 +128,14 @@ class SetPoints:
             names = ", ".join(device.name for device in self.devices)
             counts = f"{len(positions)} set-points were given, not {len(self.devices)}"
             raise SetPointRefused(counts, "", f"the joints are {names}")
+        time = cycles * round(self.cycle_time * SECOND)
         for device, target, start in zip(self.devices, positions, self.sent, strict=True):
-            refused = f"set-point {target} of {device.name} was refused"
-            if not math.isfinite(target):
-                raise SetPointRefused(refused, device.name, "it is not a finite number")
+            check_set_point(device, start, target, time)
             step = abs(target - start) / cycles
             if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # not to refuse the limit itself for its last bit
+                refused = f"set-point {target} of {device.name} was refused"
                 seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {self.max_step:g}"
                 raise SetPointRefused(refused, device.name, seen, ("a finer path, more `cycles`, or a larger max_step",))
-            variable = device.node.dictionary.get(INTERPOLATION_SET_POINT >> 8, INTERPOLATION_SET_POINT & 0xFF)
-            if variable is not None:
-                try:
-                    variable.encode(device.axis.to_counts(target))
-                except ValueRangeError as error:
-                    raise SetPointRefused(refused, device.name, str(error)) from error
 
 
 class Cycles:

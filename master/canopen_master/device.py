@@ -13,6 +13,7 @@ from canopen_master.node import Node
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.following import Following
+from canopen_proto.cia402.limits import limits_of
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
@@ -30,7 +31,8 @@ E = TypeVar("E", bound=Event)
 class Device:
     """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive. cyclic: the objects that
     it sends at SYNCs, by which it is known to be there (as far as there are none, its heartbeat has to tell): mux -> at every how
-    many. following: whether it does what its set-points say.
+    many. following: whether it does what its set-points say. limits: what set-points must not ask of it; what the drive says of
+    that itself is read each time that it begins to follow set-points.
 
     Positions are in the user's unit, which its AxisSettings say; in counts where nobody gave a scale.
     """
@@ -43,6 +45,7 @@ class Device:
         self.cyclic: Mapping[int, int] = {}
         self.following = Following(axis)
         self.sdo_round_trips = 0
+        self.limits = limits_of(axis)
         node.leave_pdos()  # those of a drive are its chain's business
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None

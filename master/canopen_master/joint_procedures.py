@@ -26,6 +26,7 @@ from canopen_proto.procedures.described_pdos import exchange_described
 from canopen_proto.procedures.drive import engage_brake, halt, shut_down, start_interpolation
 from canopen_proto.procedures.following import following_limit
 from canopen_proto.procedures.identity import identify
+from canopen_proto.procedures.limits import read_limits
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
@@ -130,8 +131,9 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
 
 
 def follow(device: Device, cycle_time: Time) -> Procedure[FollowingLimit]:
-    """Let the joint follow set-points from where it stands; how far off them it may be."""
+    """Read the joint's limits, then let it follow set-points from where it stands; how far off them it may be. cycle_time: ns."""
     limit = yield from following_limit(device.axis)
+    device.limits = yield from read_limits(device.axis)
     yield from start_interpolation(device.axis, cycle_time)
     return limit
 

@@ -35,6 +35,7 @@ from tests.master.world import (
 )
 
 MILLIDEGREE = math.pi / 180_000
+FAST = dataclasses.replace(SCHUNK_POWERBALL, max_speed=2.0)
 
 
 @virtual_time
@@ -70,7 +71,7 @@ async def test_from_power_on_to_motion_and_back() -> None:
 
 @virtual_time
 async def test_what_is_known_of_a_joint() -> None:
-    async with following_arm(3) as (host, _, arm):
+    async with following_arm(3, axes=FAST) as (host, _, arm):
         joint = arm.joints["joint1"]
         async for cycle in arm.cycles():
             arm.set_positions([arm.devices[0].axis.from_counts(3000) + 0.01 * cycle.number])
@@ -234,7 +235,7 @@ async def test_a_straight_line_over_several_cycles_only_where_asked() -> None:
 
 @virtual_time
 async def test_set_points_that_are_refused_change_nothing() -> None:
-    async with following_arm(3, 4, max_step=0.01) as (_, _, arm):
+    async with following_arm(3, 4, max_step=0.01, axes=FAST) as (_, _, arm):
         start = arm.positions
         before = arm.desired_positions
         for wrong, message in (

@@ -20,6 +20,7 @@ from canopen_master.cli.fleet import Fleet, simulated_fleet
 from canopen_master.cli.problem import ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
+from canopen_proto.cia402 import axis
 from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.cia402.states import State
 from tests.master.cli_support import Alarm, Run, runner, stands, watched_fleets
@@ -318,6 +319,16 @@ def test_a_bus_that_is_not_there(run: Run) -> None:
     assert outcome.status == ExitCode.CANNOT_OPEN
     assert "try:" in outcome.err
     assert run("demo", "-b", "nonsense:1").status == ExitCode.CANNOT_OPEN
+
+
+def test_a_real_drive_whose_unit_nobody_said_is_not_moved(run: Run, bus: list[Fleet], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(axis, "SCHUNK_VENDOR_ID", 0x1234)
+    outcome = run("demo", *SHORT, "-b", "virtual:real")
+    assert outcome.status == ExitCode.USAGE
+    assert "joint1 (node 3 on virtual:real): nobody said what the drive counts in" in outcome.err
+    assert "--counts-per-degree 1000" in outcome.err
+    assert "✔ boot" not in outcome.err
+    assert_all_stand(bus)
 
 
 def test_nobody_answers(run: Run) -> None:

@@ -283,8 +283,9 @@ def test_ctrl_c_in_the_users_own_code_halts_the_drives() -> None:
                     arm = arm_of(master, 3)
                     await arm.initialise()
                     await arm.enable_interpolated_position()
+                    (start,) = arm.positions
                     async for cycle in arm.cycles():
-                        arm.set_positions([0.001 * cycle.number])
+                        arm.set_positions([start + 0.1 * cycle.time])
                         if cycle.number == 20:
                             signal.raise_signal(signal.SIGINT)
             finally:
@@ -332,8 +333,9 @@ async def test_drives_of_a_failed_bus_are_told_and_those_of_another_are_halted()
                 arm = master.load_chains(text="arm j1 can0 3 j2 can1 3")["arm"]
                 await arm.initialise()
                 await arm.enable_interpolated_position()
+                start = arm.positions
                 async for cycle in arm.cycles():
-                    arm.set_positions([0.001 * cycle.number] * 2)
+                    arm.set_positions([position + 0.1 * cycle.time for position in start])
                     if cycle.number == 50:
                         cable.cut()
         assert caught.value.bus == "can0"

@@ -57,8 +57,8 @@ def chain_text(*node_ids: int, bus: str = "can0") -> str:
     return f"arm {joints}\n"
 
 
-def arm_of(master: Master, *node_ids: int, **settings: Any) -> Chain:
-    return master.load_chains(text=chain_text(*node_ids), settings=ChainSettings(**settings))["arm"]
+def arm_of(master: Master, *node_ids: int, axes: Any = None, **settings: Any) -> Chain:
+    return master.load_chains(text=chain_text(*node_ids), settings=ChainSettings(**settings), axes=axes)["arm"]
 
 
 @asynccontextmanager

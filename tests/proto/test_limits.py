@@ -106,7 +106,10 @@ SPEEDS: dict[str, tuple[dict[tuple[int, int], int], Limit]] = {
     "motor speed, feed and gear": ({(0x6080, 0): 3000, **factors(360_000, 100, 4096)}, Limit(180, MOTOR)),
     "motor speed without factors": ({(0x6080, 0): 3000}, NOBODY),
     "the lower of both": ({(0x607F, 0): 50_000, (0x6080, 0): 3000, **factors(increments=2000)}, Limit(50, PROFILE)),
-    "the lower of both is the motor's": ({(0x607F, 0): 500_000, (0x6080, 0): 3000, **factors(increments=2000)}, Limit(100, MOTOR)),
+    "the lower of both is the motor's": (
+        {(0x607F, 0): 500_000, (0x6080, 0): 3000, **factors(increments=2000)},
+        Limit(100, MOTOR),
+    ),
 }
 
 
@@ -145,7 +148,11 @@ def test_what_may_not_be_read_says_nothing_and_a_drive_that_does_not_answer_is_a
 def test_the_settings_go_before_the_speed_of_the_drive_and_narrow_its_positions() -> None:
     told = DriveLimits(Limit(-90_000, "low"), Limit(170_000, "high"), Limit(50_000, "fast"))
     wide = limits_of(axis_of(AxisSettings(counts_per_unit=1000, min_position=-100, max_position=180, max_speed=80)), told)
-    assert (wide.lowest, wide.highest, wide.speed) == (Limit(-90, "low"), Limit(170, "high"), Limit(80, "the settings (max_speed)"))
+    assert (wide.lowest, wide.highest, wide.speed) == (
+        Limit(-90, "low"),
+        Limit(170, "high"),
+        Limit(80, "the settings (max_speed)"),
+    )
     narrow = limits_of(axis_of(AxisSettings(counts_per_unit=1000, min_position=-10, max_position=math.inf)), told)
     assert (narrow.lowest, narrow.highest) == (Limit(-10, "the settings (min_position)"), Limit(170, "high"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -34,6 +35,12 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
     help="How far, in degrees.",
 )
 @click.option("--plot", type=PICTURE, help="Draw commanded and actual positions, as .png, .svg or .pdf (needs matplotlib).")
+@click.option(
+    "--counts-per-degree",
+    type=click.FloatRange(1e-6, 1e9),
+    metavar="N",
+    help="What real drives count in; 1000 for millidegrees.  [default: Schunk's by their vendor-ID]",
+)
 @click.option("--fault", type=Fault(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @common
@@ -46,6 +53,7 @@ def demo(
     cycle: Time,
     swing: float,
     plot: Path | None,
+    counts_per_degree: float | None,
     fault: tuple[int, float] | None,
     defaults: bool,
 ) -> int:
@@ -83,7 +91,9 @@ def demo(
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
     files = drive_files(settings.eds, defaults, screen)
-    demonstration = Demonstration(screen, Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files))
+    scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
+    plan = Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files, scale)
+    demonstration = Demonstration(screen, plan)
     try:
         run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
         return demonstration.show_result()

@@ -21,7 +21,7 @@ from canopen_master.chain_file import ChainDescription, read_chains, same_nodes
 from canopen_master.cli.demo_view import DemoView, JointView
 from canopen_master.cli.drive_files import DriveFile
 from canopen_master.cli.fleet import Fleet, drive_maker, simulated_fleet
-from canopen_master.cli.path import Path
+from canopen_master.cli.path import MAX_SPEED, Path
 from canopen_master.cli.problem import ExitCode, problem_of, usage
 from canopen_master.cli.recording import JointTrack, Recording
 from canopen_master.cli.running import all_stand
@@ -32,7 +32,7 @@ from canopen_master.halting import Halt
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
-from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN
+from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
 
@@ -57,7 +57,8 @@ NEXT: Final = """Try next:
 
 @dataclass(frozen=True)
 class Plan:
-    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds.
+    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds. scale: of
+    real drives, counts per radian; None: as their vendor-ID says.
 
     files: what the drives are, by node-ID (None: all others); without any they are Powerball joints with the PDOs of PDOs.csv.
     """
@@ -71,6 +72,7 @@ class Plan:
     fault: tuple[int, float] | None
     timeout: Time | None
     files: Mapping[int | None, DriveFile] = field(default_factory=dict)
+    scale: float | None = None
 
     def file_of(self, node_id: int) -> DriveFile | None:
         """What the drive of that node-ID is, if a file says so."""
@@ -213,11 +215,14 @@ class Demonstration:
         doubles = same_nodes([description])
         if doubles:
             raise ChainFileError(description.source, doubles)
-        axes, simulated = {}, self.plan.bus is None  # a simulated drive counts millidegrees; a real one, who knows
+        axes, scale = {}, self.plan.scale
+        if self.plan.bus is None:
+            scale = MILLIDEGREES_PER_RADIAN  # of every simulated drive
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
+            axis = AxisSettings() if file is None else file.axis
+            axes[joint.name] = replace(axis, counts_per_unit=scale, max_speed=MAX_SPEED)
             if file is not None:
-                axes[joint.name] = replace(file.axis, counts_per_unit=MILLIDEGREES_PER_RADIAN) if simulated else file.axis
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
         settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
         chain = master.chain(description, settings, axes=axes)
@@ -255,6 +260,10 @@ class Demonstration:
         view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
         step, start = view.begin("boot", "NMT, PDOs, fault reset, enable"), trio.current_time()
         await arm.initialise()
+        for device in arm.devices:
+            if device.axis.settings.counts_per_unit is None:
+                seen, tries = "only Schunk's joints tell it", ("--counts-per-degree 1000, or whatever it is",)
+                raise usage("CO123", f"{device.where}: nobody said what the drive counts in", seen=seen, tries=tries)
         view.done(step, f"{_count(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
 
     async def _home(self, arm: Chain, view: DemoView) -> None:
