@@ -65,9 +65,13 @@ class FollowingLimit(NamedTuple):
 
 @event
 class FollowingLost(Event):
-    """A drive does not follow its set-points (any more); told once for each `Following.begin`. cause: "no longer follows ..."."""
+    """A drive does not follow its set-points (any more); told once for each `Following.begin`.
+
+    cause: in words, as "no longer follows ...". is_silent: its PDOs do not come any more.
+    """
 
     cause: str
+    is_silent: bool = False
 
 
 class Following:
@@ -134,32 +138,36 @@ class Following:
     ) -> None:
         """Watch the drive from now on. It must follow set-points already (bit 12), and stand at the present one.
 
-        limit: of the following error. mode: of operation, which 0x6061 has to show. cyclic: what the drive sends at SYNCs by
-        itself, mux -> every how many. lag: SYNCs from sending a set-point to being there. silent_syncs: SYNCs in a row that the
-        drive may leave unanswered, but for the last.
+        limit: of the following error. mode: of operation, which 0x6061 has to show. cyclic: as for `expect`. lag: SYNCs from
+        sending a set-point to being there. silent_syncs: SYNCs in a row that the drive may leave unanswered, but for the last.
         """
         self._limit, self._mode, self._lag = limit, mode, lag
-        self._cyclic, self._silent_syncs = cyclic, silent_syncs
-        self._unanswered = {}
+        self._silent_syncs = silent_syncs
+        self.expect(cyclic)
         self._points = deque([self._axis.set_point] * (lag + 1), maxlen=lag + UNCERTAIN + 1)
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
         self._was_limited = False
-        self.unsent = {STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE}.difference(cyclic)
         self.error = 0.0
         self._is_on = True
+
+    def expect(self, cyclic: Mapping[int, int]) -> None:
+        """The drive sends these at SYNCs by itself, mux -> at every how many of them; the rest is `unsent`."""
+        self._cyclic = cyclic
+        self._unanswered = {}
+        self.unsent = {STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE}.difference(cyclic)
 
     def end(self) -> None:
         """No set-points are followed any more."""
         self._is_on = False
         self.error = 0.0
 
-    def lose(self, cause: str) -> None:
+    def lose(self, cause: str, *, is_silent: bool = False) -> None:
         """End the watch with FollowingLost, if it is on: for what only a caller can see."""
         if self._is_on:
             self._is_on = False
             node = self._axis.node
-            node.out.events.append(FollowingLost(node.node_id, cause))
+            node.out.events.append(FollowingLost(node.node_id, cause, is_silent))
 
     # ---- what comes ----
 
@@ -231,6 +239,7 @@ class Following:
                 unanswered, first = 0, now
             if unanswered >= self._silent_syncs * every and now - first >= SILENT_TIME:
                 what, silence = _NAMES.get(mux, f"0x{mux >> 8:04X}"), (now - first) / MILLISECOND
-                self.lose(f"is silent: no PDO with its {what} for {silence:.3g} ms, behind {unanswered} SYNCs")
+                cause = f"is silent: no PDO with its {what} for {silence:.3g} ms, behind {unanswered} SYNCs"
+                self.lose(cause, is_silent=True)
                 return
             self._unanswered[mux] = unanswered + 1, first

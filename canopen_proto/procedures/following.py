@@ -9,10 +9,11 @@ from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.following import Following, FollowingLimit
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, sleep
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, sleep
+from canopen_proto.sync import SyncReceived, SyncSent
 
 READ_INTERVAL: Final = 5 * MILLISECOND
-"""From an answer to the next request: some 5 % of a bus at 1 Mbit/s, if the drives answer at once."""
+"""From an answer to the next request, at least: some 5 % of a bus at 1 Mbit/s, if the drives answer at once."""
 UNANSWERED: Final = 3
 """Reads in a row of one drive that may fail: an answer may be lost, and another client may disturb it."""
 DEFAULT_WINDOW: Final = 3_000
@@ -43,16 +44,19 @@ def _amount(axis: Axis, counts: int) -> float:
 def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
     """Read, one drive after the other, what they do not send at SYNCs by themselves (`Following.unsent`), until cancelled.
 
-    One request is under way at a time. A change is so seen after as many READ_INTERVALs and answers as there are objects to
-    read; a drive that does not answer holds the others up for its SDO time-out, and is lost after UNANSWERED of them in a row.
-    An object that a drive does not have is left out from then on.
+    One request goes out behind a SYNC, and none while one is under way; without SYNC nothing is followed, and nothing is read. So
+    a change is seen after as many cycles as there are objects to read, and READ_INTERVALs at least. A drive that does not answer
+    holds the others up for its SDO time-out, and is lost after UNANSWERED of them in a row. An object that a drive does not have
+    is left out from then on.
     """
     failures = dict.fromkeys(drives, 0)
     while any(drive.unsent for drive in drives):
         for drive in drives:
             for mux in sorted(drive.unsent):
-                yield from _read(drive, mux, failures)
-                yield from sleep(READ_INTERVAL)
+                yield Wait(None, drive.axis.node, lambda report: isinstance(report, SyncSent | SyncReceived))
+                if mux in drive.unsent:  # else its first PDO has come meanwhile
+                    yield from _read(drive, mux, failures)
+                    yield from sleep(READ_INTERVAL)
 
 
 def _read(drive: Following, mux: int, failures: dict[Following, int]) -> Procedure[None]:

@@ -4,8 +4,8 @@ From the end of `initialise` to `shut_down`: a joint that falls into fault, is r
 followed, besides, whatever `canopen_proto.cia402.following` sees of each drive, from what comes in each cycle.
 
 What a joint does not send at SYNCs by itself is read by SDO beside the cycle, one joint after the other: with the PDOs of the
-manual's arm the mode of operation (0x6061). So another mode that shows in nothing else is seen that much later: 5 ms and one
-answer for each joint of the chain (40 ms for six joints that answer within 1 ms), or SDO time-outs where answers are lost.
+manual's arm the mode of operation (0x6061). So another mode that shows in nothing else is seen that much later: a cycle for each
+joint of the chain (60 ms for six joints at 10 ms), and an SDO time-out for each answer that is lost.
 """
 
 from __future__ import annotations

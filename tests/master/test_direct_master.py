@@ -162,6 +162,8 @@ def test_a_fault_of_one_joint_stops_the_chain(session: Session, arm: Devices) ->
     arm.break_down(12)
     until(lambda: chain.state is ChainState.FAULT)
     with pytest.raises(ChainFault, match="joint2"):
+        session.send_pos(3, 3000)
+    with pytest.raises(ChainFault, match="joint2"):
         chain.set_pos([0, 0])
     assert chain.recover()
     assert chain.state is ChainState.FOLLOWING

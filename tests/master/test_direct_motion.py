@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from canopen_master import HaltNotConfirmed, MasterClosed, NodeSilent, standard_drives
+from canopen_master import MasterClosed, NodeSilent, standard_drives
 from canopen_master.direct import Session
 from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import ValueRangeError
@@ -111,7 +111,8 @@ def test_set_points_and_sync_alternate_as_the_manual_says(session: Session, arm:
     expected = []
     for position in range(3100, 3600, 100):
         expected += [f"20C#1F000000{position.to_bytes(4, 'little').hex().upper()}", "080#"]
-    assert [frame for frame in arm.frames() if frame[:3] in ("20C", "080", "60C")] == expected
+    watch = "60C#4061600000000000"  # no PDO of its brings the mode
+    assert [frame for frame in arm.frames() if frame[:3] in ("20C", "080", "60C") and frame != watch] == expected
     for _ in range(200):  # this is real time: behind a late SYNC the axis comes back from its ramp
         session.send_pos(12, 3500)
         session.send_sync(10)
@@ -175,7 +176,7 @@ def test_a_drive_that_leaves_operation_enabled_is_told(session: Session, arm: De
     until(lambda: arm.node(12).drive.state is State.READY_TO_SWITCH_ON)
     session.send_sync(5)
     session.send_sync(5)
-    with pytest.raises(ProcedureError, match="left Operation enabled"):
+    with pytest.raises(ProcedureError, match="drive 12 left operation enabled by itself"):
         session.send_pos(12, 3100)
 
 
@@ -193,8 +194,39 @@ def test_a_drive_whose_pdos_no_longer_come_is_silent(session: Session, arm: Devi
 
     with pytest.raises(NodeSilent, match="node 12"):
         go_on()
-    with pytest.raises(HaltNotConfirmed, match="node 12"):
-        session.close_connection()
+    session.close_connection()  # the master wakes it, to see it halted
+    assert arm.node(12).state is NmtState.PRE_OPERATIONAL
+    assert arm.node(12).values.store[0x6040_00] == 0x11F
+
+
+@pytest.mark.parametrize(
+    ("frame", "reason"),
+    [
+        ("2F60600001000000", "drive 12 (no longer follows its set-points: bit 12|changed its mode of operation)"),  # 0x6060 = 1
+        ("237D6002E40C0000", "drive 12 is held by a limit of its own: bit 11"),  # 0x607D:02 = 3300
+    ],
+)
+def test_a_drive_that_does_not_follow_is_told_and_halted(session: Session, arm: Devices, frame: str, reason: str) -> None:
+    follow(session, 12)
+    session.send_sync(1)
+    if frame.startswith("237D"):
+        arm.send(0x60C, "237D6001F0D8FFFF")  # 0x607D:01 = -10000
+    arm.send(0x60C, frame)
+    sent = 0
+
+    def go_on() -> None:
+        nonlocal sent
+        for sent in range(1, 100):
+            session.send_pos(12, 3000 + 50 * sent)
+            session.send_sync(10)
+
+    with pytest.raises(ProcedureError, match=reason):
+        go_on()
+    assert sent < 30
+    with pytest.raises(LocalProtocolError, match=r"enable_ip_mode\(12\) first"):
+        session.send_pos(12, 3000)
+    until(lambda: arm.node(12).values.store[0x6040_00] & 0x100)  # type: ignore[operator]
+    until(lambda: not arm.is_moving(12))
 
 
 def test_a_set_point_that_waits_for_sync_does_not_come_to_life_behind_the_brake(session: Session, arm: Devices) -> None:

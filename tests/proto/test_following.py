@@ -23,6 +23,7 @@ from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, Outbox, Time
 from canopen_proto.nmt import NmtCommand
+from canopen_proto.procedures import drive
 from canopen_proto.procedures.following import DEFAULT_WINDOW, READ_INTERVAL, following_limit, read_unsent
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.rig import CYCLE, Rig
@@ -249,27 +250,34 @@ def test_where_the_limit_comes_from(setting: float | None, window: int, expected
 # ---- what no PDO brings ----
 
 
-def watched(rig: Rig) -> Following:
+def watched(rig: Rig, cyclic: Mapping[int, int] = CYCLIC) -> Following:
+    """The drive follows set-points, in interpolated position mode."""
+    rig.start_sync()
+    rig.run(drive.start_interpolation(rig.axis, CYCLE))
     following = Following(rig.axis)
-    following.begin(LIMIT, Mode.NO_MODE, cyclic=CYCLIC)
+    following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=cyclic)
     return following
 
 
 def test_what_is_not_sent_is_read_until_cancelled() -> None:
-    rig = Rig(Shape.STANDARD)
+    rig = Rig(Shape.SCHUNK_POWERBALL)
     following = watched(rig)
     assert following.unsent == {MODES_OF_OPERATION_DISPLAY}
     rig.bus.sent.clear()
     request_id = rig.master.run(read_unsent([following]), rig.bus.now)
     rig.bus.run(1_000 * MILLISECOND)
     requests = [time for time, frame in rig.bus.sent if frame.can_id == 0x605]
-    assert 100 < len(requests) <= 1_000 * MILLISECOND // READ_INTERVAL
+    assert len(requests) == 1_000 * MILLISECOND // CYCLE
+    rig.sync.start(MILLISECOND, rig.bus.now)
+    rig.bus.run(100 * MILLISECOND)
+    requests = [time for time, frame in rig.bus.sent if frame.can_id == 0x605 and time > rig.bus.now - 100 * MILLISECOND]
+    assert 10 < len(requests) <= 100 * MILLISECOND // READ_INTERVAL
     assert {frame.data[1:4] for _, frame in rig.bus.sent if frame.can_id == 0x605} == {b"\x61\x60\x00"}
     rig.node.drive.mode = Mode.PROFILE_POSITION
     rig.node.values.store[MODES_OF_OPERATION_DISPLAY] = 1
-    rig.bus.run(2 * READ_INTERVAL)
+    rig.bus.run(2 * CYCLE)
     (lost,) = [event for event in rig.bus.events if isinstance(event, FollowingLost)]
-    assert lost.cause == "changed its mode of operation: 0x6061 shows profile position (pp), not no mode"
+    assert lost.cause == "changed its mode of operation: 0x6061 shows profile position (pp), not interpolated position (ip)"
     rig.master.cancel(request_id, rig.bus.now)
     rig.bus.run(100 * MILLISECOND)
     rig.bus.sent.clear()
@@ -278,9 +286,10 @@ def test_what_is_not_sent_is_read_until_cancelled() -> None:
 
 
 def test_a_drive_that_cannot_be_asked_is_lost() -> None:
-    rig = Rig(Shape.STANDARD)
-    watched_drive = watched(rig)
-    rig.master.run(read_unsent([watched_drive]), rig.bus.now)
+    rig = Rig(Shape.SCHUNK_POWERBALL)
+    following = watched(rig, cyclic={})
+    following.unsent = {MODES_OF_OPERATION_DISPLAY}
+    rig.master.run(read_unsent([following]), rig.bus.now)
     rig.bus.run(100 * MILLISECOND)
     rig.node.execute(NmtCommand.STOP, rig.bus.now)
     rig.bus.run(5_000 * MILLISECOND)
@@ -296,15 +305,15 @@ def test_what_a_drive_does_not_have_is_left_out() -> None:
     following = Following(Axis(node))
     following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=CYCLIC)
     following.unsent = {0x6069_00}
+    rig.start_sync()
     rig.run(read_unsent([following]))
     assert not following.unsent
     assert following.is_on
 
 
 def test_nothing_to_read_is_nothing_to_do() -> None:
-    rig = Rig(Shape.STANDARD)
-    following = Following(rig.axis)
-    following.begin(LIMIT, Mode.NO_MODE, cyclic={**CYCLIC, MODES_OF_OPERATION_DISPLAY: 1})
+    rig = Rig(Shape.SCHUNK_POWERBALL)
+    following = watched(rig, cyclic={**CYCLIC, MODES_OF_OPERATION_DISPLAY: 1})
     rig.bus.sent.clear()
     rig.run(read_unsent([following]))
     assert not rig.bus.sent

@@ -15,34 +15,41 @@ command.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, TypeVar
 
 import trio
 
 from canopen_master.device import Device
 from canopen_master.errors import NOT_HEARD, NodeSilent
-from canopen_master.joint_procedures import awake
+from canopen_master.joint_procedures import awake, follow, quietly, stop
 from canopen_master.master import Master
 from canopen_master.silence import missing_frame
 from canopen_proto.cia402.axis import AxisSettings
+from canopen_proto.cia402.following import FollowingLost
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
-from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, RequestId, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import define_pdo
+from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
+from canopen_proto.procedures.following import read_unsent
 from canopen_proto.procedures.identity import identify
 from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+
+T = TypeVar("T")
 
 COUNTS: Final = AxisSettings(counts_per_unit=1.0)
 """Positions as they are on the wire: integers, millidegrees for the manual's arm."""
 
 SILENT_SYNCS: Final = 10
-"""A drive that answered SYNC by its PDO, and now has not for so many of them, is gone."""
+"""A drive that answered SYNC by its PDO, and now has not for so many of them, is gone. More than in a chain: here the user's loop
+keeps the time, and his threads may hold up the one that hears the drive."""
 
 STATUSWORD: Final = "0x6041"
 _SYNC_TIME_OUT: Final = "0x200E"
@@ -62,13 +69,18 @@ class DirectDrive:
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
         self._may_wait = False  # a set-point, in the drive, for a SYNC
-        self._unanswered = -1  # SYNCs since its last PDO; -1: it has sent none so far
+        self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
+        self._cyclic: dict[int, int] = {}  # the same by mux, of those that came
+        self._lost: FollowingLost | None = None  # why it follows no more, for the next send_position
+        self._reading: RequestId | None = None  # the procedure that asks for what no PDO brings
         descriptions = {each.name: each for each in self.node.dictionary.pdos}
         if rpdo in descriptions:
             self._use(descriptions[rpdo], descriptions[rpdo].number)
         if tpdo in descriptions and not self.node.remote.tpdos:
-            self.node.remote.add_pdo(descriptions[tpdo], master.now())
-        master.watch((PdoReceived,), self._on_pdo, master.bus(self.node.bus), self.node.node_id)
+            self._every[self.node.remote.add_pdo(descriptions[tpdo], master.now()).number] = 1
+        bus = master.bus(self.node.bus)
+        master.watch((PdoReceived,), self._on_pdo, bus, self.node.node_id)
+        master.watch((FollowingLost,), self._on_lost, bus, self.node.node_id)
 
     # ---- sequences ----
 
@@ -83,19 +95,19 @@ class DirectDrive:
         if state is State.OPERATION_ENABLED:
             await self._run(identify(self.axis))
         else:
-            self._is_following = False
+            self._end_following()
         await self._run(drive.change_state(self.axis, state))
         await self._run(self._replace_waiting())
 
     async def home(self) -> None:
         """Home it, in the way that it has: see `identify`."""
-        self._is_following = False
+        self._end_following()
         await self._run(identify(self.axis))
         await self._run(drive.home(self.axis))
 
     async def set_mode(self, mode: int) -> None:
         """Select a mode of operation."""
-        self._is_following = False
+        self._end_following()
         await self._run(drive.set_mode(self.axis, mode))
 
     async def follow(self) -> None:
@@ -104,13 +116,16 @@ class DirectDrive:
             raise LocalProtocolError(
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
             )
-        self._is_following = False
-        await self._run(drive.start_interpolation(self.axis, self.interval * MILLISECOND))
-        self._is_following, self._unanswered = True, min(self._unanswered, 0)
+        self._end_following()
+        limit = await self._run(follow(self._device, self.interval * MILLISECOND))
+        following = self._device.following
+        following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=self._cyclic, lag=1, silent_syncs=SILENT_SYNCS)
+        self._is_following, self._lost = True, None
+        self._reading, _ = self._master.launch(read_unsent([following]))
 
     async def halt(self) -> None:
         """Stop it, and end what is being done with it; it stays enabled."""
-        self._is_following = False
+        self._end_following()
         for scope in self._running:
             scope.cancel()
         await self._master.run(drive.halt(self.axis))
@@ -118,7 +133,7 @@ class DirectDrive:
 
     async def shut_down(self) -> None:
         """Take its power away."""
-        self._is_following = False
+        self._end_following()
         await self._run(drive.shut_down(self.axis))
         await self._run(self._replace_waiting())
 
@@ -139,7 +154,7 @@ class DirectDrive:
         number = number or description.number
         state = self.node.nmt_state
         if description.direction is Direction.RPDO:
-            self._is_following = False
+            self._end_following()
         if state is NmtState.OPERATIONAL:
             await self._master.nmt_enter_pre_operational(self.node.node_id, bus=self.node.bus)
         try:
@@ -149,49 +164,75 @@ class DirectDrive:
                 await self._master.nmt_start(self.node.node_id, bus=self.node.bus)
             if description.direction is Direction.RPDO and number is not None:
                 self.node.remote.remove_pdo(Direction.RPDO, number)  # we send it, not the SYNC
+        if description.direction is Direction.TPDO and number is not None:
+            self._every.pop(number, None)
+            if transmission_type in CYCLIC_TYPES:
+                self._every[number] = transmission_type
         self._use(description, number)
 
-    async def _run(self, procedure: Procedure[object]) -> None:
+    async def _run(self, procedure: Procedure[T]) -> T:
         """Run a sequence to its end; ProcedureError where `halt` ended it before."""
         with trio.CancelScope() as scope:
             self._running.add(scope)
             try:
-                await self._master.run(procedure)
+                return await self._master.run(procedure)
             finally:
                 self._running.remove(scope)
-        if scope.cancelled_caught:
-            raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
+        raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
 
     # ---- set-points ----
 
     async def send_position(self, position: int) -> None:
         """Send the rPDO with this set-point now. Raises where the drive would not follow it; see Session.send_pos."""
-        if self.node.remote.rpdo_of(0x60C1, 1) is not None:
-            self.axis.set_position_counts(position)  # a joint of a chain: the master's next cycle takes it along
+        chain = next((each for each in self._master.chains if self._device in each.devices), None)
+        if chain is not None and self.node.remote.rpdo_of(0x60C1, 1) is not None:
+            chain.require_following()
+            self.axis.set_position_counts(position)  # the master's next cycle takes it along
             return
+        lost, self._lost = self._lost, None
+        if lost is not None:
+            raise await self._why(lost)
         node_id = self.node.node_id
         if not self._is_following:
             raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
-        if self.axis.has_fault or self.axis.state is not State.OPERATION_ENABLED:
-            self._is_following = False
-            raise await self._master.run(_why_it_left(self._device))
-        if self._unanswered > SILENT_SYNCS:
-            self._is_following = False
-            failed = f"node {node_id} sent no PDO after the last {self._unanswered} SYNCs"
-            cause, tries = "its power is off, its cable is loose, or it was stopped", ("look at the drive and its cable",)
-            network = self._master.bus(self.node.bus).network
-            known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)
-            raise NodeSilent(NOT_HEARD, node_id, self.node.bus, failed, **known._asdict())
         self.axis.set_position_counts(position)
         await self._master.run(self._send())
 
     def on_sync(self) -> None:
         """A SYNC was sent."""
         self._may_wait = False
-        if self._unanswered >= 0:
-            self._unanswered += 1
 
     # ---- inside ----
+
+    def _end_following(self) -> None:
+        self._is_following = False
+        self._device.following.end()
+        reading, self._reading = self._reading, None
+        if reading is not None:
+            self._master.take_back(reading)
+
+    def _on_lost(self, report: FollowingLost) -> None:
+        """It does not do what its set-points say: stop it. The next send_position says why."""
+        if self._is_following and not self._master.is_closed:
+            self._end_following()
+            self._lost = report
+            self._master.launch(quietly(self._device, self._stop()))
+
+    def _stop(self) -> Procedure[None]:
+        yield from stop(self._device)
+        yield from self._replace_waiting()
+
+    async def _why(self, lost: FollowingLost) -> Exception:
+        """What to raise for it."""
+        if self._device.has_fault:
+            return await self._master.run(drive.fault_of(self.axis, "while it followed set-points"))
+        failed = f"drive {self.node.node_id} {lost.cause}"
+        if not lost.is_silent:
+            return ProcedureError(f"{failed}; {self._device.describe()}")
+        cause, tries = "its power is off, its cable is loose, or it was stopped", ("look at the drive and its cable",)
+        network = self._master.bus(self.node.bus).network
+        known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)
+        return NodeSilent(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())
 
     def _use(self, description: PdoDescription, number: int | None) -> None:
         mapping = Mapping.from_description(description)
@@ -224,11 +265,8 @@ class DirectDrive:
                     raise
 
     def _on_pdo(self, report: PdoReceived) -> None:
-        self._unanswered = 0
-
-
-def _why_it_left(device: Device) -> Procedure[ProcedureError]:
-    """What to say of a drive that should follow and does not."""
-    if device.has_fault:
-        return (yield from drive.fault_of(device.axis, "while it followed set-points"))
-    return ProcedureError(f"drive {device.node.node_id} left Operation enabled while it followed set-points: {device.describe()}")
+        every = self._every.get(report.number)
+        if every is not None and not self._cyclic.keys() >= set(report.mapping.muxes):
+            self._cyclic = {**self._cyclic, **dict.fromkeys(report.mapping.muxes, every)}
+            if self._is_following:
+                self._device.following.expect(self._cyclic)

@@ -224,9 +224,9 @@ class Session:
         """Send the rPDO with this set-point; the drive takes it at the next SYNC and is there one interval later.
 
         Absolute, in millidegrees (what the drive counts in). The rPDO also bears the controlword that was commanded last. Raises
-        LocalProtocolError before enable_ip_mode, DriveFault and ProcedureError for a drive that has left Operation enabled,
-        NodeSilent for one whose PDOs no longer come. Where the drive is a joint of a chain that follows set-points, the master's
-        next cycle sends it.
+        LocalProtocolError before enable_ip_mode. A drive that does not follow is halted, and told by the next call: DriveFault in
+        fault, NodeSilent if its PDOs no longer come, else ProcedureError with the reason, as a chain finds it. Where the drive is
+        a joint of a chain, the master's next cycle sends it; raises ChainFault and ChainHalted as the chain does.
         """
 
         async def send(master: Master) -> None:
