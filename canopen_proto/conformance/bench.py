@@ -11,14 +11,17 @@ What a device does at its inputs no bus can bring about. Where a case needs that
 runs the test; without one, these cases check what is left.
 
 Times: a device has ANSWER_TIME for an answer, BOOT_TIME for a restart, REACTION_TIME for what has no answer. Periods may be
-wrong by PERIOD_TOLERANCE. The standard gives no figures; these are those of a patient master."""
+wrong by PERIOD_TOLERANCE on average. The standard gives no figures; these are those of a patient master.
+
+Our own process may be late too, on a loaded computer. All waiting goes through `Bench.sleep` and `Bench.next_frame`, which
+measure that (`lateness`), and a case that fails by its timing meanwhile has not failed (`Case.run`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias
 
-from canopen_proto.conformance.case import Violation, does_not_apply, expect, expect_equal
+from canopen_proto.conformance.case import LateOrEarly, Notes, Violation, does_not_apply, expect, expect_equal
 from canopen_proto.conformance.probe import FrameHeard, RawProbe
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -38,7 +41,17 @@ from canopen_proto.frame import (
 from canopen_proto.machine import MILLISECOND, SECOND, Time, check_node_id
 from canopen_proto.network import Network
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
-from canopen_proto.procedures.steps import Procedure, SdoFailed, act, current_time, download, sleep, upload, wait_for_event
+from canopen_proto.procedures.steps import (
+    Procedure,
+    SdoFailed,
+    StepTimeout,
+    act,
+    current_time,
+    download,
+    sleep,
+    upload,
+    wait_for_event,
+)
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import SdoClient
 
@@ -46,6 +59,14 @@ ANSWER_TIME: Final = 1 * SECOND
 BOOT_TIME: Final = 5 * SECOND
 REACTION_TIME: Final = 100 * MILLISECOND
 PERIOD_TOLERANCE: Final = 0.1
+
+SLICE: Final = 50 * MILLISECOND
+"""Waiting is cut into slices of this length, to see how late our process is."""
+LATE: Final = 20 * MILLISECOND
+"""A process that is later than this has no right to call others late: a fifth of the shortest period that is measured."""
+
+SYNC_PRODUCER: Final = 1 << 30
+"""Of 0x1005: the device sends SYNC."""
 
 SUPERVISION_PERIOD: Final = 100 * MILLISECOND
 """The heartbeat by which the bench sees the device's NMT state."""
@@ -55,7 +76,11 @@ Stimulus: TypeAlias = Callable[[Variable, Time], None]
 
 
 class Bench:
-    """See this module's text. node_id, dictionary, description: of the device. probe, sdo, nmt: what it is asked with."""
+    """See this module's text.
+
+    node_id, dictionary, description: of the device. probe, sdo, nmt: what it is asked with. notes: what the case under way has
+    found. lateness: in ns, the latest that our own process was since it began.
+    """
 
     def __init__(
         self,
@@ -65,20 +90,34 @@ class Bench:
         *,
         description: DeviceDescription | None = None,
         stimulus: Stimulus | None = None,
+        strict: bool = False,
     ) -> None:
         """network: on the device's bus; nobody else should use the device's SDO channel meanwhile. node_id: 1..127.
 
         description: the device's file, of which the dictionary is; None where there is no file, and so none to be checked.
+        strict: ask for more than CiA's own tool does.
         """
         self.node_id = check_node_id(node_id)
         self.dictionary = dictionary
         self.description = description
         self.stimulus = stimulus
+        self.notes = Notes(strict=strict)
+        self.lateness: Time = 0
         self.probe = RawProbe(network.out)
         self.sdo = SdoClient(network.out, node_id, timeout=ANSWER_TIME)
         self.nmt = NmtMaster(network.out)
         for machine in (self.probe, self.sdo, self.nmt):
             network.attach(machine)
+
+    @property
+    def strict(self) -> bool:
+        """Whether more is asked than CiA's own tool asks."""
+        return self.notes.strict
+
+    @property
+    def was_late(self) -> bool:
+        """Whether our own process was late while the case ran."""
+        return self.lateness > LATE
 
     # ---- what is where ----
 
@@ -144,7 +183,12 @@ class Bench:
     # ---- NMT ----
 
     def reset(self, command: NmtCommand = NmtCommand.RESET_NODE) -> Procedure[None]:
-        """Reset the device, by default as after power-on, and wait for its boot-up: it is pre-operational then."""
+        """Reset the device, by default as after power-on, and have it be pre-operational, also if it starts by itself."""
+        yield from self.restart(command)
+        yield from self.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+
+    def restart(self, command: NmtCommand = NmtCommand.RESET_NODE) -> Procedure[None]:
+        """Reset the device and wait for its boot-up, nothing else."""
         self.probe.listen((self.response_key, self.error_control_key, self.emcy_key))
         yield from act(lambda now: self.nmt.send(command, self.node_id, now))
         yield from self.await_boot_up()
@@ -157,13 +201,13 @@ class Bench:
             left = begin + BOOT_TIME - (yield from current_time())
             heard = yield from self.next_frame(self.error_control_key, max(left, 0), "the boot-up frame")
             data = heard.frame.data
-        yield from sleep(REACTION_TIME)
+        yield from self.sleep(REACTION_TIME)
 
     def command(self, command: NmtCommand, node_id: int | None = None) -> Procedure[None]:
         """Send an NMT command, by default to the device, and give it time to obey."""
         target = self.node_id if node_id is None else node_id
         yield from act(lambda now: self.nmt.send(command, target, now))
-        yield from sleep(REACTION_TIME)
+        yield from self.sleep(REACTION_TIME)
 
     def supervise(self) -> Procedure[None]:
         """Make the NMT state visible: by heartbeat where the device has one, else `state` asks by guarding."""
@@ -201,17 +245,61 @@ class Bench:
         extended = frame_for_key(key, b"").flags
         yield from act(lambda now: self.probe.send(Frame(key & 0x1FFF_FFFF, b"", extended | REMOTE, dlc), now))
 
+    def sleep(self, duration: Time) -> Procedure[None]:
+        """Wait for `duration` ns, and see how late we are."""
+        due = yield from current_time()
+        end = due + duration
+        while due < end:
+            now = yield from current_time()
+            due = min(max(due, now) + SLICE, end)
+            yield from sleep(max(due - now, 0))
+            yield from self._look_at_the_clock(due)
+
+    def _look_at_the_clock(self, due: Time) -> Procedure[None]:
+        now = yield from current_time()
+        self.lateness = max(self.lateness, now - due)
+
     def next_frame(self, key: int, timeout: Time, what: str) -> Procedure[FrameHeard]:
         """The next frame with a key that the probe listens to. Raises StepTimeout that names `what`; timeout: ns."""
+        begin = yield from current_time()
         while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
-            yield from wait_for_event(self.probe, FrameHeard, timeout, what, lambda report: report.frame.key == key)
+            left = begin + timeout - (yield from current_time())
+            try:
+                yield from wait_for_event(self.probe, FrameHeard, max(left, 0), what, lambda report: report.frame.key == key)
+            except StepTimeout:
+                yield from self._look_at_the_clock(begin + timeout)
+                raise StepTimeout(f"{what} did not come within {timeout / SECOND:g} s") from None
         return heard
 
     def frames_within(self, key: int, duration: Time) -> Procedure[list[FrameHeard]]:
         """All frames with a key within the time from now on."""
         self.probe.listen_also(key)
-        yield from sleep(duration)
+        yield from self.sleep(duration)
         return self.probe.take_all(key)
+
+    def expect_period(self, key: int, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
+        """Listen for `duration` ns, and look whether frames with that key come once a period; they are returned.
+
+        Measured is the time from the first to the last; how long we listened is known less well. Raises LateOrEarly.
+        """
+        begin = yield from current_time()
+        heard = yield from self.frames_within(key, duration)
+        self.check_period(heard, begin, (yield from current_time()), period, what)
+        return heard
+
+    def check_period(self, heard: Sequence[FrameHeard], begin: Time, end: Time, period: Time, what: str) -> None:
+        """Look whether frames that were heard from `begin` to `end` came once a period. Raises LateOrEarly."""
+        wanted = f"the period is {period / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
+        seen = f"{what} came {len(heard)} times in {(end - begin) / SECOND:.3g} s"
+        if len(heard) < 2:
+            raise LateOrEarly(f"{seen}; {wanted}")
+        first, last = heard[0].at, heard[-1].at
+        average = (last - first) / (len(heard) - 1)
+        if abs(average - period) > period * PERIOD_TOLERANCE:
+            raise LateOrEarly(f"{seen}, one each {average / MILLISECOND:.1f} ms; {wanted}")
+        pause = max(first - begin, end - last)
+        if pause > 2 * period:
+            raise LateOrEarly(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
 
     def expect_silence(self, key: int, duration: Time, what: str) -> Procedure[None]:
         """Look whether no frame with that key comes within the time."""
@@ -222,7 +310,18 @@ class Bench:
     def sync(self, counter: int | None = None) -> Procedure[None]:
         """Send a SYNC, and give the device time for what follows from it."""
         yield from self.send(self.sync_key, b"" if counter is None else bytes((counter,)))
-        yield from sleep(REACTION_TIME)
+        yield from self.sleep(REACTION_TIME)
+
+    def silence_sync(self) -> Procedure[None]:
+        """Stop the SYNC of a device that produces it by default: ours is to be the only one. A reset puts that back.
+
+        By a period of 0, which any producer takes; else by bit 30 of 0x1005, as after a reset a consumer has it.
+        """
+        cob_id = yield from self.number(0x1005)
+        if not cob_id & SYNC_PRODUCER or not self.dictionary.has_index(0x1006) or not (yield from self.number(0x1006)):
+            return
+        if (yield from self.refusal_of_write(0x1006, 0, 0)) is not None:
+            yield from self.write(0x1005, 0, cob_id & ~SYNC_PRODUCER)
 
     # ---- objects by SDO ----
 

@@ -1,53 +1,121 @@
 """What a conformance case is, and how it ends.
 
-A case is a procedure that asks one thing of a device and says whether the device did as the standard demands. Its body states
-what it expects by `expect` and the like; the first expectation that is not met ends it. What can end a body:
+A case is a procedure that asks one thing of a device and says whether the device did as the standard demands. What can end its
+body:
 
-    it returns                 passed; what it returns is a remark for people, such as "101 heartbeats"
-    Violation                  failed: the device did what it must not, or did not what it must
-    any other ProcedureError   failed too: it did not answer, it refused what it has to take
+    it returns                 passed, if nothing was noted meanwhile; what it returns is told to people, such as "101 heartbeats"
+    Violation                  failed: the device did what it must not, or did not do what it must
+    any other ProcedureError   failed too: the device did not answer, or refused what it has to take
     NotApplicable              the device does not have what the case is about
 
-A body begins with a device that has just been reset and is pre-operational (`Bench.reset`); it may leave it in any state. What
-it changes, a reset of the node puts back, unless the case `stores`.
+`expect` and the like end the body at the first thing that is wrong. A body that looks at many objects uses `for_each`: it notes
+what is wrong with one of them and goes on with the next, so that all offenders stand in the verdict.
+
+Three degrees, noted in `Bench.notes`: a failure; a remark, where the standard leaves open what the device may do; and what the
+standard demands and CiA's own tool does not look at (`Notes.beyond`), which is a remark unless the test is strict.
+
+A body begins with a device that has just been reset and was then commanded to be pre-operational (`Bench.reset`): one that
+starts by itself is Operational after its boot-up. It may leave the device in any state. What it changes, a reset of the node puts
+back, unless the case `stores`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Final, NoReturn, TypeAlias, TypeVar
 
-from canopen_proto.procedures.steps import Procedure, ProcedureError
-from canopen_proto.sdo.abort import AbortCode, text_of
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
+from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 
 if TYPE_CHECKING:
     from canopen_proto.conformance.bench import Bench
 
+T = TypeVar("T")
+
+MAX_ATTEMPTS: Final = 3
+"""How many times a case is run whose failure may be due to our own lateness. One that stores is run once."""
+
 
 class Result(StrEnum):
-    """How a case can end."""
+    """How a case can end. REMARK: nothing is wrong, and somebody should look at it."""
 
     PASSED = "passed"
+    REMARK = "remark"
     FAILED = "failed"
     NOT_APPLICABLE = "not applicable"
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How a case ended. reason: why it failed or does not apply; of a passed one a remark, often empty."""
+    """How a case ended.
+
+    reason: one line about it; of a passed case what was seen, often empty. failures: everything that is wrong. remarks: all that
+    is not as usual and not wrong.
+    """
 
     result: Result
     reason: str = ""
+    failures: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 class Violation(ProcedureError):
-    """The device did what the standard forbids, or did not what it demands."""
+    """The device did what the standard forbids, or did not do what it demands."""
+
+
+class LateOrEarly(Violation):
+    """The device did something at the wrong time, or too often, or not often enough. Our own lateness may look like that."""
 
 
 class NotApplicable(ProcedureError):
     """The device does not have what the case is about."""
+
+
+class Notes:
+    """What a body has found so far. is_late: a failure among them could also be due to our own lateness."""
+
+    __slots__ = ("failures", "is_late", "remarks", "strict")
+
+    def __init__(self, *, strict: bool = False) -> None:
+        """strict: what goes beyond CiA's tool is a failure."""
+        self.strict = strict
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin with another case."""
+        self.failures: list[str] = []
+        self.remarks: list[str] = []
+        self.is_late = False
+
+    def fail(self, failure: ProcedureError) -> None:
+        """Note a failure and go on."""
+        self.failures.append(str(failure))
+        unanswered = isinstance(failure, SdoFailed) and failure.origin is AbortOrigin.TIMEOUT
+        self.is_late |= unanswered or isinstance(failure, LateOrEarly | StepTimeout)
+
+    def remark(self, text: str) -> None:
+        """Note what the standard leaves open."""
+        if text not in self.remarks:
+            self.remarks.append(text)
+
+    def beyond(self, condition: bool, otherwise: str) -> None:
+        """If the condition does not hold, note what the standard forbids and CiA's tool accepts."""
+        if not condition and self.strict:
+            self.failures.append(otherwise)
+        elif not condition:
+            self.remark(otherwise)
+
+    def verdict(self, seen: str = "") -> Verdict:
+        """What they come to. seen: what the body returned."""
+        failures, remarks = tuple(self.failures), tuple(self.remarks)
+        if failures:
+            return Verdict(Result.FAILED, _summary(failures), failures, remarks)
+        if remarks:
+            return Verdict(Result.REMARK, _summary(remarks), (), remarks)
+        return Verdict(Result.PASSED, seen)
 
 
 Body: TypeAlias = "Callable[[Bench], Procedure[str | None]]"
@@ -72,19 +140,55 @@ class Case:
     stores: bool = False
 
     def run(self, bench: Bench) -> Procedure[Verdict]:
-        """Reset the device, then ask it. Never raises a ProcedureError."""
+        """Reset the device, then ask it. Never raises a ProcedureError.
+
+        "Too late" counts only if our own process was on time: else the case is run again, and if that does not help, its verdict
+        is a remark.
+        """
         missing = [index for index in self.needs if not bench.dictionary.has_index(index)]
         if missing:
             return Verdict(Result.NOT_APPLICABLE, f"the dictionary has no object 0x{missing[0]:04X}")
+        for _ in range(1 if self.stores else MAX_ATTEMPTS):
+            verdict = yield from self._run_once(bench)
+            if not (bench.notes.is_late and bench.was_late):
+                return verdict
+        late = f"this computer was late by {bench.lateness / MILLISECOND:.0f} ms, so that the timing cannot be judged"
+        return Verdict(Result.REMARK, f"{late}: {verdict.reason}", (), (late, *verdict.failures, *verdict.remarks))
+
+    def _run_once(self, bench: Bench) -> Procedure[Verdict]:
+        notes = bench.notes
+        notes.clear()
+        bench.lateness = 0
+        seen: str | None = None
         try:
             if self.uses_device:
                 yield from bench.reset()
-            remark = yield from self.body(bench)
+            seen = yield from self.body(bench)
         except NotApplicable as reason:
-            return Verdict(Result.NOT_APPLICABLE, str(reason))
+            if not notes.failures:
+                return Verdict(Result.NOT_APPLICABLE, str(reason), (), tuple(notes.remarks))
         except ProcedureError as failure:
-            return Verdict(Result.FAILED, str(failure))
-        return Verdict(Result.PASSED, remark or "")
+            notes.fail(failure)
+        return notes.verdict(seen or "")
+
+
+def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]]) -> Procedure[int]:
+    """Look at each item, whatever is wrong with the others; how many there were. What is wrong, or refused, is noted.
+
+    A device that does not answer at all ends the case: to wait for it again and again would take minutes.
+    """
+    count = 0
+    for item in items:
+        count += 1
+        try:
+            yield from look(item)
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise
+            bench.notes.fail(failed)
+        except Violation as violation:
+            bench.notes.fail(violation)
+    return count
 
 
 def expect(condition: bool, otherwise: str) -> None:
@@ -111,6 +215,11 @@ def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: s
 def does_not_apply(reason: str) -> NoReturn:
     """End the case: the device does not have what it is about."""
     raise NotApplicable(reason)
+
+
+def _summary(lines: tuple[str, ...]) -> str:
+    """The first line, and how many follow."""
+    return lines[0] if len(lines) == 1 else f"{lines[0]} (and {len(lines) - 1} more)"
 
 
 def _shown(value: object) -> str:

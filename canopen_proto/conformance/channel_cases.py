@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from canopen_proto.conformance.bench import ANSWER_TIME, REACTION_TIME, Bench
-from canopen_proto.conformance.case import Case, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_proto.conformance.case import Case, does_not_apply, expect, expect_equal, expect_refusal, for_each
 from canopen_proto.conformance.dictionary_cases import expect_defaults
 from canopen_proto.conformance.raw_sdo import ask, initiate
 from canopen_proto.conformance.sdo_cases import DEVICE_TYPE, NO_OBJECT
@@ -32,10 +32,12 @@ _REQUEST: Final = initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0)
 
 def read_records(bench: Bench, indices: range) -> Procedure[str]:
     """The records that the device has hold their defaults, and those that it has not can't be read."""
-    for index in indices:
-        if not bench.dictionary.has_index(index):
-            code = yield from bench.refusal_of_read(index, 0)
-            expect_refusal(code, NO_OBJECT, f"reading 0x{index:04X}:00, which is not in the dictionary,")
+
+    def look(index: int) -> Procedure[None]:
+        code = yield from bench.refusal_of_read(index, 0)
+        expect_refusal(code, NO_OBJECT, f"reading 0x{index:04X}:00, which is not in the dictionary,")
+
+    yield from for_each(bench, [index for index in indices if not bench.dictionary.has_index(index)], look)
     return (yield from expect_defaults(bench, _fields(bench, indices)))
 
 

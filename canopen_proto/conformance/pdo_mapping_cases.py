@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final
 
 from canopen_proto.conformance.bench import REACTION_TIME, Bench
-from canopen_proto.conformance.case import Case, Violation, does_not_apply, expect, expect_refusal
+from canopen_proto.conformance.case import Case, Violation, does_not_apply, expect, expect_refusal, for_each
 from canopen_proto.conformance.pdo_tools import (
     INTO,
     Pdo,
@@ -25,19 +25,19 @@ from canopen_proto.conformance.pdo_tools import (
     try_mapping,
     with_writable_mapping,
 )
+from canopen_proto.conformance.sdo_cases import NOT_NOW
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.mapping import LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import COB_ID
-from canopen_proto.procedures.steps import Procedure, sleep
+from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.abort import AbortCode
 
 BOTH: Final = (Direction.RPDO, Direction.TPDO)
 OTHER: Final = {Direction.RPDO: Direction.TPDO, Direction.TPDO: Direction.RPDO}
 
-NOT_NOW: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.DEVICE_STATE, AbortCode.GENERAL_ERROR)
 NOT_MAPPABLE: Final = (AbortCode.CANNOT_BE_MAPPED, AbortCode.GENERAL_ERROR)
 TOO_LONG: Final = (
     AbortCode.CANNOT_BE_MAPPED,
@@ -55,17 +55,24 @@ def default_mappings(bench: Bench) -> Procedure[str]:
     """3.21: what a PDO carries by default is in the dictionary, may be mapped in its direction and width, and is no more than 64
     bits."""
     count = 0
-    for pdo in all_pdos(bench, *BOTH):
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        nonlocal count
         expect(bench.dictionary.get(pdo.mapping) is not None, f"{pdo} has no mapping parameter")
         yield from bench.expect_default(pdo.mapping, 0, f"after a reset, the number of objects in {pdo}")
         number = yield from bench.number(pdo.mapping)
         bits = 0
         for subindex in range(1, number + 1 if number <= MAX_ENTRIES else 1):
             entry = yield from bench.number(pdo.mapping, subindex)
-            _check_entry(bench, pdo, entry)
+            try:
+                _check_entry(bench, pdo, entry)
+            except Violation as violation:
+                bench.notes.fail(violation)
             bits += entry & 0xFF
             count += 1
         expect(bits <= MAX_BITS, f"{pdo} carries {bits} bits")
+
+    yield from for_each(bench, all_pdos(bench, *BOTH), look)
     return f"{count} entries"
 
 
@@ -100,7 +107,8 @@ def _new_entry(bench: Bench, pdo: Pdo) -> int:
 def new_mapping(bench: Bench) -> Procedure[str]:
     """3.22: a PDO takes a new mapping: made not valid, mapping disabled, written, enabled, valid again."""
     pdos = with_writable_mapping(bench, *BOTH)
-    for pdo in pdos:
+
+    def look(pdo: Pdo) -> Procedure[None]:
         yield from destroy(bench, pdo)
         entry = _new_entry(bench, pdo)
         refusal = yield from try_mapping(bench, pdo, [entry])
@@ -110,17 +118,25 @@ def new_mapping(bench: Bench) -> Procedure[str]:
             raise Violation(f"{pdo} refused a correct mapping (0x{entry:08X}) with 0x{refusal:08X}")
         yield from bench.expect_number(pdo.mapping, 0, 1, "with a new mapping")
         yield from bench.expect_number(pdo.mapping, 1, entry, "with a new mapping")
+
+    yield from for_each(bench, pdos, look)
     return f"{len(pdos)} PDOs"
 
 
 def without_procedure(bench: Bench) -> Procedure[str]:
-    """3.23: an entry can't be written while the mapping is enabled (subindex 0 is not 0)."""
+    """3.23: an entry can't be written while the mapping is enabled (subindex 0 is not 0); CiA's tool tries its own value."""
     pdos = with_writable_mapping(bench, *BOTH)
-    for pdo in pdos:
+
+    def look(pdo: Pdo) -> Procedure[None]:
         yield from destroy(bench, pdo)
         refusal = yield from bench.refusal_of_write(pdo.mapping, 1, _new_entry(bench, pdo))
         expect_refusal(refusal, NOT_NOW, f"{pdo}: an entry of an enabled mapping")
         yield from bench.expect_number(pdo.mapping, 1, bench.default(pdo.mapping, 1), f"{pdo}, after a refused write")
+        own = yield from bench.refusal_of_write(pdo.mapping, 1, bench.default(pdo.mapping, 1))
+        if own is None:
+            bench.notes.remark(f"{pdo} takes the own value of an entry of an enabled mapping; CiA's tool wants it refused")
+
+    yield from for_each(bench, pdos, look)
     return f"{len(pdos)} PDOs"
 
 
@@ -129,29 +145,36 @@ def while_valid(bench: Bench) -> Procedure[str]:
     pdos = [pdo for pdo in with_writable_mapping(bench, *BOTH) if not bench.default(pdo.communication, COB_ID) & COB_ID_INVALID]
     if not pdos:
         does_not_apply("no PDO is valid by default")
-    for pdo in pdos:
+
+    def look(pdo: Pdo) -> Procedure[None]:
         refusal = yield from bench.refusal_of_write(pdo.mapping, 0, 0)
         if refusal is None:
             refusal = yield from try_entries(bench, pdo, [_new_entry(bench, pdo)])
         expect_refusal(refusal, NOT_NOW, f"a new mapping of {pdo}, which is valid,")
+
+    yield from for_each(bench, pdos, look)
     return f"{len(pdos)} PDOs"
 
 
 def too_many(bench: Bench) -> Procedure[str]:
     """3.25: no PDO has more than 64 entries."""
     pdos = with_writable_mapping(bench, *BOTH)
-    for pdo in pdos:
+
+    def look(pdo: Pdo) -> Procedure[None]:
         yield from destroy(bench, pdo)
         yield from bench.write(pdo.mapping, 0, 0)
         refusal = yield from bench.refusal_of_write(pdo.mapping, 0, MAX_ENTRIES + 1)
         expect_refusal(refusal, TOO_MANY, f"{MAX_ENTRIES + 1} objects in {pdo}")
+
+    yield from for_each(bench, pdos, look)
     return f"{len(pdos)} PDOs"
 
 
 def too_long(bench: Bench) -> Procedure[str]:
     """3.26: objects of more than 64 bits together; where the entries do not suffice for that, one that says so many."""
     pdos = with_writable_mapping(bench, *BOTH)
-    for pdo in pdos:
+
+    def look(pdo: Pdo) -> Procedure[None]:
         widest = max(_candidates(bench, pdo.direction), key=lambda variable: variable.bit_length or 0)
         entry = entry_of(widest)
         count = MAX_BITS // (entry & 0xFF) + 1
@@ -161,6 +184,8 @@ def too_long(bench: Bench) -> Procedure[str]:
         yield from destroy(bench, pdo)
         refusal = yield from try_mapping(bench, pdo, entries)
         expect_refusal(refusal, TOO_LONG, f"{sum(each & 0xFF for each in entries)} bits in {pdo}")
+
+    yield from for_each(bench, pdos, look)
     return f"{len(pdos)} PDOs"
 
 
@@ -169,7 +194,8 @@ def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: 
     if not found:
         does_not_apply("the dictionary has no such object")
     pdos, variable = with_writable_mapping(bench, direction), found[0]
-    for pdo in pdos:
+
+    def look(pdo: Pdo) -> Procedure[None]:
         yield from destroy(bench, pdo)
         refusal = yield from try_mapping(bench, pdo, [entry_of(variable)])
         what = f"{variable.label}, {variable.access}, in {pdo}"
@@ -177,6 +203,8 @@ def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: 
             expect_refusal(refusal, valid, what)
         elif refusal is not None:
             raise Violation(f"{what} was refused with 0x{refusal:08X}")
+
+    yield from for_each(bench, pdos, look)
     return f"{variable.label} in {len(pdos)} PDOs"
 
 
@@ -212,7 +240,7 @@ def map_dummy(bench: Bench) -> Procedure[str]:
     yield from create(bench, pdo)
     yield from bench.command(NmtCommand.START)
     yield from bench.send(key_of(bench, pdo), b"\xff\xff\x01\x00")
-    yield from sleep(REACTION_TIME)
+    yield from bench.sleep(REACTION_TIME)
     yield from bench.expect_number(variable.index, variable.subindex, 1, f"after a {pdo} with a dummy object")
     return str(pdo)
 

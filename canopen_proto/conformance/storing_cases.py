@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from canopen_proto.conformance.bench import Bench
-from canopen_proto.conformance.case import Body, Case, Violation, does_not_apply, expect_equal, expect_refusal
+from canopen_proto.conformance.case import Body, Case, Violation, does_not_apply, expect_equal, expect_refusal, for_each
 from canopen_proto.conformance.sdo_cases import ANY_TIME, settings, takes_any_time
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Variable
@@ -157,16 +157,21 @@ def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
 def restricted_can_ids(bench: Bench) -> Procedure[str]:
     """8.10: no communication object takes a CAN-ID that the standard keeps for others. The lowest and the highest of each
     range."""
-    found = _cob_ids(bench)
-    for variable, inactive, flags in found:
+
+    def look(cob_id: tuple[Variable, int, int]) -> Procedure[None]:
+        variable, inactive, flags = cob_id
         place = variable.index, variable.subindex
+
+        def attempt(can_id: int) -> Procedure[None]:
+            refusal = yield from bench.refusal_of_write(*place, flags | can_id)
+            expect_refusal(refusal, NO_CAN_ID, f"the restricted CAN-ID 0x{can_id:03X} in {variable.label}")
+
         yield from bench.write(*place, inactive)
-        for restricted in RESTRICTED_CAN_IDS:
-            for can_id in (restricted[0], restricted[-1]):
-                refusal = yield from bench.refusal_of_write(*place, flags | can_id)
-                expect_refusal(refusal, NO_CAN_ID, f"the restricted CAN-ID 0x{can_id:03X} in {variable.label}")
+        yield from for_each(bench, [can_id for each in RESTRICTED_CAN_IDS for can_id in (each[0], each[-1])], attempt)
         expect_equal((yield from bench.number(*place)), inactive, f"{variable.label}, after refused writes,")
-    return f"{len(found)} objects"
+
+    count = yield from for_each(bench, _cob_ids(bench), look)
+    return f"{count} objects"
 
 
 _RESTORING: Final = (RESTORE, STORE)
