@@ -27,6 +27,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event, Outbox, Time
 from canopen_proto.nmt import NmtState, NmtStateChanged
 from tests.master.cli_support import Outcome, Run, runner
+from tests.proto.faulty_nodes import SelfStarting
 from tests.proto.full_device import full_device
 
 SAMPLE = "sample_io.eds"
@@ -51,9 +52,10 @@ class World:
         self.dictionary: ObjectDictionary = load_description(SAMPLE).dictionary
         self.task: Callable[[], Awaitable[None]] | None = None
         self.states: list[NmtState] = []
+        self.made_by: type[LocalNode] = HardOfHearing
 
     def make(self, out: Outbox) -> LocalNode:
-        self.node = HardOfHearing(out, 5, self.dictionary)
+        self.node = self.made_by(out, 5, self.dictionary)
         return self.node
 
     def on_event(self, event: Event) -> None:
@@ -110,7 +112,7 @@ def test_a_file_with_a_mistake(run: Run) -> None:
     assert "0 passed, 1 failed, 0 not applicable (1.0)" in outcome.err
     assert "canopen eds lint faulty.eds" in outcome.err
     assert ElementTree.parse("report.xml").getroot().get("failures") == "1"
-    assert run("check", "faulty.eds", "--json").json["counts"] == {"passed": 0, "failed": 1, "not applicable": 0}
+    assert run("check", "faulty.eds", "--json").json["counts"] == {"passed": 0, "remark": 0, "failed": 1, "not applicable": 0}
 
 
 def test_files_that_are_none(run: Run) -> None:
@@ -188,7 +190,7 @@ def test_a_sound_device_passes_all(run: Run, world: World) -> None:
     outcome = run("check", *NODE, "--yes", "--json")
     assert outcome.status == 0
     report = outcome.json
-    assert report["counts"] == {"passed": 76, "failed": 0, "not applicable": 39}
+    assert report["counts"] == {"passed": 74, "remark": 0, "failed": 0, "not applicable": 41}
     assert (report["node"], report["file"], report["left_out"], report["not_run"]) == (5, SAMPLE, STORING, 0)
     assert numbers_in(outcome) == [case.number for case in CASES if case.number not in STORING]
     assert 10 < sum(each["seconds"] for each in report["cases"]) < 100
@@ -211,6 +213,40 @@ def test_a_device_that_is_another_than_its_file_says(run: Run, world: World) -> 
     assert "read expedited, is 91 01 07 00, not 92 01 07 00" in outcome.out
     assert "1 passed, 2 failed, 0 not applicable (2.1, 4.2)" in outcome.err
     assert "eds lint" not in outcome.err
+
+
+def test_all_offenders_are_listed(run: Run, world: World) -> None:
+    text = read_file(SAMPLE).replace(b"DefaultValue=0x00070191", b"DefaultValue=0x00070192").replace(b"=500", b"=501")
+    Path("other.eds").write_bytes(text)
+    arguments = (*NODE[:-1], "other.eds", "--yes", *cases("4.2"))
+    outcome = run("check", *arguments, "--junit", "report.xml")
+    assert outcome.status == ExitCode.DIFFERENT
+    listed = outcome.out.partition("4.2, failures:\n")[2].splitlines()
+    assert [line.split()[0] for line in listed] == ["device_type", "producer_heartbeat_time"]
+    failure = ElementTree.parse("report.xml").getroot().find(".//failure")
+    assert failure is not None
+    assert failure.get("message", "").endswith("(and 1 more)")
+    assert len((failure.text or "").splitlines()) == 2
+    (case,) = run("check", *arguments, "--json").json["cases"]
+    assert [line.strip() for line in listed] == case["failures"]
+    assert case["remarks"] == []
+
+
+def test_a_remark_is_no_failure_unless_strict(run: Run, world: World) -> None:
+    """The device starts by itself."""
+    world.made_by = SelfStarting
+    arguments = (*NODE, "--yes", *cases("9.2", "10.2"))
+    outcome = run("check", *arguments, "--junit", "report.xml")
+    assert outcome.status == 0
+    assert "node 5 (0x05): 1 passed, 1 remark, 0 failed" in outcome.err
+    assert "after boot-up, the device is OPERATIONAL: it starts by itself" in outcome.out
+    root = ElementTree.parse("report.xml").getroot()
+    assert (root.get("failures"), root.get("skipped")) == ("0", "0")
+    assert "it starts by itself" in (root.findtext(".//system-out") or "")
+    first, _ = run("check", *arguments, "--json").json["cases"]
+    assert (first["result"], first["failures"]) == ("remark", [])
+    assert len(first["remarks"]) == 1
+    assert run("check", *arguments, "--strict").status == ExitCode.DIFFERENT
 
 
 def test_a_file_of_another_node_is_none(run: Run) -> None:
@@ -242,7 +278,7 @@ def test_the_time_of_an_answer_is_that_of_the_option(run: Run, world: World) -> 
     for limit, seconds in (("100ms", 0.1), ("3s", 3)):
         outcome = run("check", *NODE, "--yes", "--timeout", limit, "--json", *cases("4.1"))
         (case,) = outcome.json["cases"]
-        assert case["seconds"] == pytest.approx(0.1 + seconds)  # behind the reset
+        assert case["seconds"] == pytest.approx(0.2 + seconds)  # behind the reset
         assert "node 5 did not answer" in case["reason"]
 
 

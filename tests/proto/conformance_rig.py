@@ -96,11 +96,12 @@ class Site:
         description: DeviceDescription | None = None,
         stimulus: bool = True,
         strict: bool = False,
+        master: Network | None = None,
     ) -> None:
         self.bus = Bus()
         fault = fault or Fault("none")
         truth = truth or (full_device() if description is None else description.dictionary)
-        self.master = self.bus.attach(Network())
+        self.master = self.bus.attach(master or Network())
         self.device = self.bus.attach(Wire(fault))
         self.node = fault.node(self.device.out, NODE_ID, fault.dictionary or truth)
         self.device.attach(self.node)

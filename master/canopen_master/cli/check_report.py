@@ -1,13 +1,13 @@
 """What `canopen check` tells: a table for people, JSON and JUnit's XML for programs.
 
 JUnit: a test suite for each chapter of the cases, a test case for each case; what failed is a failure, what does not apply or was
-left out is skipped. Times are those of the bus: seconds from the reset before a case to its verdict.
+left out is skipped; remarks are its output. Times are those of the bus: seconds from the reset before a case to its verdict.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any, Final
@@ -22,7 +22,7 @@ PACKAGE: Final = "canopen.conformance"
 """Where all test cases belong, so that CI groups them."""
 LEFT_OUT: Final = "it changes what the device stores (--storing)"
 
-_STYLES: Final = {Result.PASSED: "green", Result.FAILED: "bold red", Result.NOT_APPLICABLE: "dim"}
+_STYLES: Final = {Result.PASSED: "green", Result.REMARK: "yellow", Result.FAILED: "bold red", Result.NOT_APPLICABLE: "dim"}
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,16 @@ class Report:
         return node_text(self.node_id) if self.node_id is not None else self.file
 
     def show(self, screen: Screen) -> None:
-        """A row for each case that was run, and a line about all; or JSON."""
+        """A row for each case that was run, all offenders of those that have several, and a line about all; or JSON."""
         if screen.json_output:
             screen.json(self._as_json())
             return
-        columns = ("case", "", "verdict", "remark")
+        columns = ("case", "", "verdict", "what was seen")
         screen.table(columns, [_row(each) for each in self.runs])
+        for each in self.runs:
+            _list_offenders(screen, each)
         failed = [each.case.number for each in self.runs if each.verdict.result is Result.FAILED]
-        text = f"{escape(self.subject)}: " + ", ".join(f"{self.counts[result]} {result}" for result in Result)
+        text = f"{escape(self.subject)}: " + ", ".join(self._counted())
         if failed:
             text += f" ({', '.join(failed)})"
         screen.say(f"{text}; {self.seconds:.1f} s" if self.node_id is not None else text)
@@ -78,6 +80,14 @@ class Report:
             screen.say(f"left out, as they change what the device stores: {numbers}. --storing runs them too")
         if self.file and any(each.case.number == "1.0" and each.verdict.result is Result.FAILED for each in self.runs):
             screen.say(f"all that is wrong with the file: canopen eds lint {escape(self.file)}")
+
+    def _counted(self) -> Iterator[str]:
+        for result in Result:
+            count = self.counts[result]
+            if result is not Result.REMARK:
+                yield f"{count} {result}"
+            elif count:
+                yield f"{count} remark{'' if count == 1 else 's'}"
 
     def _as_json(self) -> dict[str, Any]:
         return {
@@ -91,6 +101,8 @@ class Report:
                     "title": each.case.title,
                     "result": str(each.verdict.result),
                     "reason": each.verdict.reason,
+                    "failures": list(each.verdict.failures),
+                    "remarks": list(each.verdict.remarks),
                     "seconds": round(each.seconds, 6),
                 }
                 for each in self.runs
@@ -103,6 +115,15 @@ class Report:
 def _row(each: CaseRun) -> tuple[str, ...]:
     result = each.verdict.result
     return each.case.number, each.case.title, f"[{_STYLES[result]}]{result}[/]", escape(each.verdict.reason)
+
+
+def _list_offenders(screen: Screen, each: CaseRun) -> None:
+    """All of them, unless the table has the only one."""
+    for what, lines in (("failures", each.verdict.failures), ("remarks", each.verdict.remarks)):
+        if len(lines) > 1 or (lines and lines[0] != each.verdict.reason):
+            screen.out.print(f"\n{each.case.number}, {what}:")
+            for line in lines:
+                screen.out.print(f"  {escape(line)}")
 
 
 def list_cases(screen: Screen, cases: Sequence[Case]) -> None:
@@ -158,14 +179,17 @@ def _test_case(chapter: str, case: Case, each: CaseRun | None) -> ElementTree.El
         "time": f"{0.0 if each is None else each.seconds:.3f}",
     }
     element = ElementTree.Element("testcase", attributes)
-    reason = LEFT_OUT if each is None else clean(each.verdict.reason)
-    result = Result.NOT_APPLICABLE if each is None else each.verdict.result
-    if result is Result.FAILED:
-        ElementTree.SubElement(element, "failure", {"message": reason, "type": "Violation"})
-    elif result is Result.NOT_APPLICABLE:
+    verdict = Verdict(Result.NOT_APPLICABLE, LEFT_OUT) if each is None else each.verdict
+    reason = clean(verdict.reason)
+    seen = [reason] if reason and verdict.result is Result.PASSED else map(clean, verdict.remarks)
+    if verdict.result is Result.FAILED:
+        failure = ElementTree.SubElement(element, "failure", {"message": reason, "type": "Violation"})
+        failure.text = "\n".join(map(clean, verdict.failures))
+    elif verdict.result is Result.NOT_APPLICABLE:
         ElementTree.SubElement(element, "skipped", {"message": reason})
-    elif reason:
-        ElementTree.SubElement(element, "system-out").text = reason
+    text = "\n".join(seen)
+    if text:
+        ElementTree.SubElement(element, "system-out").text = text
     return element
 
 
