@@ -171,9 +171,11 @@ class Bus:
     # --- inside
 
     def _drain(self, machine: Machine | Network) -> tuple[list[Frame], list[Event]]:
+        out = machine.out
+        if not (out.frames or out.events):
+            return [], []
         if isinstance(machine, Network):
             return machine.drain(self.now)
-        out = machine.out
         frames, events = out.frames[:], out.events[:]
         out.frames.clear()
         out.events.clear()
