@@ -391,10 +391,11 @@ class Drive(Machine):
         return self.state is State.OPERATION_ENABLED and self._after_stop is None
 
     def _has_mode(self, mode: int) -> bool:
-        """Whether a mode can be chosen: "no mode" always, the Schunk homes although its 6502h says nothing of it."""
+        """Whether a mode can be chosen: "no mode" always; without 6502h, each; the Schunk homes though its 6502h does not say so."""
         if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
             return True
-        return mode in self._modes and supported(self._servo.parameter(objects.SUPPORTED_DRIVE_MODES), mode)
+        known = self._servo.store.get(objects.SUPPORTED_DRIVE_MODES)
+        return mode in self._modes and (not isinstance(known, int) or supported(known, mode))
 
     def _select_mode(self) -> None:
         """Take the mode of 6060h. One that it lacks (an RPDO can bring it) changes nothing: 6061h shows what is active."""

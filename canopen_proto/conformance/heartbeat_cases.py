@@ -125,7 +125,7 @@ def monitor_in_time(bench: Bench) -> Procedure[str]:
 def check_not_early(after: Time, time: Time, what: str) -> None:
     """Look whether something that is due after a time did not come much earlier. Raises LateOrEarly."""
     if after < time * (1 - PERIOD_TOLERANCE):
-        wanted = f"the time is {time / MILLISECOND:g} ms \N{PLUS-MINUS SIGN} {PERIOD_TOLERANCE:.0%}"
+        wanted = f"the time is {time / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
         raise LateOrEarly(f"{what} after {after / MILLISECOND:.0f} ms; {wanted}")
 
 

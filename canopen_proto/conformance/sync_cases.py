@@ -143,6 +143,8 @@ def overflow_while_running(bench: Bench) -> Procedure[None]:
 
 def kept_counter(bench: Bench) -> Procedure[None]:
     """6.8: the counter overflow value survives a reset when it was saved."""
+    yield from produce(bench)  # if it can: nothing was stored yet
+    yield from bench.reset()
     yield from bench.silence_sync()
     yield from keep(bench, [(OVERFLOW, 0, 5)])
     yield from produce(bench)

@@ -107,8 +107,9 @@ def test_supported_modes_of_zero_are_filled_in() -> None:
     assert dictionary.variable(0x6502).default == 0xE5
 
 
-def test_the_drive_runs_behind_it() -> None:
-    dictionary, _ = drive_dictionary_of(ObjectDictionary(BASE), Shape.STANDARD)
+@pytest.mark.parametrize("base", [BASE, BASE[:-1]], ids=["", "without 6502h"])
+def test_the_drive_runs_behind_it(base: list[Object]) -> None:
+    dictionary, _ = drive_dictionary_of(ObjectDictionary(base), Shape.STANDARD)
     bench = DeviceBench(dictionary, make=lambda out, node_id, described: DriveNode(out, node_id, DriveSettings(), described))
     bench.tell(START)
     for command, state in ((6, 0x21), (7, 0x23), (15, 0x27)):
