@@ -104,6 +104,10 @@ class AxisSettings:
         highest = math.inf if self.max_position is None else self.max_position
         if not lowest < highest:
             raise LocalProtocolError(f"min_position must be below max_position; they are {lowest!r} and {highest!r}")
+        if self.following_error_limit is not None and not self.following_error_limit > 0:
+            raise LocalProtocolError(
+                f"following_error_limit must be above 0, math.inf for none; it is {self.following_error_limit!r}"
+            )
         if self.max_speed is not None and not self.max_speed > 0:
             raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
 

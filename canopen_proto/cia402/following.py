@@ -32,9 +32,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.limits import Limit
 from canopen_proto.cia402.modes import ModeStatus, mode_name
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, STATUSWORD
 from canopen_proto.cia402.states import State, StatusBit
@@ -54,13 +55,6 @@ _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
 _NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
 _NAMES: Final = {STATUSWORD: "statusword", MODES_OF_OPERATION_DISPLAY: "mode (0x6061)", POSITION_ACTUAL_VALUE: "position"}
-
-
-class FollowingLimit(NamedTuple):
-    """How far off its set-points a drive may be. value: in the user's unit; source: who says so, for people."""
-
-    value: float
-    source: str
 
 
 @event
@@ -103,7 +97,7 @@ class Following:
         self._axis = axis
         self._is_on = False
         self._mode = 0
-        self._limit = FollowingLimit(0.0, "")
+        self._limit = Limit(0.0, "")
         self._lag = LAG
         self._points: deque[float] = deque()
         self._cyclic: Mapping[int, int] = {}
@@ -129,7 +123,7 @@ class Following:
 
     def begin(
         self,
-        limit: FollowingLimit,
+        limit: Limit,
         mode: int,
         *,
         cyclic: Mapping[int, int],
@@ -138,8 +132,9 @@ class Following:
     ) -> None:
         """Watch the drive from now on. It must follow set-points already (bit 12), and stand at the present one.
 
-        limit: of the following error. mode: of operation, which 0x6061 has to show. cyclic: as for `expect`. lag: SYNCs from
-        sending a set-point to being there. silent_syncs: SYNCs in a row that the drive may leave unanswered, but for the last.
+        limit: of the following error, in the user's unit. mode: of operation, which 0x6061 has to show. cyclic: as for `expect`.
+        lag: SYNCs from sending a set-point to being there. silent_syncs: SYNCs in a row that the drive may leave unanswered, but
+        for the last.
         """
         self._limit, self._mode, self._lag = limit, mode, lag
         self._silent_syncs = silent_syncs
@@ -196,7 +191,7 @@ class Following:
         if axis.state is not State.OPERATION_ENABLED:
             self.lose(f"left operation enabled by itself: {axis.state}")
         elif not word & _FOLLOWS:
-            self.lose("no longer follows its set-points: bit 12 of its statusword is 0")
+            self.lose("no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)")
         elif news & ModeStatus.FOLLOWING_ERROR:
             self.lose("reports a following error: bit 13 of its statusword is 1")
         elif is_limited and self._was_limited:
@@ -212,7 +207,7 @@ class Following:
         if off > limit.value:
             self.lose(
                 f"is {off:.4g} off its path: it is at {position:.4g} and should be at {points[-1 - self._lag]:.4g}; "
-                f"the limit is {limit.value:.4g}, {limit.source}"
+                f"the limit is {limit.value:.4g}, by {limit.source}"
             )
 
     def _on_boot(self) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
 from canopen_proto.cia402.axis import Axis
-from canopen_proto.cia402.following import Following, FollowingLimit
-from canopen_proto.machine import MILLISECOND
+from canopen_proto.cia402.following import Following
+from canopen_proto.cia402.limits import DEFAULT_SPEED, Limit, SetPointLimits
+from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, sleep
 from canopen_proto.sync import SyncReceived, SyncSent
@@ -16,29 +18,28 @@ READ_INTERVAL: Final = 5 * MILLISECOND
 """From an answer to the next request, at least: some 5 % of a bus at 1 Mbit/s, if the drives answer at once."""
 UNANSWERED: Final = 3
 """Reads in a row of one drive that may fail: an answer may be lost, and another client may disturb it."""
-DEFAULT_WINDOW: Final = 3_000
-"""Counts, where nobody says how far off a drive may be: of the manual's arm 3 degrees, which it goes in 0.1 s at its fastest."""
+DEFAULT_TIME: Final = 100 * MILLISECOND
+"""So far behind a drive may be by default, at its largest speed: position controllers without feed-forward lag by 10 to 50 ms."""
 OFF: Final = 0x7FFF_FFFF
 """A window of 0x6065 that no INTEGER32 can leave; 0xFFFFFFFF switches the drive's own watch off."""
 
 
-def following_limit(axis: Axis) -> Procedure[FollowingLimit]:
-    """How far off its set-points a drive may be: by its settings, else by its own window 0x6065, else DEFAULT_WINDOW.
+def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
+    """How far off its set-points a drive may be: by its settings, else by its own window 0x6065, else by its speed limit.
 
-    The drive's time-out 0x6066 is not waited for: by then it would stop by itself. Raises SdoFailed.
+    The drive's time-out 0x6066 is not waited for: by then it would stop by itself. limits: of its set-points; by default a drive
+    may be off by its way in DEFAULT_TIME at that speed (where the user lifted it, at DEFAULT_SPEED). Raises SdoFailed.
     """
     limit = axis.settings.following_error_limit
     if limit is not None:
-        return FollowingLimit(limit, "following_error_limit of its AxisSettings")
+        return Limit(limit, "the settings (following_error_limit)")
     window = yield from read_if_present(axis.node, "0x6065")
     if isinstance(window, int) and 0 < window < OFF:
-        return FollowingLimit(_amount(axis, window), f"by the drive's 0x6065 = {window}")
-    return FollowingLimit(_amount(axis, DEFAULT_WINDOW), "the default; AxisSettings(following_error_limit=...) sets it")
-
-
-def _amount(axis: Axis, counts: int) -> float:
-    """Counts in the user's unit."""
-    return abs(axis.from_counts(counts) - axis.from_counts(0))
+        return Limit(axis.amount_from_counts(window), "0x6065 of the drive")
+    speed = limits.speed.value if math.isfinite(limits.speed.value) else axis.amount_from_counts(DEFAULT_SPEED)
+    way = f"its way in {DEFAULT_TIME / SECOND:g} s at {speed:.4g} per second"
+    source = f"default, {way}; following_error_limit of its settings raises it"
+    return Limit(speed * DEFAULT_TIME / SECOND, source)
 
 
 def read_unsent(drives: Sequence[Following]) -> Procedure[None]:

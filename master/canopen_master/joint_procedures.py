@@ -6,7 +6,7 @@ from typing import Final, TypeVar
 
 from canopen_master.device import Device
 from canopen_master.node import Node
-from canopen_proto.cia402.following import FollowingLimit
+from canopen_proto.cia402.limits import Limit
 from canopen_proto.cia402.objects import (
     CONTROLWORD,
     ERROR_CODE,
@@ -130,10 +130,10 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
                 raise
 
 
-def follow(device: Device, cycle_time: Time) -> Procedure[FollowingLimit]:
+def follow(device: Device, cycle_time: Time) -> Procedure[Limit]:
     """Read the joint's limits, then let it follow set-points from where it stands; how far off them it may be. cycle_time: ns."""
-    limit = yield from following_limit(device.axis)
     device.limits = yield from read_limits(device.axis)
+    limit = yield from following_limit(device.axis, device.limits)
     yield from start_interpolation(device.axis, cycle_time)
     return limit
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 
 from canopen_master.device import Device
 from canopen_proto.cia402.axis import AxisStateChanged
-from canopen_proto.cia402.following import FollowingLimit, FollowingLost
+from canopen_proto.cia402.following import FollowingLost
+from canopen_proto.cia402.limits import Limit
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
@@ -45,7 +46,7 @@ class Supervision:
             kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeBooted)
             master.watch(kinds, partial(self._on_event, device), bus, node_id)
 
-    def begin_following(self, limits: Sequence[FollowingLimit], silent_cycles: int) -> None:
+    def begin_following(self, limits: Sequence[Limit], silent_cycles: int) -> None:
         """The joints follow set-points from now on. limits: of their following errors. silent_cycles: as in ChainSettings."""
         for device, limit in zip(self._devices, limits, strict=True):
             device.following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=device.cyclic, silent_syncs=silent_cycles)

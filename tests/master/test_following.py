@@ -19,6 +19,7 @@ import trio
 from canopen_master import Chain, ChainFault, ChainSettings, ChainState, Host, open_master, powerballs, simulate, standard_drives
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, HomingStyle
 from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.objects import FOLLOWING_ERROR_WINDOW
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.frame import Frame
 from canopen_transports import Transport
@@ -29,7 +30,6 @@ SPEED = 0.15  # rad/s, 8.6 degrees/s
 LIMIT = 0.01  # rad
 RAMP = 100.0  # degrees/s^2: 0x6084 of the simulated drives
 VICTIM, OTHER = 3, 4
-AXIS = replace(SCHUNK_POWERBALL, following_error_limit=LIMIT)
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Scene:
 
 
 @asynccontextmanager
-async def scene(is_standard: bool = False) -> AsyncIterator[Scene]:
+async def scene(is_standard: bool = False, limit: float | None = LIMIT, window: int = 10_000) -> AsyncIterator[Scene]:
     error: BaseException | None = None
     async with trio.open_nursery() as nursery:
         links, hosts = {}, {}
@@ -64,7 +64,10 @@ async def scene(is_standard: bool = False) -> AsyncIterator[Scene]:
             async with AsyncExitStack() as stack:
                 master_link, stranger = Link(), Link()
                 master = await stack.enter_async_context(open_master(buses={BUS: master_link}, heartbeat_timeout=0.3))
-                axis = replace(AXIS, homing=HomingStyle.STANDARD) if is_standard else AXIS
+                for host in hosts.values():
+                    drives(host)[0].values.store[FOLLOWING_ERROR_WINDOW] = window
+                homing = HomingStyle.STANDARD if is_standard else HomingStyle.SCHUNK
+                axis = replace(SCHUNK_POWERBALL, homing=homing, following_error_limit=limit)
                 settings = ChainSettings(cycle_time=PERIOD, define_pdos=is_standard)
                 arm = master.load_chains(text=chain_text(VICTIM, OTHER, bus=BUS), settings=settings, axes=axis)["arm"]
                 await arm.initialise()
@@ -239,3 +242,34 @@ def test_a_joint_that_does_not_follow_stops_its_chain(case: Case) -> None:
         assert re.fullmatch(case.cause if reason else ".*", reason), reason
 
     test()
+
+
+@pytest.mark.parametrize(
+    ("limit", "source"),
+    [(0.02, "the settings (following_error_limit)"), (None, "0x6065 of the drive")],
+)
+@virtual_time
+async def test_a_joint_that_is_held_is_told_with_the_limit_and_where_it_comes_from(limit: float | None, source: str) -> None:
+    async with scene(limit=limit, window=1_500) as here:
+        arm, node, host = here.arm, here.node(VICTIM), here.hosts[VICTIM]
+        start = arm.desired_positions
+        node.block(True, host.now())
+        held_at = here.true_position(VICTIM)
+        with pytest.raises(ChainFault, match=r"is [0-9.]+ off its path: it is at .*; the limit is [0-9.]+, by") as caught:
+            async for cycle in arm.cycles():
+                arm.set_positions([position + SPEED * cycle.time for position in start])
+        assert caught.value.node_id == VICTIM
+        assert caught.value.reason.endswith(f"by {source}")
+        expected = 1_500 / 180_000 * math.pi if limit is None else limit
+        assert abs(arm.desired_positions[0] - held_at) <= expected + 6 * SPEED * PERIOD
+
+
+@virtual_time
+async def test_another_sync_is_named() -> None:
+    async with scene() as here:
+        start = here.arm.desired_positions
+        with pytest.raises(ChainFault, match="cause: somebody else commands this bus: a SYNC [0-9]+ ms ago"):
+            async for cycle in here.arm.cycles():
+                here.arm.set_positions([position + SPEED * cycle.time for position in start])
+                if cycle.number % 10 == 9:
+                    await here.stranger.send(Frame(0x080))

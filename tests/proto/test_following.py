@@ -10,7 +10,8 @@ import pytest
 from canopen_data import load_dictionary
 from canopen_proto.cia402.axis import Axis, AxisSettings
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.following import SILENT_TIME, Following, FollowingLimit, FollowingLost
+from canopen_proto.cia402.following import SILENT_TIME, Following, FollowingLost
+from canopen_proto.cia402.limits import DEFAULT_SPEED, Limit, limits_of
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import (
     FOLLOWING_ERROR_WINDOW,
@@ -21,15 +22,15 @@ from canopen_proto.cia402.objects import (
 from canopen_proto.cia402.servo import Shape
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, Outbox, Time
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures import drive
-from canopen_proto.procedures.following import DEFAULT_WINDOW, READ_INTERVAL, following_limit, read_unsent
+from canopen_proto.procedures.following import READ_INTERVAL, following_limit, read_unsent
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.rig import CYCLE, Rig
 
 FOLLOWS = 0x1237  # operation enabled, bit 12
-LIMIT = FollowingLimit(50, "for this test")
+LIMIT = Limit(50, "this test")
 DICTIONARY = drive_dictionary()
 CYCLIC = {STATUSWORD: 1, POSITION_ACTUAL_VALUE: 1}
 
@@ -103,7 +104,7 @@ def test_a_joint_that_stays_behind_is_lost_at_the_limit_and_not_before(direction
             assert not desk.lost
         else:
             assert desk.lost == (
-                f"is 51 off its path: it is at 0 and should be at {direction * 53}; the limit is 50, for this test"
+                f"is 51 off its path: it is at 0 and should be at {direction * 53}; the limit is 50, by this test"
             )
             return
     raise AssertionError("not lost")
@@ -112,7 +113,7 @@ def test_a_joint_that_stays_behind_is_lost_at_the_limit_and_not_before(direction
 @pytest.mark.parametrize(
     ("statusword", "cause"),
     [
-        (0x0237, "no longer follows its set-points: bit 12 of its statusword is 0"),
+        (0x0237, "no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)"),
         (0x3237, "reports a following error: bit 13 of its statusword is 1"),
         (0x0221, "left operation enabled by itself: ready to switch on"),
         (0x0208, "left operation enabled by itself: fault"),
@@ -224,27 +225,40 @@ def test_nothing_is_told_before_it_begins_and_after_it_has_ended() -> None:
 # ---- the limit ----
 
 
+SETTING = "the settings (following_error_limit)"
+DRIVE = "0x6065 of the drive"
+DEFAULT = "default, its way in 0.1 s at {} per second; following_error_limit of its settings raises it"
+
+
 @pytest.mark.parametrize(
-    ("setting", "window", "expected"),
+    ("setting", "window", "max_speed", "expected"),
     [
-        (0.5, 1_000, FollowingLimit(0.5, "following_error_limit of its AxisSettings")),
-        (math.inf, 1_000, FollowingLimit(math.inf, "following_error_limit of its AxisSettings")),
-        (None, 1_000, FollowingLimit(10.0, "by the drive's 0x6065 = 1000")),
-        (None, 0, None),
-        (None, 0xFFFF_FFFF, None),
+        (0.5, 1_000, 7.0, Limit(0.5, SETTING)),
+        (math.inf, 1_000, 7.0, Limit(math.inf, SETTING)),
+        (None, 1_000, 7.0, Limit(10.0, DRIVE)),
+        (None, 0, 7.0, Limit(0.7, DEFAULT.format(7))),
+        (None, 0xFFFF_FFFF, 7.0, Limit(0.7, DEFAULT.format(7))),
+        (None, 0x7FFF_FFFF, None, Limit(DEFAULT_SPEED / 1000, DEFAULT.format(DEFAULT_SPEED // 100))),
+        (None, 0, math.inf, Limit(DEFAULT_SPEED / 1000, DEFAULT.format(DEFAULT_SPEED // 100))),
     ],
 )
 @pytest.mark.parametrize("direction", [1, -1])
-def test_where_the_limit_comes_from(setting: float | None, window: int, expected: FollowingLimit | None, direction: int) -> None:
-    rig = Rig(Shape.STANDARD)
+def test_where_the_limit_comes_from(
+    setting: float | None, window: int, max_speed: float | None, expected: Limit, direction: int
+) -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
     rig.node.values.store[FOLLOWING_ERROR_WINDOW] = window
-    rig.axis.settings = AxisSettings(counts_per_unit=100.0, direction=direction, offset=700, following_error_limit=setting)
-    limit = rig.run(following_limit(rig.axis))
-    if expected is None:
-        assert limit.value == DEFAULT_WINDOW / 100
-        assert "AxisSettings(following_error_limit=...)" in limit.source
-    else:
-        assert limit == expected
+    rig.axis.settings = AxisSettings(
+        counts_per_unit=100.0, direction=direction, offset=700, following_error_limit=setting, max_speed=max_speed
+    )
+    limit = rig.run(following_limit(rig.axis, limits_of(rig.axis)))
+    assert limit == (pytest.approx(expected.value), expected.source)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+def test_a_limit_that_cannot_be(value: float) -> None:
+    with pytest.raises(LocalProtocolError, match="following_error_limit must be above 0"):
+        AxisSettings(following_error_limit=value)
 
 
 # ---- what no PDO brings ----
