@@ -12,24 +12,30 @@ failed), all calls that still wait end with the reason.
 **The end of a script.** However the main thread ends (its last line, an exception, sys.exit, Ctrl-C), Python then waits for all
 threads that are no daemons. Ours is none; it looks every WATCH_INTERVAL whether the main thread is still alive, and else leaves
 the context by itself, so that the drives are halted while the interpreter is whole. (A daemon thread with an atexit function
-would come too late: from there on Python 3.12 starts no threads any more, which transports may need.) Against a signal that kills
-the process no thread helps: `signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))` makes an exception of SIGTERM.
+would come too late: from there on Python 3.12 starts no threads any more, which transports may need.) A Ctrl-C while Python waits
+would end the interpreter at once. So where SIGINT is still Python's own affair, such a Ctrl-C does nothing: see `_interrupt`.
+Against a signal that kills the process no thread helps: `signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))` makes an
+exception of SIGTERM.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, wait
 from contextlib import AbstractAsyncContextManager, suppress
-from typing import Any, Final, Generic, TypeVar
+from types import FrameType
+from typing import Any, Final, Generic, TypeAlias, TypeVar
 
 import trio
 
 from canopen_master.errors import MasterClosed
 from canopen_master.plain_text import clean_lines
 from canopen_proto.machine import LocalProtocolError
+
+Handler: TypeAlias = Callable[[int, FrameType | None], object]
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -71,6 +77,7 @@ class Background(Generic[T]):
 
     def start(self) -> T:
         """Begin the thread, and enter the context there; what that gives. Raises what that raises."""
+        _handle_interrupts(signal.default_int_handler, _interrupt)
         try:
             self._thread.start()
             _wait(self._entered)
@@ -114,6 +121,7 @@ class Background(Generic[T]):
         self._soon(self._scope.cancel)
         while self._thread.is_alive():
             self._thread.join(_LOOK_UP)
+        _handle_interrupts(_interrupt, signal.default_int_handler)
         error = None if self._was_told else self._error
         self._was_told = True
         return error
@@ -177,6 +185,21 @@ class Background(Generic[T]):
         if self._token is not None:
             with suppress(trio.RunFinishedError):
                 self._token.run_sync_soon(function)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """What a Ctrl-C does: what Python's own handler does, but nothing once the main thread has ended and drives are halted."""
+    if threading.main_thread().is_alive():
+        signal.default_int_handler(number, frame)
+
+
+def _handle_interrupts(
+    present: Callable[[int, FrameType | None], object], new: Callable[[int, FrameType | None], object]
+) -> None:
+    """Change the handler of Ctrl-C from one to another. A handler of the program's own stays, and so does all outside the main
+    thread, which alone may change it."""
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == present:
+        signal.signal(signal.SIGINT, new)
 
 
 def _wait(future: Future[Any], timeout: float = float("inf")) -> None:
