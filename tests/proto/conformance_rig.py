@@ -73,6 +73,8 @@ class Wire(Network):
 
 def altered(frame: Frame, alterations: Sequence[Alteration]) -> list[Frame]:
     """What becomes of a frame."""
+    if not alterations:
+        return [frame]
     text = str(frame)
     for pattern, replacement in alterations:
         match = re.fullmatch(pattern, text)
