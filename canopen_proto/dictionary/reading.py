@@ -19,12 +19,13 @@ _BEFORE_XML: Final = b"\xef\xbb\xbf\xff\xfe\x00 \t\r\n"
 """Byte order marks, white space, and the zeros between them in UTF-16."""
 
 
-def read_description(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDescription:
-    """Read a device description, whatever sort it is. source: the file's name, for findings.
+def read_description(data: bytes, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
+    """Read a device description, whatever sort it is. source: the file's name, for findings. encoding: of an EDS or DCF (XML says
+    its own), "" = to be found out.
 
     Never raises for what stands in it: all that is wrong is in the description's findings. With strict, the first error is raised
     as a DictionaryError.
     """
     if data.lstrip(_BEFORE_XML).startswith(b"<"):
         return read_xdd(data, source, strict=strict)
-    return read_eds(data, source, strict=strict)
+    return read_eds(data, source, strict=strict, encoding=encoding)

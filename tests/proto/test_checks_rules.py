@@ -10,6 +10,7 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.checks import RULES, check
 from canopen_proto.dictionary.description import Commissioning, FileKind
+from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.standard import standard_object
 from tests.proto.checked_device import (
     OFFSET,
@@ -78,6 +79,10 @@ CASES: list[tuple[str, str, str, Change]] = [
      field(0x2000, 0, default=None, low_limit=9, high_limit=1)),
     ("limit-type", "[2000]", "HighLimit 65536 is outside 0..65535 (UNSIGNED16)", field(0x2000, 0, high_limit=65536)),
     ("limit-useless", "[2002]", "a VISIBLE_STRING has no limits", field(0x2002, 0, low_limit=0)),
+    ("real-infinite", "[2001]", "DefaultValue is infinite",
+     field(0x2001, 0, data_type=DataType.REAL64, default=float("inf"))),
+    ("real-infinite", "[2001]", "HighLimit is infinite",
+     field(0x2001, 0, data_type=DataType.REAL32, default=1.0, high_limit=float("inf"))),
     ("const-default", "[2003sub1]", "it is const, but has no DefaultValue", field(0x2003, 1, access=Access.CONST)),
     ("domain-default", "[2004]", "a DOMAIN is sent as it is; a default for it has no meaning",
      with_object(Object.of("Data", [Variable(0x2004, 0, "Data", DataType.DOMAIN, default=b"x" * 50)], ObjectType.DOMAIN))),
@@ -93,6 +98,20 @@ CASES: list[tuple[str, str, str, Change]] = [
     ("standard-access", "[6041]", "it is rw; statusword is ro to the standard", field(0x6041, 0, access=Access.RW)),
     ("standard-access", "[1017]", "it cannot be read; producer_heartbeat_time is rw to the standard",
      field(0x1017, 0, access=Access.WO)),
+    ("standard-access", "[1017]", "it is ro; producer_heartbeat_time is rw to the standard",
+     field(0x1017, 0, access=Access.RO)),
+    ("standard-access", "[1003sub0]", "it is ro; predefined_error_field:number_of_errors is rw to the standard",
+     several(with_object(standard_object(0x1003, highest=2)), field(0x1003, 0, access=Access.RO))),
+    ("reserved-sub", "[1800sub4]", "the sub-index is reserved, and no device is to have it (CiA 301, 7.5.2.37)",
+     several(with_object(standard_object(0x1800, highest=4, defaults={0: 4, 2: 255})),
+             field(0x1800, 1, default=0x180, adds_node_id=True))),
+    ("reserved-bits", "[1014]", "$NODEID+0x40000080 has bits of 0x40000000, which are reserved",
+     field(0x1014, 0, default=0x4000_0080, adds_node_id=True)),
+    ("reserved-bits", "[1016sub1]", "0x1050064 has bits of 0xFF000000, which are reserved",
+     field(0x1016, 1, default=0x0105_0064)),
+    ("consumer-limits", "[1016sub2]", "HighLimit 65535 forbids node-IDs and times up to 0x007FFFFF (node-ID << 16 | ms)",
+     field(0x1016, 2, default=0, high_limit=0xFFFF)),
+    ("consumer-limits", "[1016sub1]", "LowLimit 1 forbids 0, by which the entry is not in use", field(0x1016, 1, low_limit=1)),
     ("standard-object", "[1017]", "it is a RECORD; to the standard it is one variable",
      several(whole(0x1017, object_type=ObjectType.RECORD), field(0x1017, 0, data_type=DataType.UNSIGNED8, access=Access.CONST))),
     ("standard-object", "[6091]", "it is a VAR; to the standard it is an ARRAY or a RECORD",
@@ -237,6 +256,9 @@ def test_a_finding_says_where_it_is() -> None:
         with_object(standard_object(0x1200, highest=2, defaults={0: 2})),
         with_object(standard_object(0x1201, highest=3, defaults={0: 3})),
         with_object(standard_object(0x1003, 0, highest=8)),
+        field(0x1017, 0, access=Access.CONST),
+        several(field(0x1016, 1, low_limit=0, high_limit=0x00FF_FFFF)),
+        with_object(standard_object(0x1280, defaults={1: 0x605, 2: 0x585, 3: 5})),  # a client of node 5's own channel
         with_object(standard_object(0x100C, 100)),
         with_object(Object(0x0040, "Own type", ObjectType.DEFSTRUCT, {}), listed=False),
         several(without(0x1017), with_object(standard_object(0x100C, 100))),
@@ -257,6 +279,17 @@ def test_many_objects_of_one_name_are_one_finding() -> None:
     twins = several(*(with_variable(replace(OFFSET, index=index)) for index in range(0x2010, 0x2016)))
     (finding,) = check(twins(clean()))
     assert finding.message.endswith("this is the name of 0x2010, 0x2011, 0x2012, 0x2013 and 2 more too")
+
+
+def test_a_line_that_stands_for_many_sub_objects_has_one_finding() -> None:
+    limits = "LowLimit=1\nHighLimit=3\nDefaultValue=9\n"
+    compact = f"[2010]\nParameterName=Many\nObjectType=8\nDataType=5\nAccessType=rw\n{limits}CompactSubObj=200\n"
+    single = f"[2010sub7]\nParameterName=One\nDataType=5\nAccessType=rw\n{limits}"
+    found = [each for each in check(read_eds(compact + single)) if each.code == "default-limits"]
+    assert [(each.line, each.message.partition(": ")[2]) for each in found] == [
+        (8, "DefaultValue=9 is outside its limits 1..3; the same of 198 more sub-objects"),
+        (16, "DefaultValue=9 is outside its limits 1..3"),
+    ]
 
 
 def test_a_commissioned_node_id_is_added() -> None:

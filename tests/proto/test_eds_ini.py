@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.dictionary.eds.ini import MAX_FINDINGS, EdsDocument, Entry, Findings, fold, text_of
+from canopen_proto.dictionary.eds.ini import MAX_FINDINGS, EdsDocument, Entry, Findings, fold
 from canopen_proto.dictionary.findings import Severity
 
 HASH = "a comment begins with ';'; this line and all others that begin with '#' were taken for comments"
@@ -96,28 +96,6 @@ def test_places() -> None:
     assert document.place_of(0x1018, 1) == (9, 1)
     assert document.place_of(0x1018, 2) == document.place_of(0x1018) == (9, 1)
     assert document.place_of(0x1019) == document.place_of(0x1019, 1, "DefaultValue") == (0, 0)
-
-
-# ---- bytes ----
-
-
-@pytest.mark.parametrize(
-    ("data", "text", "encoding", "found"),
-    [
-        (b"[A]", "[A]", "utf-8", None),
-        ("[ä]".encode(), "[ä]", "utf-8", None),
-        (b"\xef\xbb\xbf[A]", "[A]", "utf-8-sig", None),
-        ("[ä]".encode("utf-16"), "[ä]", "utf-16", None),
-        (b"[A]\r\nN=\xb5m\n", "[A]\r\nN=µm\n", "cp1252", "x:2:3: notice: not UTF-8; read as Windows-1252 [encoding]"),
-        (b"N=\x80", "N=€", "cp1252", "x:1:3: notice: not UTF-8; read as Windows-1252 [encoding]"),
-        (b"N=\xb5\x81", "N=µ\x81", "latin-1", "x:1:3: notice: not UTF-8; read as Latin-1 (ISO 8859-1) [encoding]"),
-        (b"\xef\xbb\xbf\xff", "ï»¿ÿ", "cp1252", "x:1:1: notice: not UTF-8; read as Windows-1252 [encoding]"),
-    ],
-)
-def test_encodings(data: bytes, text: str, encoding: str, found: str | None) -> None:
-    findings = Findings("x")
-    assert text_of(data, findings) == (text, encoding)
-    assert [str(each) for each in findings.all()] == ([] if found is None else [found])
 
 
 # ---- findings ----

@@ -18,6 +18,9 @@ The CSV files of the product have a linter of their own (lint.py): their rows kn
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 from typing import Final
 
 from canopen_proto.dictionary.checks import cob_ids, device, mappings, profiles, structure, values
@@ -36,7 +39,25 @@ _CHECKS: Final = tuple(each for family in _FAMILIES for each in family.CHECKS)
 
 
 def check(description: DeviceDescription) -> list[Finding]:
-    """All findings of all rules, in the order of the file where there is one. What the reader found is not repeated."""
+    """All findings of all rules, in the order of the file where there is one. What the reader found is not repeated.
+
+    A line that stands for many sub-objects (CompactSubObj) has one finding of each rule, which tells how many it is about.
+    """
     subject = Subject(description, RULES)
     found = [finding for each in _CHECKS for finding in each(subject)]
-    return sorted(found, key=lambda finding: (finding.line, finding.column))
+    return sorted(_once(found, subject.shared), key=lambda finding: (finding.line, finding.column))
+
+
+def _once(found: Iterable[Finding], shared: Collection[tuple[str, int, int]]) -> Iterator[Finding]:
+    """One finding for each place in `shared`, and all others."""
+    first: dict[tuple[str, int, int], Finding] = {}
+    more: Counter[tuple[str, int, int]] = Counter()
+    for finding in found:
+        place = finding.code, finding.line, finding.column
+        if place not in shared:
+            yield finding
+        elif first.setdefault(place, finding) is not finding:
+            more[place] += 1
+    for place, finding in first.items():
+        told = f"; the same of {more[place]} more sub-objects" if more[place] else ""
+        yield replace(finding, message=finding.message + told)

@@ -22,6 +22,9 @@ from canopen_proto.pdo.settings import COB_ID, place_of
 SDO_SERVERS: Final = range(0x1200, 0x1280)
 SDO_CLIENTS: Final = range(0x1280, 0x1300)
 DEFAULT_SDO: Final = 0x1200
+DEFAULT_REQUESTS: Final = range(0x601, 0x680)
+DEFAULT_RESPONSES: Final = range(0x581, 0x600)
+"""The SDO channel that each node has; a client that is to speak to one has these CAN-IDs."""
 
 PREDEFINED: Final = {
     0x1014: 0x080,
@@ -38,12 +41,14 @@ RULES: Final = (
 
 
 class _Use(NamedTuple):
-    """One COB-ID in use. restricts: whether restricted CAN-IDs are forbidden to it."""
+    """One COB-ID in use. restricts: whether restricted CAN-IDs are forbidden to it. also: those that it may have all
+    the same."""
 
     variable: Variable
     cob_id: Number
     service: str
     restricts: bool = True
+    also: range = range(0)
 
     @property
     def can_id(self) -> int:
@@ -74,8 +79,10 @@ def _uses(subject: Subject) -> Iterator[_Use]:
         place = place_of(index)
         if index in SDO_SERVERS or index in SDO_CLIENTS:
             side = "SDO server" if index in SDO_SERVERS else "SDO client"
-            for subindex in (1, 2):
-                yield from _use(subject, index, subindex, f"{side} 0x{index:04X}", COB_ID_INVALID, index != DEFAULT_SDO)
+            for subindex, default in ((1, DEFAULT_REQUESTS), (2, DEFAULT_RESPONSES)):
+                also = default if index in SDO_CLIENTS else range(0)
+                for use in _use(subject, index, subindex, f"{side} 0x{index:04X}", COB_ID_INVALID, index != DEFAULT_SDO):
+                    yield use._replace(also=also)
         elif place is not None and not place.is_mapping:
             yield from _use(subject, index, COB_ID, f"{place.direction}{place.number}", COB_ID_INVALID)
 
@@ -94,7 +101,7 @@ def _check_restricted(subject: Subject, use: _Use) -> Iterator[Finding]:
     for can_id in (use.can_id + 1, use.can_id + MAX_NODE_ID) if use.cob_id.adds_node_id else (use.can_id,):
         if can_id > 0x7FF:
             text = f"{use.service} has COB-ID {use.cob_id}: CAN-ID 0x{can_id:X} has more than 11 bits, and bit 29 is 0"
-        elif any(can_id in each for each in RESTRICTED_CAN_IDS):
+        elif can_id not in use.also and any(can_id in each for each in RESTRICTED_CAN_IDS):
             text = f"{use.service} has COB-ID {use.cob_id}: CAN-ID 0x{can_id:03X} is restricted (CiA 301, table 40)"
         else:
             continue

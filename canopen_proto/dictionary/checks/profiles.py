@@ -23,11 +23,25 @@ ERROR_CONTROL: Final = (0x1017, 0x100C)
 _BYTES: Final = {DataType.DOMAIN, DataType.OCTET_STRING}
 """By SDO the same: CiA 301 lets a device choose in most places."""
 
+_TO_WRITE: Final[dict[int, Access | None]] = {0x1003_00: None, 0x1017_00: Access.CONST}
+"""Objects that have to be writable, and what else they may be: writing 0 clears the history, and switches the heartbeat off.
+CiA 301 v4.2.0, 7.5.2.4 and 7.5.2.20."""
+_RESERVED_BITS: Final = {0x1014: 0x4000_0000, 0x1016: 0xFF00_0000, 0x1028: 0x4000_0000}
+"""By index: COB-ID EMCY, heartbeat and EMCY consumers (CiA 301 v4.2.0, 7.5.2.17, 7.5.2.19, 7.5.2.31)."""
+_TPDOS: Final = range(0x1800, 0x1A00)
+_RESERVED_SUBINDEX: Final = 4
+_CONSUMER: Final = 0x1016
+_CONSUMER_RANGE: Final = (0, 0x007F_FFFF)
+"""Not in use, and node 127 with the longest time."""
+
 RULES: Final = (
     Rule("standard-type", ERROR, "a communication object of another length than the standard's: masters use it wrongly"),
     Rule("profile-type", WARNING, "an object of the device profile is of another length than the profile's"),
     Rule("standard-sign", WARNING, "a standard object of the right length, but of another type"),
     Rule("standard-access", WARNING, "a standard object that can be written here and only read there, or the other way"),
+    Rule("reserved-sub", NOTICE, "sub 4 of a TPDO's communication parameter, which the standard reserves"),
+    Rule("reserved-bits", WARNING, "a value with bits that the standard reserves, and that are 0"),
+    Rule("consumer-limits", WARNING, "limits of a heartbeat consumer that forbid what it has to take"),
     Rule("standard-object", WARNING, "a VAR where the standard has an ARRAY or RECORD, or the other way"),
     Rule("standard-mappable", NOTICE, "a communication object that no PDO carries is marked as one that a PDO may carry"),
     Rule("drive-objects", WARNING, "a drive without controlword or statusword"),
@@ -65,7 +79,9 @@ def _check_against(subject: Subject, variable: Variable, standard: Variable) -> 
             code = "standard-sign"
         text = f"it is of type {variable.data_type.name}; {standard.name} is {standard.data_type.name} to the standard"
         yield subject.of_variable(code, variable, text, "DataType")
-    if variable.access.writable and not standard.access.writable:
+    is_writable = variable.access.writable
+    has_to_be = variable.mux in _TO_WRITE and variable.access is not _TO_WRITE[variable.mux]
+    if is_writable is not standard.access.writable and (is_writable or has_to_be):
         text = f"it is {variable.access}; {standard.name} is {standard.access} to the standard"
         yield subject.of_variable("standard-access", variable, text, "AccessType")
     elif variable.access is Access.WO and standard.access.readable:
@@ -73,6 +89,32 @@ def _check_against(subject: Subject, variable: Variable, standard: Variable) -> 
         yield subject.of_variable("standard-access", variable, text, "AccessType")
     if variable.pdo_mappable and not standard.pdo_mappable and variable.index in COMMUNICATION_AREA:
         yield subject.of_variable("standard-mappable", variable, "PDOMapping=1; to the standard no PDO carries it", "PDOMapping")
+
+
+def check_reserved(subject: Subject) -> Iterator[Finding]:
+    """Reserved sub-indices and bits of communication objects, and limits that leave out what an object has to take."""
+    for variable in subject.dictionary:
+        index, subindex = variable.index, variable.subindex
+        if index in _TPDOS and subindex == _RESERVED_SUBINDEX:
+            text = "the sub-index is reserved, and no device is to have it (CiA 301, 7.5.2.37)"
+            yield subject.of_variable("reserved-sub", variable, text)
+        number = subject.number(index, subindex) if index in _RESERVED_BITS and (subindex or index == 0x1014) else None
+        if number is not None and number.value & _RESERVED_BITS[index]:
+            text = f"{number} has bits of 0x{_RESERVED_BITS[index]:08X}, which are reserved"
+            yield subject.of_value("reserved-bits", variable, text)
+        if index == _CONSUMER and subindex:
+            yield from _check_consumer_limits(subject, variable)
+
+
+def _check_consumer_limits(subject: Subject, variable: Variable) -> Iterator[Finding]:
+    least, most = _CONSUMER_RANGE
+    low, high = variable.low_limit, variable.high_limit
+    if low is not None and low > least:
+        text = f"LowLimit {low} forbids 0, by which the entry is not in use"
+        yield subject.of_variable("consumer-limits", variable, text, "LowLimit")
+    if high is not None and high < most:
+        text = f"HighLimit {high} forbids node-IDs and times up to 0x{most:08X} (node-ID << 16 | ms)"
+        yield subject.of_variable("consumer-limits", variable, text, "HighLimit")
 
 
 def check_profile(subject: Subject) -> Iterator[Finding]:
@@ -112,6 +154,7 @@ def check_error_control(subject: Subject) -> Iterator[Finding]:
 
 CHECKS: Final[tuple[Callable[[Subject], Iterator[Finding]], ...]] = (
     check_standard_objects,
+    check_reserved,
     check_profile,
     check_error_control,
 )

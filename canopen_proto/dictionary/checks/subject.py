@@ -45,13 +45,15 @@ class Number(NamedTuple):
 
 
 class Subject:
-    """A description under examination. node_id: 1..127 where it is commissioned, else None."""
+    """A description under examination. node_id: 1..127 where it is commissioned, else None. shared: findings about a line that
+    stands for many sub-objects (CompactSubObj), each by code, line and column."""
 
-    __slots__ = ("_rules", "description", "dictionary", "node_id")
+    __slots__ = ("_rules", "description", "dictionary", "node_id", "shared")
 
     def __init__(self, description: DeviceDescription, rules: Iterable[Rule]) -> None:
         self.description = description
         self.dictionary = description.dictionary
+        self.shared: set[tuple[str, int, int]] = set()
         self._rules: Mapping[str, Rule] = {rule.code: rule for rule in rules}
         node_id = description.commissioning.node_id if description.commissioning is not None else None
         self.node_id = node_id if node_id is not None and 1 <= node_id <= MAX_NODE_ID else None
@@ -105,7 +107,19 @@ class Subject:
         return self._at(code, f"{where}{text}", *((0, 0) if found is None else found.place_of(entry)))
 
     def _finding(self, code: str, message: str, index: int, subindex: int | None, field: str) -> Finding:
-        return self._at(code, message, *self.description.place_of(index, subindex, field))
+        line, column = self.description.place_of(index, subindex, field)
+        if line and subindex is not None and self._is_made(index, subindex, line):
+            self.shared.add((code, line, column))
+        return self._at(code, message, line, column)
+
+    def _is_made(self, index: int, subindex: int, line: int) -> bool:
+        """Whether what stands in this line is said of all entries of a compact array, and not of one."""
+        document = self.description.document
+        if not isinstance(document, EdsDocument) or subindex in document.subs.get(index, {}):
+            return False
+        whole = document.objects.get(index)
+        is_of_whole = whole is not None and line in range(whole.line, whole.line + len(whole.values) + 1)
+        return is_of_whole and whole is not None and whole.get("CompactSubObj") is not None
 
     def _at(self, code: str, message: str, line: int, column: int) -> Finding:
         return Finding(self._rules[code].severity, code, message, self.description.source, line, column)

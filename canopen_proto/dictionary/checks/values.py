@@ -5,6 +5,7 @@ Source: CiA 306-1 v1.4.0, the entries of an object's section; CiA 301 v4.2.0, 7.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Final
 
@@ -24,6 +25,7 @@ RULES: Final = (
     Rule("limits-crossed", ERROR, "the low limit is above the high limit: nothing can be written"),
     Rule("limit-type", WARNING, "a limit that the object's type cannot hold"),
     Rule("limit-useless", NOTICE, "limits of an object that holds no number"),
+    Rule("real-infinite", WARNING, "an infinite REAL: the number in the file is too large for the type"),
     Rule("const-default", NOTICE, "a constant whose value the file does not tell"),
     Rule("domain-default", NOTICE, "a DOMAIN with a default"),
     Rule("mappable-type", WARNING, "an object that no PDO can carry is marked as one that a PDO may carry"),
@@ -59,6 +61,9 @@ def _check_type(subject: Subject, variable: Variable) -> Iterator[Finding]:
 def _check_value(
     subject: Subject, variable: Variable, value: Value, what: str, field: str, adds_node_id: bool
 ) -> Iterator[Finding]:
+    if isinstance(value, float) and math.isinf(value):
+        yield _infinite(subject, variable, field)
+        return
     for each in _candidates(subject, value, adds_node_id):
         try:
             variable.encode(each)
@@ -72,6 +77,10 @@ def _check_value(
             text = f"{field}={_shown(value)} is outside its limits {_shown(variable.low_limit)}..{_shown(variable.high_limit)}"
             yield subject.of_variable(f"{what}-limits", variable, text, field)
             return
+
+
+def _infinite(subject: Subject, variable: Variable, field: str) -> Finding:
+    return subject.of_variable("real-infinite", variable, f"{field} is infinite", field)
 
 
 def _candidates(subject: Subject, value: Value, adds_node_id: bool) -> tuple[Value, ...]:
@@ -89,6 +98,9 @@ def _check_limits(subject: Subject, variable: Variable) -> Iterator[Finding]:
         text = f"a {variable.data_type.name} has no limits"
         yield subject.of_variable("limit-useless", variable, text, "LowLimit" if low is not None else "HighLimit")
         return
+    for field, limit in (("LowLimit", low), ("HighLimit", high)):
+        if isinstance(limit, float) and math.isinf(limit):
+            yield _infinite(subject, variable, field)
     if low is not None and high is not None and low > high:
         text = f"LowLimit {_shown(low)} is above HighLimit {_shown(high)}: no value lies between"
         yield subject.of_variable("limits-crossed", variable, text, "LowLimit")

@@ -23,6 +23,8 @@ from canopen_proto.dictionary.findings import Severity
 from canopen_proto.frame import MAX_NODE_ID
 
 UNSIGNED32: Final = 0xFFFF_FFFF
+NO_NODE_ID: Final = 0xFF
+"""What a device has as node-ID until LSS gives it one (CiA 305 v3.0.0, 3.6)."""
 MAX_MODULES: Final = 1000
 """Types of modules in one file; catalogues of modular devices have some dozens."""
 
@@ -46,12 +48,12 @@ class Fields:
         self._findings = findings
         self.values = {} if section is None else section.values
 
-    def warn(self, code: str, message: str, key: str = "") -> None:
+    def warn(self, code: str, message: str, key: str = "", severity: Severity = Severity.WARNING) -> None:
         """Something odd about the section, or about one of its values."""
-        if self._section is not None and not self._findings.full(Severity.WARNING):
+        if self._section is not None and not self._findings.full(severity):
             line, column = self._section.place_of(key)
             message = f"in [{quoted(self._section.name)}]: {message}"
-            self._findings.add(Severity.WARNING, code, message, line, column)
+            self._findings.add(severity, code, message, line, column)
 
     def text(self, key: str) -> str:
         """A text; "" where there is none."""
@@ -169,6 +171,10 @@ def commissioning(document: EdsDocument, findings: Findings) -> Commissioning | 
         return None
     fields = Fields(section, findings)
     node_id = fields.number("NodeID")
+    if node_id == NO_NODE_ID:
+        message = f"NodeID={fields.text('NodeID')}: the device has no node-ID yet (LSS); left out"
+        fields.warn("number", message, "NodeID", Severity.NOTICE)
+        node_id = None
     if node_id is not None and not 1 <= node_id <= MAX_NODE_ID:
         fields.warn("number", f"NodeID={node_id} is outside 1..{MAX_NODE_ID}; left out", "NodeID")
         node_id = None

@@ -12,8 +12,7 @@ a semicolon. That format has no standard; its one authority is the reading funct
 Beyond that: a line that begins with `#` is a comment too (a notice: other tools take it for a key), what stands behind the
 bracket of a section is left out, and a line that is none of these is a warning. Lines end with LF, CR LF or CR, in any mix.
 
-Bytes become text as UTF-8 (with or without a byte order mark), or UTF-16 with its mark; what is neither is Windows-1252, or
-Latin-1 where a byte has no meaning there. Every byte has a character then: nothing is refused.
+How bytes become text is told in encodings.py.
 
 Speed: most of a file is repetition. From half to nine tenths of the sections of a maker's file say what another one says, but for
 their names; so all that stands behind a first line `ParameterName=` is taken apart once (`Body`), and of the rest each distinct
@@ -41,7 +40,6 @@ MAX_QUOTED: Final = 60
 
 _SECTION: Final = re.compile(r"\n[ \t]*\[")
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,8})|(name|value|denotation))?", re.ASCII)
-_NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
 _HASH_LINE: Final = re.compile(r"\n([ \t]*)#")
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
@@ -396,21 +394,3 @@ def quoted(text: str) -> str:
     if len(text) > MAX_QUOTED:
         text = f"{text[:MAX_QUOTED]}..."
     return text if text.isprintable() else ascii(text)[1:-1]
-
-
-def text_of(data: bytes, findings: Findings) -> tuple[str, str]:
-    """A file's text, and the encoding that it was read with. What is not UTF-8 gets a notice."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", "replace"), "utf-16"
-    marked = data.startswith(b"\xef\xbb\xbf")
-    try:
-        return (data[3:] if marked else data).decode(), "utf-8-sig" if marked else "utf-8"
-    except UnicodeDecodeError as error:
-        before = _LINE_END.split(error.object[: error.start].decode())
-    encoding = "latin-1" if _NOT_CP1252.search(data) else "cp1252"
-    text = data.decode(encoding)
-    findings.add(Severity.NOTICE, "encoding", f"not UTF-8; read as {_ENCODINGS[encoding]}", len(before), len(before[-1]) + 1)
-    return text, encoding
-
-
-_ENCODINGS: Final = {"cp1252": "Windows-1252", "latin-1": "Latin-1 (ISO 8859-1)"}

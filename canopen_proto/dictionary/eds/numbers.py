@@ -36,7 +36,8 @@ _REAL: Final = re.compile(
     re.IGNORECASE | re.ASCII,
 )
 _BITS: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
-_OCTETS: Final = re.compile(r"(?:0[xX])?((?:[0-9A-Fa-f]{2}\s*)*)", re.ASCII)
+_NO_DATA: Final = ("0", "0x0", "0x00")
+"""What tools write as the default of a DOMAIN, which has none."""
 _COMMENT: Final = re.compile(r"[#;]")
 
 _LIMITS: Final = {data_type: range_of(data_type) for data_type in DataType}
@@ -94,12 +95,12 @@ def read_value(text: str, data_type: DataType) -> Reading:
         return _real(text, data_type)
     if data_type in _TIMES and (time := _time(text, data_type)) is not None:
         return time, False, "", False
-    octets = _OCTETS.fullmatch(text)
-    if octets is not None:
-        try:
-            return decode(bytes.fromhex(octets[1]), data_type), False, "", False
-        except ValueRangeError:
-            pass
+    if data_type is DataType.DOMAIN and text in _NO_DATA:
+        return NOTHING
+    try:
+        return decode(bytes.fromhex(text[2:] if text[:2] in ("0x", "0X") else text), data_type), False, "", False
+    except ValueError:  # ValueRangeError, or no digits
+        pass
     return _lost(text, f"is no {data_type.name}{'' if data_type in _TIMES else ' in pairs of hexadecimal digits'}")
 
 

@@ -30,8 +30,10 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.description import DeviceDescription, FileKind
 from canopen_proto.dictionary.eds import device
 from canopen_proto.dictionary.eds.compact import Compact
-from canopen_proto.dictionary.eds.ini import MAX_FILE_SIZE, EdsDocument, Findings, Section, quoted, text_of
+from canopen_proto.dictionary.eds.encodings import text_of
+from canopen_proto.dictionary.eds.ini import MAX_FILE_SIZE, EdsDocument, Findings, Section, quoted
 from canopen_proto.dictionary.eds.numbers import read_number
+from canopen_proto.dictionary.eds.unused import report_unused
 from canopen_proto.dictionary.eds.variables import OBJECT_FLAGS, Variables
 from canopen_proto.dictionary.findings import DictionaryError, Severity
 from canopen_proto.dictionary.model import ObjectDictionary
@@ -46,8 +48,8 @@ _WITH_SUBS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 _NO_SUBS: Final[dict[int, Section]] = {}
 
 
-def read_eds(data: bytes | str, source: str = "", *, strict: bool = False) -> DeviceDescription:
-    """Read an EDS or a DCF. source: the file's name, for findings.
+def read_eds(data: bytes | str, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
+    """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = to be found out.
 
     All that is wrong with it stands in the description's findings, whatever the bytes are; with strict, the first error is raised
     as a DictionaryError. The kind is DCF where the file commissions a device or configures one of its objects. An object without
@@ -59,7 +61,12 @@ def read_eds(data: bytes | str, source: str = "", *, strict: bool = False) -> De
         message = f"the file has more than {MAX_FILE_SIZE >> 20} MiB; only its beginning was read"
         findings.add(Severity.ERROR, "too-long", message)
         data = data[:MAX_FILE_SIZE]
-    text, encoding = (data.removeprefix("\ufeff"), "utf-8") if isinstance(data, str) else text_of(data, findings)
+    if isinstance(data, str):
+        text, encoding = data.removeprefix("\ufeff"), "utf-8"
+    else:
+        text, encoding, remark = text_of(data, encoding)
+        if remark is not None:
+            findings.add(Severity.NOTICE, "encoding", *remark)
     document = EdsDocument(text, encoding, findings)
     variables = Variables(document, findings)
     info = device.device_info(document, findings)
@@ -67,6 +74,7 @@ def read_eds(data: bytes | str, source: str = "", *, strict: bool = False) -> De
     objects.read()
     compact_pdos = objects.compact.pdos(info, objects.found)
     objects.found.update({each.index: each for each in list(compact_pdos)})
+    report_unused(document, findings, variables.types)
     if not objects.found:
         findings.add(Severity.ERROR, "no-objects", "there is no section of an object in this file")
     commissioning = device.commissioning(document, findings)

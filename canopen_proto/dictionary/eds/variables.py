@@ -91,10 +91,12 @@ class _Readings(dict[str, Reading]):
 
 
 class Variables:
-    """Makes variables out of sections. has_configured: whether one of them had a ParameterValue."""
+    """Makes variables out of sections. has_configured: whether one of them had a ParameterValue. types: the codes of data types
+    that were looked up in the file itself."""
 
     def __init__(self, document: EdsDocument, findings: Findings) -> None:
         self.has_configured = False
+        self.types: set[int] = set()
         self._document = document
         self._told = 0  # findings; what is made without one can be made again
         self._findings = findings
@@ -284,6 +286,7 @@ class Variables:
     def _described_type(self, code: int) -> DataType | None:
         """The type for which a DEFTYPE of this file stands. One of the tools gives it in the default of subindex 1."""
         text = None
+        self.types.add(code)
         if (sub := self._document.subs.get(code, {}).get(1) or self._document.section(f"{code:X}sub1")) is not None:
             text = sub.get("DefaultValue")
         elif (whole := self._document.objects.get(code)) is not None:
