@@ -44,6 +44,7 @@ class DeviceEntry:
     """One device, or several of one file, as it was asked for. Paths are as they were written.
 
     node_ids: empty for that of the file. shape: empty for what the maker's drives are like. values: by key of the object.
+    encoding: of the file, empty to be found out.
     """
 
     file: str
@@ -54,6 +55,7 @@ class DeviceEntry:
     overlays: tuple[str, ...] = ()
     defaults: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
+    encoding: str = ""
 
 
 @dataclass(frozen=True)

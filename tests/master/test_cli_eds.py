@@ -264,3 +264,16 @@ def test_all_kinds_of_values_differ_as_json(run: Run) -> None:
     assert values["Gain", "DefaultValue"] == (5, None)
     assert values["Offset", "DataType"] == ("INTEGER32", "INTEGER16")
     assert ("$NODEID+0x200", 0x202) in values.values()
+
+
+def test_the_encoding_of_a_file_is_guessed_or_named(run: Run, tmp_path: Path) -> None:
+    text = "[DeviceInfo]\nVendorName={}\n[1000]\nParameterName={}\nObjectType=7\nDataType=7\nAccessType=ro\n"
+    chinese, russian = tmp_path / "chinese.eds", tmp_path / "russian.eds"
+    chinese.write_bytes(text.format("伺服电机", "设备类型").encode("gbk"))
+    russian.write_bytes(text.format("Привод", "тип").encode("cp1251"))
+    assert "设备类型" in run("eds", "show", str(chinese)).out
+    assert "read as GBK (Chinese), which is a guess: --encoding names another one" in run("eds", "lint", str(chinese)).out
+    assert "тип" in run("eds", "show", str(russian), "--encoding", "cp1251").out
+    outcome = run("eds", "show", str(russian), "--encoding", "rot13")
+    assert outcome.status == 2
+    assert "is no encoding such as gbk" in outcome.err

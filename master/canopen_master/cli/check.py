@@ -130,7 +130,7 @@ def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> Report:
     if not alone:
         raise usage("CO133", "these cases are for a node", tries=(f"canopen check NODE -e {path}", f"canopen check {path}"))
     report = Report(None, len(alone), file=path)
-    _run_alone(report, alone, open_description(path).description, ANY_NODE)
+    _run_alone(report, alone, open_description(path, settings.encoding).description, ANY_NODE)
     return report
 
 
@@ -153,7 +153,7 @@ def _check_node(settings: Settings, screen: Screen, report: Report, cases: Seque
     node_id = report.node_id
     assert node_id is not None
     if not any(case.uses_device for case in cases):
-        description = description_of(read_device_files(settings.eds, read_dictionary(screen), screen), node_id)
+        description = description_of(read_device_files(settings.eds, read_dictionary(screen), screen, settings.encoding), node_id)
         if description is None:
             raise _without_file(node_id)
         report.file = description.source

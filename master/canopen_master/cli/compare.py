@@ -122,9 +122,13 @@ def compare(
     canopen compare 5 before.dcf
     canopen compare before.dcf after.dcf --only changed --tolerance 1%
     """
+    from canopen_master.cli.eds_files import open_description
+
     screen = settings.screen()
     live = node_id_of(left) if _NODE.fullmatch(left) else None
-    descriptions = [_description(path) for path in ([right] if live is not None else [left, right])]
+    descriptions = [
+        open_description(path, settings.encoding).description for path in ([right] if live is not None else [left, right])
+    ]
     whose = live or node_id or next(filter(None, map(_named, descriptions)), None)
     second = _side(right, descriptions[-1], whose, defaults)
     if live is not None:
@@ -172,12 +176,6 @@ async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) ->
         node = session.node(node_id).remote
         reading = back_up(node, file.dictionary, only=only, domains=True)
         return await shown(session, screen, f"reading {node_text(node_id)}", reading, ObjectRead)
-
-
-def _description(path: str) -> DeviceDescription:
-    from canopen_master.cli.eds_files import open_description
-
-    return open_description(path).description
 
 
 def _named(description: DeviceDescription) -> int | None:

@@ -90,7 +90,7 @@ def demo(
     if defaults and not settings.eds:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
-    files = drive_files(settings.eds, defaults, screen)
+    files = drive_files(settings.eds, defaults, screen, settings.encoding)
     scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
     plan = Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files, scale)
     demonstration = Demonstration(screen, plan)

@@ -27,8 +27,8 @@ def description_of(files: DeviceFiles, node_id: int) -> DeviceDescription | None
     return files.get(node_id, files.get(None))
 
 
-def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Screen) -> DeviceFiles:
-    """What the options -e say. names: of the data files.
+def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Screen, encoding: str = "") -> DeviceFiles:
+    """What the options -e say. names: of the data files. encoding: of the files, "" = to be found out.
 
     Tells how many errors are in a file. Raises DataError where one cannot be read, a Problem where it describes nothing, or where
     it is not clear of which node it is.
@@ -41,7 +41,7 @@ def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Scr
     named = [_split(text) for text in texts]
     without = sum(1 for node_id, _ in named if node_id is None)
     for node_id, path in named:
-        description = with_names(_read(path, screen), names)
+        description = with_names(_read(path, screen, encoding), names)
         if node_id is None and without > 1:
             node_id = description.commissioning.node_id if description.commissioning is not None else None
             if node_id is None:
@@ -59,9 +59,9 @@ def _split(text: str) -> tuple[int | None, str]:
     return (None, text) if match is None else (node_id_of(match[1]), match[2])
 
 
-def _read(path: str, screen: Screen) -> DeviceDescription:
+def _read(path: str, screen: Screen, encoding: str) -> DeviceDescription:
     from canopen_master.cli.eds_files import open_description, tell_faults
 
-    file = open_description(path)
+    file = open_description(path, encoding)
     tell_faults(screen, file)
     return file.description

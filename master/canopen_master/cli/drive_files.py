@@ -31,15 +31,16 @@ class DriveFile:
         return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
 
 
-def drive_files(texts: Sequence[str], defaults: bool, screen: Screen) -> dict[int | None, DriveFile]:
-    """The files that `-e` names, by node-ID (None: of all others). defaults: leave out what a DCF configures.
+def drive_files(texts: Sequence[str], defaults: bool, screen: Screen, encoding: str = "") -> dict[int | None, DriveFile]:
+    """The files that `-e` names, by node-ID (None: of all others). defaults: leave out what a DCF configures. encoding: of
+    the files, "" = to be found out.
 
     Raises DataError, and a Problem for a file that describes no drive.
     """
     if not texts:
         return {}
     made = {}
-    for node_id, description in read_device_files(texts, load_dictionary()[0], screen).items():
+    for node_id, description in read_device_files(texts, load_dictionary()[0], screen, encoding).items():
         dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
         obstacle = drive_obstacle(dictionary)
         if obstacle:

@@ -61,7 +61,7 @@ def to_dcf(
     """
     screen = settings.screen()
     check_new_file(settings, screen, output, path)
-    file = open_description(path)
+    file = open_description(path, settings.encoding)
     description = file.description
     commissioning = _commissioned(description, node_id, path)
     if bitrate is not None:
@@ -100,7 +100,7 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
     """
     screen = settings.screen()
     check_new_file(settings, screen, output, path)
-    file = open_description(path)
+    file = open_description(path, settings.encoding)
     commissioning = _commissioned(file.description, node_id, path)
     assert commissioning.node_id is not None
     dictionary = file.description.dictionary

@@ -32,7 +32,7 @@ def diff(settings: Settings, before: str, after: str) -> int:
     canopen eds diff drive.eds commissioned.dcf --json
     """
     screen = settings.screen()
-    files = [open_description(path) for path in (before, after)]
+    files = [open_description(path, settings.encoding) for path in (before, after)]
     found = compare(*(each.description for each in files))
     if settings.json:
         screen.json([_as_json(each) for each in found])

@@ -33,7 +33,7 @@ def doc(settings: Settings, path: str, output: str | None, form: str | None) -> 
     screen = settings.screen()
     if output is not None:
         check_new_file(settings, screen, output, path)
-    file = open_description(path)
+    file = open_description(path, settings.encoding)
     if form is None:
         ending = "" if output is None else output[output.rfind(".") :].lower() if "." in output else ""
         form = FORMS.get(ending, "html")

@@ -40,13 +40,16 @@ def lines_of(text: str) -> list[str]:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def open_description(path: str) -> DescriptionFile:
-    """Read a file, whatever is wrong with what stands in it. A Problem (exit status 6) where there is nothing to be read."""
+def open_description(path: str, encoding: str = "") -> DescriptionFile:
+    """Read a file, whatever is wrong with what stands in it. encoding: of its text, "" = to be found out.
+
+    Raises Problem (exit status 6) where there is nothing to be read.
+    """
     try:
         data = read_file(path)
     except DataError as error:
         raise Problem(ExitCode.BAD_FILE, "CO330", error.message, tries=(error.hint,)) from error
-    description = read_description(data, path)
+    description = read_description(data, path, encoding=encoding)
     if not description.dictionary.objects:
         first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
         seen = f"{len(data)} bytes"

@@ -40,7 +40,7 @@ def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_r
         tries = (f"canopen eds fix {path} --dry-run", f"canopen eds fix {path} -o fixed.eds")
         raise usage("CO001", "say where the repaired file goes: one of -o OUT, --in-place, --dry-run", tries=tries)
     screen = settings.screen()
-    file = open_description(path)
+    file = open_description(path, settings.encoding)
     if file.description.kind not in (FileKind.EDS, FileKind.DCF):
         raise usage("CO001", f"{path} is an {file.description.kind}; only EDS and DCF can be repaired")
     repaired = repair(file.description)

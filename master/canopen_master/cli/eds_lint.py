@@ -71,7 +71,7 @@ def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: i
         return _list_rules(screen)
     if not paths:
         raise click.UsageError("Missing argument 'FILE...'.")
-    reports = [_report(path) for path in paths]
+    reports = [_report(path, settings.encoding) for path in paths]
     if settings.json:
         documents = [report.as_json() for report in reports]
         screen.json(documents if len(documents) > 1 else documents[0])
@@ -94,9 +94,9 @@ def _list_rules(screen: Screen) -> int:
     return ExitCode.OK
 
 
-def _report(path: str) -> _Report:
+def _report(path: str, encoding: str) -> _Report:
     try:
-        file = open_description(path)
+        file = open_description(path, encoding)
     except Problem as problem:
         return _Report(path, None, [], problem)
     found = [*file.description.findings, *check(file.description)]

@@ -34,7 +34,7 @@ def show(settings: Settings, path: str, keys: tuple[str, ...]) -> None:
     canopen eds show drive.eds statusword 1018
     """
     screen = settings.screen()
-    file = open_description(path)
+    file = open_description(path, settings.encoding)
     description = file.description
     chosen = [each for key in keys for each in _find(description.dictionary, key)] if keys else _all(description.dictionary)
     if settings.json:

@@ -193,7 +193,7 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
     """
     screen = settings.screen()
     names = read_dictionary(screen)
-    files = read_device_files(settings.eds, names, screen)
+    files = read_device_files(settings.eds, names, screen, settings.encoding)
 
     def dictionary_of(node_id: int) -> ObjectDictionary:
         description = description_of(files, node_id)

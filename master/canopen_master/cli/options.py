@@ -1,7 +1,8 @@
 """The options and the kinds of argument that all commands share.
 
-`common` adds -b, -e, --overlay, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They may also stand
-before the command's name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no option does.
+`common` adds -b, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They may
+also stand before the command's name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no
+option does.
 """
 
 from __future__ import annotations
@@ -36,14 +37,16 @@ DEMO: Final = "demo"
 @dataclass
 class Settings:
     """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
-    overlays.py. trace: where all that is said on the bus is recorded. force: overwrite files; some commands do more with it.
-    clock: a test's virtual one. late: what is to be said when the command has told its results."""
+    overlays.py. trace: where all that is said on the bus is recorded. encoding: of device files, "" = to be found out. force:
+    overwrite files; some commands do more with it. clock: a test's virtual one. late: what is to be said when the command has
+    told its results."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
     overlays: tuple[str, ...] = ()
     timeout: Time | None = None
     trace: Path | None = None
+    encoding: str = ""
     force: bool = False
     json: bool = False
     verbosity: int = 0
@@ -128,6 +131,19 @@ class Duration(Kind):
         return time
 
 
+class Encoding(Kind):
+    """The encoding of a text: "gbk", "cp932", "cp1252"."""
+
+    name = "encoding"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from canopen_proto.dictionary.eds.encodings import is_encoding
+
+        if not is_encoding(str(value)):
+            self.fail(f"{value!r} is no encoding such as gbk, cp932 or cp1252", param, ctx)
+        return str(value)
+
+
 class Fault(Kind):
     """Which simulated drive breaks down when: "5@2.0"."""
 
@@ -176,6 +192,8 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
             settings.timeout = value
         case "trace" if value is not None:
             settings.trace = value
+        case "encoding" if value is not None:
+            settings.encoding = value
         case "force" if value:
             settings.force = True
         case "json_output" if value:
@@ -215,6 +233,7 @@ def common(command: F) -> F:
             metavar="FILE.toml",
             help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
         ),
+        _option("--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."),
         _option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
         _option(
             "--trace",

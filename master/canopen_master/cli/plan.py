@@ -87,7 +87,7 @@ def plan(
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from error
     screen = settings.screen()
     dictionary, _ = load_dictionary()
-    files = read_device_files(settings.eds, dictionary, screen)
+    files = read_device_files(settings.eds, dictionary, screen, settings.encoding)
     background = Background(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
     by_bus: dict[str, list[Exchange]] = {}
     for chain in read_chains(file):

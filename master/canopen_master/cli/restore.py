@@ -84,7 +84,7 @@ def restore(
     canopen restore 5 before.dcf --to 6
     """
     screen = settings.screen()
-    dictionary = settings_in(path, node_id, settings.force)
+    dictionary = settings_in(path, node_id, settings.force, settings.encoding)
     if to is not None:
         dictionary, node_id = moved_to(dictionary, node_id, to), to
     values = settings_of(dictionary, node_id)
@@ -105,11 +105,11 @@ def restore(
     return ExitCode.PARTIAL if tell_unread(screen, dictionary, so_far[0]) else ExitCode.OK
 
 
-def settings_in(path: str, node_id: int, any_node: bool) -> ObjectDictionary:
+def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> ObjectDictionary:
     """The dictionary of a file that sets something. A Problem where it is of another node, or sets nothing."""
     from canopen_master.cli.eds_files import open_description
 
-    description = open_description(path).description
+    description = open_description(path, encoding).description
     named = None if description.commissioning is None else description.commissioning.node_id
     if named is not None and named != node_id and not any_node:
         raise usage(

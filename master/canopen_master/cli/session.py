@@ -85,7 +85,7 @@ async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Sess
     names = read_dictionary(screen)
     files = {
         node_id: replace(each, dictionary=overlaid(each.dictionary, settings.overlays, screen))
-        for node_id, each in read_device_files(settings.eds, names, screen).items()
+        for node_id, each in read_device_files(settings.eds, names, screen, settings.encoding).items()
     }
     dictionary = overlaid(names, settings.overlays, screen)
     timeout = SDO_TIMEOUT if settings.timeout is None else settings.timeout / SECOND

@@ -77,7 +77,7 @@ def sim(
     """
     screen = settings.screen()
     files += settings.eds  # -e says the same: the file that a device is described by
-    common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults)
+    common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults, encoding=settings.encoding)
     plant = wanted(files, node_ids, common_entry) if files else None
     if plant is not None and plant.bus and settings.named_bus() is None:
         settings.bus = plant.bus

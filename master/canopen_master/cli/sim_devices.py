@@ -76,6 +76,7 @@ def _beside(plant: Path, entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry
         profile=entry.profile if entry.profile != "auto" else common.profile,
         shape=entry.shape or common.shape,
         defaults=entry.defaults or common.defaults,
+        encoding=common.encoding,
     )
 
 
@@ -97,7 +98,7 @@ def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> Device
     from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
     from canopen_master.cli.eds_files import open_description, tell_faults
 
-    file = open_description(entry.file)
+    file = open_description(entry.file, entry.encoding)
     tell_faults(screen, file)
     description = with_names(file.description, names)
     dictionary = with_drive_names(identified(description))
