@@ -15,7 +15,6 @@ Source: the encodings as the standard library has them; the rest is experience w
 
 from __future__ import annotations
 
-import codecs
 import re
 from typing import Final
 
@@ -44,7 +43,7 @@ def text_of(data: bytes, encoding: str = "") -> tuple[str, str, tuple[str, int, 
     """
     if encoding:
         try:
-            return data.decode(encoding), codecs.lookup(encoding).name, None
+            return data.decode(encoding), encoding, None
         except UnicodeDecodeError as error:
             remark = _remark(data, error, f"not {encoding}, as it should be; characters were replaced")
             return data.decode(encoding, "replace"), encoding, remark
