@@ -281,8 +281,13 @@ class Axis:
     @property
     def set_point(self) -> float:
         """The position that the next RPDO commands, in the user's unit."""
+        return self.from_counts(self.set_point_counts)
+
+    @property
+    def set_point_counts(self) -> int:
+        """The position that the next RPDO commands, in counts."""
         has_own = INTERPOLATION_SET_POINT in self.node.values.store
-        return self.from_counts(self._int(INTERPOLATION_SET_POINT if has_own else TARGET_POSITION))
+        return self._int(INTERPOLATION_SET_POINT if has_own else TARGET_POSITION)
 
     def set_position(self, position: float) -> None:
         """Give the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.

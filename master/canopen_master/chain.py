@@ -277,10 +277,6 @@ class Chain:
         self._require("give cycles", ChainState.FOLLOWING)
         return Cycles(self._set_points, self._why_stopped)
 
-    def require_following(self) -> None:
-        """Raise ChainFault, ChainHalted or ChainError, as the chain's state is, unless it follows set-points."""
-        self._require("follow set-points", ChainState.FOLLOWING)
-
     @enable_ki_protection
     def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
         """Give the next set-points, one per joint, in the user's unit; they go out behind the next SYNC.
@@ -290,13 +286,13 @@ class Chain:
         speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises ChainFault,
         ChainHalted, ChainError as the chain's state is.
         """
-        self.require_following()
+        self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.give(positions, cycles)
 
     @enable_ki_protection
     def hold(self) -> None:
         """Stay at the last set-points in this cycle on purpose: it does not count as missed."""
-        self.require_following()
+        self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.hold()
 
     # ---- procedures ----

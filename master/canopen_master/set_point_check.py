@@ -13,7 +13,7 @@ from canopen_proto.machine import Time
 
 NO_SCALE = ("give its scale: AxisSettings(counts_per_unit=...) in `axes`, 180_000 / math.pi for millidegrees on the wire",)
 FINER = "a finer path, or more `cycles`"
-FASTER = "AxisSettings(max_speed=...) in `axes`, if the joint may go as fast as that"
+FASTER = "a larger max_speed, if it may go as fast as that: AxisSettings(max_speed=...) in `axes`; `set_max_speed` of `direct`"
 NARROWER = "a path within the limits of the joint: its `limits` tells them"
 
 
@@ -33,9 +33,14 @@ def check_set_point(device: Device, start: float, target: float, time: Time) -> 
             variable.encode(device.axis.to_counts(target))
         except (OverflowError, ValueRangeError) as error:
             raise SetPointRefused(refused, device.name, str(error)) from error
+    check_limits(device, start, target, time)
+
+
+def check_limits(device: Device, start: float, target: float, time: Time) -> None:
+    """As `check_set_point`, for a set-point that is known to be a number that the drive's object can hold."""
     excess = device.limits.excess(start, target, time)
     if excess is not None:
-        raise SetPointRefused(refused, device.name, *_words(excess, start))
+        raise SetPointRefused(f"set-point {target} of {device.name} was refused", device.name, *_words(excess, start))
 
 
 def _words(excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:

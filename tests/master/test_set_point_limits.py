@@ -13,10 +13,12 @@ import trio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canopen_master import Chain, Host, SetPointRefused, open_master, standard_drives
+from canopen_master import Chain, Host, Master, SetPointRefused, open_master, standard_drives
+from canopen_master.direct.drive import COUNTS, STEPS, DirectDrive
 from canopen_proto.cia402.axis import AxisSettings
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.limits import DEFAULT_SPEED
+from canopen_proto.cia402.states import State
 from canopen_transports import open_transport
 from tests.master.world import BUS, arm_of, drives, following_arm, simulated, virtual_time
 
@@ -155,6 +157,66 @@ def test_whatever_is_asked_no_set_point_leaves_that_is_too_far_from_the_last(tri
         assert all(count * direction <= direction * HERE + 1000 for count in sent)
 
     run()
+
+
+@asynccontextmanager
+async def directly_driven() -> AsyncIterator[tuple[Master, DirectDrive]]:
+    """A joint that follows the set-points of the blocking API, each 10 ms; without its thread, in virtual time."""
+    async with simulated(3), open_master(BUS) as master:
+        device = master.device(master.node(3), settings=COUNTS)
+        drive = DirectDrive(master, device, "schunk_default_rPDO", "schunk_default_tPDO")
+        await master.nmt_start(3)
+        await drive.change_state(State.OPERATION_ENABLED)
+        await drive.follow()
+        yield master, drive
+
+
+steps = st.lists(st.sampled_from([-400, -300, 50, 100, 290, 300, 300, 301]), min_size=1, max_size=2 * STEPS)
+
+
+@settings(max_examples=10)
+@given(steps, st.sampled_from([0.001, 0.003, 0.008, 0.01, 0.03]))
+def test_send_pos_lets_no_set_point_through_that_is_too_fast(steps: list[int], period: float) -> None:
+    """Neither for the interval that the drive was told, nor by the clock, for SYNCs that come sooner; and staying is allowed."""
+
+    @virtual_time
+    async def run() -> None:
+        async with directly_driven() as (master, drive):
+            taken = [(trio.current_time(), HERE)]
+            for step in steps:
+                position = taken[-1][1] + step
+                try:
+                    await drive.send_position(position)
+                except SetPointRefused as refused:
+                    assert refused.joint == "node 3"
+                    position -= step
+                    await drive.send_position(position)
+                await trio.sleep(period)
+                await master.send_sync()
+                taken.append((trio.current_time(), position))
+        assert max(abs(after - before) for (_, before), (_, after) in pairwise(taken)) <= DEFAULT_SPEED / 100
+        for number in range(1, len(taken)):
+            (then, start), (_, last), (now, position) = taken[max(0, number - STEPS)], taken[number - 1], taken[number]
+            if abs(position - start) > abs(last - start):
+                assert abs(position - start) <= DEFAULT_SPEED * (now - then + 0.01)
+
+    run()
+
+
+@virtual_time
+async def test_send_pos_within_its_limits_is_never_refused() -> None:
+    """The manual's own path, and faster ones once they are allowed."""
+    async with directly_driven() as (master, drive):
+        for step in range(1, 101):
+            await drive.send_position(HERE + 300 * step)
+            await master.send_sync()
+            await trio.sleep(0.01)
+        with pytest.raises(SetPointRefused, match="60000 per second, more than 30000: the default"):
+            await drive.send_position(HERE + 300 * 102)
+        await drive.set_max_speed(60_000)
+        await drive.send_position(HERE + 300 * 102)
+        with pytest.raises(SetPointRefused, match="more than 60000: the settings"):
+            await drive.send_position(HERE + 300 * 102 + 1)
 
 
 @virtual_time

@@ -71,6 +71,7 @@ release_brake = _session.release_brake
 release_break = _session.release_break
 shutdown_device = _session.shutdown_device
 set_sync_interval = _session.set_sync_interval
+set_max_speed = _session.set_max_speed
 wait_for_status = _session.wait_for_status
 set_motor_state = _session.set_motor_state
 
@@ -110,6 +111,7 @@ __all__ = [
     "send_pos",
     "send_sdo",
     "send_sync",
+    "set_max_speed",
     "set_motor_state",
     "set_sync_interval",
     "shutdown_device",

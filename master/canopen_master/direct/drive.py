@@ -11,10 +11,16 @@ commanded.
 A drive keeps an rPDO until the next SYNC. One that was sent before the brake was commanded, and not taken yet, would enable the
 drive again, at anybody's SYNC. So where a set-point may still be waiting in the drive, the rPDO is sent once more behind the
 command.
+
+**How fast a set-point is.** The drive goes to it within `interval`, the time that it was told (0x60C2), from where the last SYNC
+sent it: that step has to keep to its `limits`. A SYNC that comes sooner than that takes the next step all the same, so the way
+of the last STEPS SYNCs together has to keep to them too, by the clock. A pause makes no step larger.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import replace
 from typing import Final, TypeVar
 
 import trio
@@ -23,13 +29,14 @@ from canopen_master.device import Device
 from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.joint_procedures import awake, follow, quietly, stop
 from canopen_master.master import Master
+from canopen_master.set_point_check import check_limits
 from canopen_master.silence import missing_frame
 from canopen_proto.cia402.axis import AxisSettings
 from canopen_proto.cia402.following import FollowingLost
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
-from canopen_proto.machine import MILLISECOND, LocalProtocolError, RequestId, Time
+from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
@@ -39,14 +46,18 @@ from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
 from canopen_proto.procedures.following import read_unsent
 from canopen_proto.procedures.identity import identify
+from canopen_proto.procedures.limits import read_limits
 from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+from canopen_proto.sync import SyncReceived, SyncSent
 
 T = TypeVar("T")
 
 COUNTS: Final = AxisSettings(counts_per_unit=1.0)
 """Positions as they are on the wire: integers, millidegrees for the manual's arm."""
 
+STEPS: Final = 50
+"""Half a second at the manual's 10 ms: what the timer of a computer is off then is less than one step."""
 SILENT_SYNCS: Final = 10
 """A drive that answered SYNC by its PDO, and now has not for so many of them, is gone. More than in a chain: here the user's loop
 keeps the time, and his threads may hold up the one that hears the drive."""
@@ -69,6 +80,7 @@ class DirectDrive:
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
         self._may_wait = False  # a set-point, in the drive, for a SYNC
+        self._taken: deque[tuple[Time, int]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; the first: where it stood
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
         self._cyclic: dict[int, int] = {}  # the same by mux, of those that came
         self._lost: FollowingLost | None = None  # why it follows no more, for the next send_position
@@ -81,6 +93,7 @@ class DirectDrive:
         bus = master.bus(self.node.bus)
         master.watch((PdoReceived,), self._on_pdo, bus, self.node.node_id)
         master.watch((FollowingLost,), self._on_lost, bus, self.node.node_id)
+        master.watch((SyncSent, SyncReceived), self._on_sync, bus)
 
     # ---- sequences ----
 
@@ -120,6 +133,8 @@ class DirectDrive:
         limit = await self._run(follow(self._device, self.interval * MILLISECOND))
         following = self._device.following
         following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=self._cyclic, lag=1, silent_syncs=SILENT_SYNCS)
+        self._taken.clear()
+        self._on_sync()
         self._is_following, self._lost = True, None
         self._reading, _ = self._master.launch(read_unsent([following]))
 
@@ -141,6 +156,12 @@ class DirectDrive:
         """Tell the drive the time between two SYNCs, and that it shall not watch over it (Schunk's 0x200E = 0)."""
         await self._run(self._set_interval(milliseconds))
         self.interval = milliseconds
+
+    async def set_max_speed(self, speed: float) -> None:
+        """Let set-points be as fast as this, in counts per second, whatever the drive says."""
+        await self._run(identify(self.axis))
+        self.axis.settings = replace(self.axis.settings, max_speed=speed)
+        self._device.limits = await self._run(read_limits(self.axis))
 
     async def wait_for(self, constant: str, timeout: Time) -> None:
         """Wait until the statusword bears a constant; StepTimeout after `timeout` ns."""
@@ -186,8 +207,8 @@ class DirectDrive:
         """Send the rPDO with this set-point now. Raises where the drive would not follow it; see Session.send_pos."""
         chain = next((each for each in self._master.chains if self._device in each.devices), None)
         if chain is not None and self.node.remote.rpdo_of(0x60C1, 1) is not None:
-            chain.require_following()
-            self.axis.set_position_counts(position)  # the master's next cycle takes it along
+            at = {device: device.desired_position for device in chain.devices} | {self._device: position}
+            chain.set_positions(list(at.values()))  # the master's next cycle takes it along
             return
         lost, self._lost = self._lost, None
         if lost is not None:
@@ -195,14 +216,24 @@ class DirectDrive:
         node_id = self.node.node_id
         if not self._is_following:
             raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
+        self._check(position)
         self.axis.set_position_counts(position)
         await self._master.run(self._send())
 
-    def on_sync(self) -> None:
-        """A SYNC was sent."""
-        self._may_wait = False
-
     # ---- inside ----
+
+    def _check(self, position: int) -> None:
+        """Raise ValueRangeError, or SetPointRefused, for a set-point that the drive must not be asked for."""
+        self.node.dictionary.variable((0x60C1, 1)).encode(position)
+        interval = self.interval * MILLISECOND
+        (since, start), (_, last) = self._taken[0], self._taken[-1]
+        check_limits(self._device, last, position, interval)
+        if abs(position - start) > abs(last - start):  # else it stands, or comes back: that must always be possible
+            check_limits(self._device, start, position, self._master.now() - since + interval)
+
+    def _on_sync(self, report: Event | None = None) -> None:
+        self._may_wait = False
+        self._taken.append((self._master.now(), self.axis.set_point_counts))
 
     def _end_following(self) -> None:
         self._is_following = False

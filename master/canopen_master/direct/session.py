@@ -161,8 +161,6 @@ class Session:
         async def send(master: Master) -> None:
             if not master.sync_period:
                 await master.send_sync()
-                for drive in self._drives.values():
-                    drive.on_sync()
 
         self._call(send)
         now, wait = time.monotonic(), milliseconds / 1000
@@ -224,6 +222,8 @@ class Session:
         """Send the rPDO with this set-point; the drive takes it at the next SYNC and is there one interval later.
 
         Absolute, in millidegrees (what the drive counts in). The rPDO also bears the controlword that was commanded last. Raises
+        SetPointRefused, with nothing sent, for a position that the drive's limits (0x607D) exclude, or one that is further from
+        the last than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises
         LocalProtocolError before enable_ip_mode. A drive that does not follow is halted, and told by the next call: DriveFault in
         fault, NodeSilent if its PDOs no longer come, else ProcedureError with the reason, as a chain finds it. Where the drive is
         a joint of a chain, the master's next cycle sends it; raises ChainFault and ChainHalted as the chain does.
@@ -288,6 +288,14 @@ class Session:
         Its watch over the SYNC, where it has the manual's (0x200E), is switched off: here the user sends the SYNC.
         """
         return self._attempt(node, lambda drive: drive.set_interval(milliseconds))
+
+    def set_max_speed(self, node: int, counts_per_second: float) -> bool:
+        """Let the set-points of `send_pos`, and of a chain, be as fast as this; millidegrees per second for the manual's arm.
+
+        By default it is what the drive says (0x607F, 0x6080), or 30 000 where it says nothing. False if the drive does not
+        answer. Raises LocalProtocolError unless it is above 0.
+        """
+        return self._attempt(node, lambda drive: drive.set_max_speed(counts_per_second))
 
     def wait_for_status(self, node: int, constant: str, timeout: float = 1.0) -> bool:
         """Wait until the statusword bears a constant, as "operation_enable"; at most `timeout` seconds, then False."""
