@@ -391,7 +391,7 @@ class Drive(Machine):
         return self.state is State.OPERATION_ENABLED and self._after_stop is None
 
     def _has_mode(self, mode: int) -> bool:
-        """Whether a mode can be chosen: "no mode" always; without 6502h, each; the Schunk homes though its 6502h says otherwise."""
+        """Whether a mode can be chosen: "no mode" always; without 6502h, each; the Schunk homes, whatever its 6502h says."""
         if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
             return True
         known = self._servo.store.get(objects.SUPPORTED_DRIVE_MODES)

@@ -7,16 +7,19 @@ A device is a drive when the lower half of its device type (1000h) is 402; where
 standard"), when it has a controlword and a statusword. Several axes stand 0x800 apart.
 
 Bits 10, 12 and 13 of the statusword mean something else in each mode and are left out but for bit 10; bits 8, 14 and 15 are the
-manufacturer's. A side file (dictionary/overlay.py) may name them.
+manufacturer's. A side file (dictionary/overlay.py) may name them. Where a dictionary names the same bit for several modes, as
+constants.csv does, `names_in_mode` picks the names of the mode that is active.
 
 Source: IEC 61800-7-201 (CiA 402-2), controlword, statusword, modes of operation; CiA 301 v4.2.0, 7.5.2.1 (device type).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import STATUS_PATTERNS, ControlBit, State, StatusBit
 from canopen_proto.dictionary import Constant, ObjectDictionary
 
@@ -71,6 +74,28 @@ _NAMES: Final[dict[int, tuple[Constant, ...]]] = {
     objects.MODES_OF_OPERATION: tuple(Constant(name, 0xFF, value) for name, value in _MODES.items()),
     objects.MODES_OF_OPERATION_DISPLAY: tuple(Constant(name, 0xFF, value) for name, value in _MODES.items()),
 }
+
+
+_MODES_OF: Final[dict[str, tuple[int, ...]]] = {
+    "set_point_acknowledge": (Mode.PROFILE_POSITION,),
+    "speed_0": (Mode.PROFILE_VELOCITY,),
+    "homing_attained": (Mode.HOMING,),
+    "homing_error": (Mode.HOMING,),
+    "ip_mode_active": (Mode.INTERPOLATED_POSITION,),
+    "drive_follows_command": (
+        Mode.CYCLIC_SYNCHRONOUS_POSITION,
+        Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+    ),
+    "following_error": (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION),
+}
+"""The names of bits 12 and 13 of the statusword in constants.csv, and the modes in which the bit means that."""
+
+
+def names_in_mode(names: Iterable[str], mode: int | None) -> tuple[str, ...]:
+    """Of the names that a statusword bears, those that are true in a mode (0x6061); None: it is not known, and a name that is
+    true in some modes only is left out."""
+    return tuple(name for name in names if name not in _MODES_OF or mode in _MODES_OF[name])
 
 
 def is_drive(dictionary: ObjectDictionary) -> bool:

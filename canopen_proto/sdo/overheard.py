@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from canopen_proto.cia402.names import names_in_mode
+from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.sdo.abort import text_of
@@ -296,6 +298,8 @@ def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: 
         return bytes_text(value)
     variable = dictionary.get(index, subindex)
     notes = [] if variable is None else list(dictionary.names_of(variable, value))
+    if index << 8 | subindex == STATUSWORD:
+        notes = list(names_in_mode(notes, None))
     if isinstance(value, int) and value > 0xFF:
         notes.insert(0, f"0x{value:X}")
     return (repr(value) if isinstance(value, str) else str(value)) + (f" ({', '.join(notes)})" if notes else "")

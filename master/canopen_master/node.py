@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,7 +16,8 @@ from canopen_master.requests import OpenRequest
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.subscription import Subscription
-from canopen_proto.cia402.objects import CONTROLWORD
+from canopen_proto.cia402.names import names_in_mode
+from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.cia402.states import COMMAND_BITS, Command
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
@@ -104,14 +106,20 @@ class Node:
             raise self._unexpected(variable, uploaded, error) from error
 
     async def read_message(self, key: Key, *, block: Block = False) -> Message:
-        """The value of an object with its name and the constants that it bears. timestamp: when it came, ns on trio's clock."""
+        """The value of an object with its name and the constants that it bears. timestamp: when it came, ns on trio's clock.
+
+        Bits 12 and 13 of the statusword mean something else in each mode of operation: where one is set, 0x6061 is read, too.
+        """
         variable = self.dictionary.variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
             message = self.remote.message_of(uploaded)
         except ValueRangeError as error:
             raise self._unexpected(variable, uploaded, error) from error
-        return replace(message, timestamp=self.remote.heard_at.get(variable.mux))
+        constants = message.constants
+        if variable.mux == STATUSWORD and constants != names_in_mode(constants, None):
+            constants = names_in_mode(constants, await self._active_mode())
+        return replace(message, timestamp=self.remote.heard_at.get(variable.mux), constants=constants)
 
     async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
         """Write a value, or a constant by its name; returns when the device has confirmed it.
@@ -303,6 +311,13 @@ class Node:
             return key
         variable = self.dictionary.variable(key)
         return variable.index, variable.subindex
+
+    async def _active_mode(self) -> int | None:
+        """0x6061; None where the node does not have it, or does not tell it."""
+        with suppress(SdoError):
+            data = await self.read_bytes(MODES_OF_OPERATION_DISPLAY >> 8)
+            return int.from_bytes(data, "little", signed=True)
+        return None
 
     def _note(self, mux: int, value: Value) -> None:
         if mux == CONTROLWORD:

@@ -234,11 +234,20 @@ def test_the_sync_interval_is_told_to_the_drive(session: Session, arm: Devices) 
     assert session.send_sdo(12, "ip_time_units").value == 20
 
 
-def test_leaving_a_bus_that_does_not_answer_says_so(arm: Devices) -> None:
+def test_leaving_halts_a_drive_whose_node_was_stopped(arm: Devices) -> None:
     session = Session()
     assert session.open_connection(arm.bus)
     assert session.init_device(12)
     session.send_nmt("stop_remote_node", 12)
+    session.close_connection()
+    assert any(frame.startswith("60C#2B4060000F01") for frame in arm.frames())
+
+
+def test_leaving_a_bus_that_does_not_answer_says_so(arm: Devices) -> None:
+    session = Session()
+    assert session.open_connection(arm.bus)
+    assert session.init_device(12)
+    arm.do(lambda host: arm.node(12).sdo.disable())
     with pytest.raises(HaltNotConfirmed, match="node 12"):
         session.close_connection()
     with pytest.raises(NotConnected):

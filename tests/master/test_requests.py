@@ -15,6 +15,7 @@ from canopen_master import (
     UnexpectedAnswer,
     UnknownChain,
     open_master,
+    standard_drives,
 )
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Message, ObjectNotFound
@@ -43,6 +44,20 @@ async def test_read_and_write_by_name_number_and_constant() -> None:
         assert (message.node_id, message.name, message.value) == (12, "statusword", 0x221)
         assert "ready_to_switch_on" in message.constants
         assert message.timestamp == master.now()
+
+
+@pytest.mark.parametrize(("mode", "name"), [(1, "set_point_acknowledge"), (3, "speed_0"), (8, "drive_follows_command")])
+@virtual_time
+async def test_the_names_of_a_statusword_are_those_of_the_active_mode(mode: int, name: str) -> None:
+    async with simulated(makers=standard_drives(12)), open_master(BUS) as master:
+        node = master.node(12)
+        await node.write("modes_of_operation", mode)
+        for word in (6, 7, 15, 31):
+            await node.write("controlword", word)
+        message = await node.read_message("statusword")
+        assert message.constants == ("operation_enable", "voltage_enabled", "remote", *message.constants[3:])
+        of_bit_12 = {"set_point_acknowledge", "speed_0", "homing_attained", "ip_mode_active", "drive_follows_command"}
+        assert of_bit_12 & set(message.constants) == {name}
 
 
 @virtual_time

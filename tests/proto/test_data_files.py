@@ -8,6 +8,8 @@ import pytest
 
 import canopen_data
 from canopen_data import CHAIN_FILES, DICTIONARY_FILES, DataError
+from canopen_proto.cia402.modes import HomingStatus, describe_status
+from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, ConstantNotFound, Direction, Filler, ObjectDictionary
 from canopen_proto.dictionary.csv import DictionaryError
@@ -312,6 +314,22 @@ def test_init_where_nothing_can_be_written(tmp_path: Path) -> None:
 
 
 # ---- a user's own files beside installed ones ----
+
+
+@pytest.mark.parametrize("mode", [None, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, -3])
+def test_a_bit_of_the_statusword_is_called_as_in_the_mode_that_is_active(dictionary: ObjectDictionary, mode: int | None) -> None:
+    """Bits 12 and 13 have one name at most, and the texts for people say as much."""
+    told = {
+        "set_point_acknowledge": "set-point acknowledged", "speed_0": "speed is zero", "ip_mode_active": "interpolation active",
+        "drive_follows_command": "follows the command", "following_error": "following error",
+        "homing_attained": HomingStatus.ATTAINED, "homing_error": HomingStatus.ERROR_MOVING,
+    }  # fmt: skip
+    for bit in (0x1000, 0x2000):
+        others = dictionary.names_of("statusword", 0x27)
+        (*names,) = (each for each in names_in_mode(dictionary.names_of("statusword", 0x27 | bit), mode) if each not in others)
+        words = describe_status(0x27 | bit, mode)
+        assert [told[name] for name in names] == [word for word in words if word in told.values()]
+        assert len(names) <= 1
 
 
 def test_an_indices_csv_of_few_objects_goes_with_the_installed_files(tmp_path: Path) -> None:

@@ -179,7 +179,7 @@ async def _add_drive(node: Node, facts: Facts) -> None:
     mode = await _standard(node, 0x6061)
     statusword = await _standard(node, 0x6041)
     if isinstance(statusword, int):
-        words = describe_status(statusword, mode if isinstance(mode, int) else 0)
+        words = describe_status(statusword, mode if isinstance(mode, int) else None)
         facts["statusword"] = (statusword, f"{', '.join(words)}  (0x{statusword:04X})")
     if isinstance(mode, int):
         facts["mode"] = (mode, mode_name(mode))
