@@ -13,13 +13,16 @@ from canopen_master.cli.path import MAX_ACCELERATION, MAX_SPEED, Path
 STEP = 0.002
 
 
-@given(st.floats(0.5, 20), st.floats(0.001, 1.1), st.integers(1, 7), st.floats(0, 1))
-def test_speed_and_acceleration_are_limited(duration: float, swing: float, joints: int, share: float) -> None:
-    path = Path([0.0] * joints, swing, duration)
+@given(st.floats(0.5, 20), st.floats(0.001, 1.1), st.integers(1, 7), st.floats(0, 1), st.none() | st.floats(0.01, 3))
+def test_speed_and_acceleration_are_limited(
+    duration: float, swing: float, joints: int, share: float, slower: float | None
+) -> None:
+    path = Path([0.0] * joints, swing, duration, [] if slower is None else [slower] * joints)
+    fastest = MAX_SPEED if slower is None else min(MAX_SPEED, slower)
     before, here, after = (path.at(share * duration + offset) for offset in (-STEP, 0, STEP))
     for a, b, c in zip(before, here, after, strict=True):
         assert abs(b) <= swing
-        assert abs(c - a) / (2 * STEP) <= MAX_SPEED * 1.01
+        assert abs(c - a) / (2 * STEP) <= fastest * 1.01
         assert abs(a - 2 * b + c) / STEP**2 <= MAX_ACCELERATION * 1.01
 
 

@@ -32,7 +32,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
     type=click.FloatRange(0.1, 60),
     default=15.0,
     show_default=True,
-    help="How far, in degrees.",
+    help="How far, in degrees; less where the joints may not go as fast as that takes.",
 )
 @click.option("--plot", type=PICTURE, help="Draw commanded and actual positions, as .png, .svg or .pdf (needs matplotlib).")
 @click.option(

@@ -215,13 +215,13 @@ class Demonstration:
         doubles = same_nodes([description])
         if doubles:
             raise ChainFileError(description.source, doubles)
-        axes, scale = {}, self.plan.scale
+        axes, scale, max_speed = {}, self.plan.scale, None
         if self.plan.bus is None:
-            scale = MILLIDEGREES_PER_RADIAN  # of every simulated drive
+            scale, max_speed = MILLIDEGREES_PER_RADIAN, MAX_SPEED  # of every simulated drive, whatever its file says
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
             axis = AxisSettings() if file is None else file.axis
-            axes[joint.name] = replace(axis, counts_per_unit=scale, max_speed=MAX_SPEED)
+            axes[joint.name] = replace(axis, counts_per_unit=scale, max_speed=max_speed)
             if file is not None:
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
         settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
@@ -284,7 +284,8 @@ class Demonstration:
         for device in arm.devices:
             device.following.largest_error = 0.0
         self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
-        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds)
+        limits = [device.limits.speed.value for device in arm.devices]
+        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds, limits)
         fault = plan.fault
         refresh = max(1, round(REFRESH * SECOND / plan.cycle))
         async for cycle in arm.cycles():

@@ -8,6 +8,7 @@ would pass a limit swings less far, so that it can be halted at any moment well 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 SLOWEST: Final = 0.20
@@ -25,19 +26,23 @@ _CURVATURE: Final = 5.774  # of _smooth where it is bent most
 
 
 class Path:
-    """Positions over time, in radians. start: where the joints stand; swing: how far they go; duration: seconds."""
+    """Positions over time, in radians. start: where the joints stand; swing: how far they go; duration: seconds.
 
-    def __init__(self, start: list[float], swing: float, duration: float) -> None:
+    limits: how fast each joint may go, if that is less than MAX_SPEED.
+    """
+
+    def __init__(self, start: list[float], swing: float, duration: float, limits: Sequence[float] = ()) -> None:
         self.start = start
         self.duration = duration
         self._ramp = min(MAX_RAMP, duration / 3)
         self._speeds = [2 * math.pi * (SLOWEST + STEP * number) for number in range(len(start))]
-        self._swings = [min(swing, self._limit(speed)) for speed in self._speeds]
+        fastest = [min(MAX_SPEED, limit) for limit in limits] or [MAX_SPEED] * len(start)
+        self._swings = [min(swing, self._limit(*speeds)) for speeds in zip(self._speeds, fastest, strict=True)]
 
-    def _limit(self, speed: float) -> float:
+    def _limit(self, speed: float, fastest: float) -> float:
         """How far a joint may swing: by the triangle inequality over sine and window and their derivatives."""
         slope, curvature = _SLOPE / self._ramp, _CURVATURE / self._ramp**2
-        return min(MAX_SPEED / (speed + slope), MAX_ACCELERATION / (speed**2 + 2 * speed * slope + curvature))
+        return min(fastest / (speed + slope), MAX_ACCELERATION / (speed**2 + 2 * speed * slope + curvature))
 
     def at(self, time: float) -> list[float]:
         """Where the joints are to be; before 0 and after `duration` at their start."""

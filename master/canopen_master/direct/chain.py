@@ -83,8 +83,8 @@ class ChainCalls:
     def set_pos(self, positions: Sequence[int]) -> None:
         """Give the set-points that go out behind the next SYNC. Until others are given, they are repeated.
 
-        Raises SetPointRefused for a wrong count or a value that does not fit, ChainFault when a joint has failed, ChainHalted,
-        and ChainError for a chain that is not in IP mode.
+        Raises SetPointRefused for a wrong count, a value that does not fit, or one beyond the limits of its joint, ChainFault
+        when a joint has failed, ChainHalted, and ChainError for a chain that is not in IP mode.
         """
 
         async def give(chain: Chain) -> None:
