@@ -81,6 +81,8 @@ def test_a_backup_by_a_walk(run: Run, world: Lasting) -> None:
     outcome = run("backup", *NODE, "-o", "found.dcf", "--walk", "1000-1019,2000-0x2003")
     assert outcome.status == 0
     found = load_description("found.dcf").dictionary
+    assert {0x1400, 0x1600, 0x1800, 0x1A00, 0x2000} <= set(found.objects)
+    assert 0x2011 not in found.objects
     assert found.variable(0x2002).configured == 10
     assert found.variable(0x2003).configured == b"an I/O device with a long name"
     world.values[LIMITED << 8] = 12

@@ -99,8 +99,14 @@ def test_a_backup_keeps_bytes_and_compare_and_restore_see_them(run: Run, world: 
     assert outcome.status == ExitCode.DIFFERENT
     assert "'ü' (FC)" in outcome.out
     assert "'ü \\x1b\\r\\n' (C3 BC 20 1B 0D 0A)" in outcome.out
+    rows = {row["index"]: row for row in run("compare", "5", "before.dcf", *DEMO, "--json").json}
+    assert (rows[TEXT]["left_hex"], rows[TEXT]["right_hex"]) == ("FC", "C3 BC 20 1B 0D 0A")
     assert run("restore", "5", "before.dcf", *DEMO, "--yes", "--verify").status == 0
     assert world.values[TEXT << 8] == held
+    for name in ("all.csv", "all.json"):
+        assert run("dump", "5", "-e", "device.eds", *DEMO, "-o", name).status == 0
+        assert not [each for each in Path(name).read_text() if not each.isprintable() and each != "\n"]
+        assert "C3 BC 20 1B 0D 0A" in Path(name).read_text()
 
 
 def test_what_a_file_cannot_keep_is_named(run: Run, world: Lasting) -> None:

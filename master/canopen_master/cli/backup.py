@@ -26,6 +26,7 @@ from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
 from canopen_proto.dictionary.describing import EDS_VERSION
 from canopen_proto.procedures.backup import Backup, Reading
+from canopen_proto.procedures.walk import COMMUNICATION
 from canopen_transports import TransportError
 from canopen_transports.locator import parse_locator
 
@@ -43,8 +44,8 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     """Read all that a node holds into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
-    those of the data files are read; --walk looks for others. Exit status: 0 complete, 7 something that should be there could not
-    be read, or not be kept in the file as it was read.
+    those of the data files are read; with --walk, what answers at its indices. Exit status: 0 complete, 7 something that should
+    be there could not be read, or not be kept in the file as it was read.
 
     \b
     canopen backup 5 -o before.dcf -e drive.eds
@@ -53,6 +54,8 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     screen = settings.screen()
     check_indices(indices, settings.eds)
     check_new_file(settings, screen, output)
+    if indices is not None:
+        indices = (COMMUNICATION, *indices)  # a backup without the PDOs is none
     found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
     bit_rate = bit_rate_of(settings)
     lost = write_dcf(output, found, description, bit_rate)

@@ -75,7 +75,7 @@ async def read_all(session: Session, screen: Screen, node_id: int, indices: tupl
     node = session.node(node_id).remote
     label = f"reading {node_text(node_id)}"
     if indices is not None:
-        return await shown(session, screen, label, walk(node, indices), WalkProgress)
+        return await shown(session, screen, label, walk(node, indices, domains=domains), WalkProgress)
     if session.description_of(node_id) is None:
         reading = back_up_by_names(node, session.dictionary_of(node_id), domains=domains)
         return await shown(session, screen, label, reading, WalkProgress, ObjectRead)

@@ -19,7 +19,7 @@ from canopen_master.cli.problem import ExitCode, usage
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
-from canopen_master.cli.values import as_json, place_text
+from canopen_master.cli.values import as_json, hex_text, place_text
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
@@ -214,4 +214,6 @@ def _as_json(row: Row) -> dict[str, Any]:
         "role": str(row.role),
         "left": None if row.left is None else as_json(row.variable, row.left),
         "right": None if row.right is None else as_json(row.variable, row.right),
+        "left_hex": (hex_text(row.variable, row.left) if row.left is not None else "") or None,
+        "right_hex": (hex_text(row.variable, row.right) if row.right is not None else "") or None,
     }

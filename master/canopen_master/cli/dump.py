@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +18,7 @@ from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, escape, node_text
 from canopen_master.cli.session import open_session
 from canopen_master.cli.values import hex_text, place_text, value_text
+from canopen_master.plain_text import clean, json_text
 from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.procedures.backup import Backup, Reading
 
@@ -94,12 +94,14 @@ def _document(found: Backup) -> dict[str, Any]:
 
 def _write(output: str, suffix: str, found: Backup) -> None:
     if suffix == ".json":
-        text = json.dumps(_document(found), indent=2, ensure_ascii=False) + "\n"
+        text = json_text(_document(found), 2) + "\n"
     else:
         table = io.StringIO()
         rows = [reading_as_json(each) for each in found.readings]
         for row in rows:
-            row.update(index=f"{row['index']:04X}", sub=f"{row['sub']:02X}")
+            row.update(index=f"{row['index']:04X}", sub=f"{row['sub']:02X}", name=clean(row["name"]))
+            if isinstance(row["value"], str):
+                row["value"] = clean(row["value"], len(row["value"]))
         names = ("index", "sub", "name", "type", "access", "result", "value", "hex", "abort")
         writer = csv.DictWriter(table, names, lineterminator="\n")
         writer.writeheader()

@@ -15,6 +15,7 @@ from canopen_master.cli.screen import Screen, node_text
 from canopen_master.cli.session import open_session
 from canopen_master.errors import SdoError
 from canopen_master.node import Node
+from canopen_master.plain_text import clean
 from canopen_master.silence import missing_frame
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
@@ -78,7 +79,7 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
         return
     if not (screen.err.is_terminal and sys.stdin.isatty()):
         raise usage("CO122", f"{question}. This has to be confirmed", seen="nothing was sent", tries=("the same with --yes",))
-    if not click.confirm(f"{question}. Go on?", err=True):
+    if not click.confirm(f"{clean(question)}. Go on?", err=True):
         raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 
 
