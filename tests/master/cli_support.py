@@ -80,6 +80,14 @@ def runner(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
     return run
 
 
+def runner_in_folder(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """As `runner`, with an empty folder of its own as the current one, where commands leave their files."""
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return runner(capsys, monkeypatch, tmp_path)
+
+
 def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
     """The fleets of simulated drives that commands make from now on, to look into when they have ended. alarm: rings in them."""
     fleets: list[Fleet] = []

@@ -26,7 +26,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event, Outbox, Time
 from canopen_proto.nmt import NmtState, NmtStateChanged
-from tests.master.cli_support import Outcome, Run, runner
+from tests.master.cli_support import Outcome, Run, runner_in_folder
 from tests.proto.faulty_nodes import SelfStarting
 from tests.proto.full_device import full_device
 
@@ -72,10 +72,7 @@ class World:
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    return runner(capsys, monkeypatch, tmp_path)
+    return runner_in_folder(capsys, monkeypatch, tmp_path)
 
 
 @pytest.fixture

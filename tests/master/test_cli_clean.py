@@ -19,7 +19,7 @@ from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.sdo.abort import AbortCode
 from canopen_transports import TransportError
 from tests.master.backup_world import Lasting, answering, lasting
-from tests.master.cli_support import Run, runner
+from tests.master.cli_support import Run, runner_in_folder
 from tests.proto.devices import TEXT
 from tests.proto.restore_bench import GAIN, device
 
@@ -40,10 +40,7 @@ def evil_device() -> tuple[Object, ...]:
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    return runner(capsys, monkeypatch, tmp_path)
+    return runner_in_folder(capsys, monkeypatch, tmp_path)
 
 
 @functools.cache

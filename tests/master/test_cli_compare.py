@@ -16,17 +16,14 @@ from canopen_proto.dictionary.describing import describe
 from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.sdo.abort import AbortCode
 from tests.master.backup_world import EDS, NODE, Lasting, answering, change, lasting_device
-from tests.master.cli_support import Run, runner
+from tests.master.cli_support import Run, runner_in_folder
 from tests.proto.devices import LIMITED, TEXT
 from tests.proto.restore_bench import GAIN, device
 
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    return runner(capsys, monkeypatch, tmp_path)
+    return runner_in_folder(capsys, monkeypatch, tmp_path)
 
 
 @pytest.fixture

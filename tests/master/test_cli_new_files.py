@@ -12,7 +12,7 @@ from canopen_data.descriptions import load_description
 from canopen_master.cli.problem import ExitCode
 from canopen_proto.sdo.abort import AbortCode
 from tests.master.backup_world import Lasting, answering, change, lasting_device
-from tests.master.cli_support import Run, runner
+from tests.master.cli_support import Run, runner_in_folder
 from tests.proto.devices import TEXT
 from tests.proto.restore_bench import GAIN
 
@@ -34,10 +34,7 @@ COMMANDS = {
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    return runner(capsys, monkeypatch, tmp_path)
+    return runner_in_folder(capsys, monkeypatch, tmp_path)
 
 
 @pytest.fixture
