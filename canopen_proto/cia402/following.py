@@ -23,7 +23,12 @@ reached at SYNC n + `lag`, whose PDO shows it. That pairing is right to some cyc
 buffer set-points. So what is compared with the limit is the distance from the position to the nearest set-point of UNCERTAIN
 cycles before or behind.
 
-Left out: what is in no PDO has to be read (`unsent`); `canopen_proto.procedures.following` does that.
+What is in no PDO has to be read (`unsent`): `canopen_proto.procedures.following` does that, and finds the limit.
+
+    limit = yield from following_limit(axis, (yield from read_limits(axis)))
+    yield from start_interpolation(axis, cycle_time)
+    following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic={STATUSWORD: 1, POSITION_ACTUAL_VALUE: 1})
+    network.run(read_unsent([following]), now)
 
 Source: IEC 61800-7-201 (CiA 402-2): statusword, interpolated position mode, cyclic synchronous position mode, following error.
 """
@@ -54,7 +59,11 @@ SILENT_TIME: Final = 20 * MILLISECOND
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
 _NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
-_NAMES: Final = {STATUSWORD: "statusword", MODES_OF_OPERATION_DISPLAY: "mode (0x6061)", POSITION_ACTUAL_VALUE: "position"}
+_NAMES: Final[dict[int, str]] = {
+    STATUSWORD: "statusword",
+    MODES_OF_OPERATION_DISPLAY: "mode (0x6061)",
+    POSITION_ACTUAL_VALUE: "position",
+}
 
 
 @event
@@ -147,10 +156,11 @@ class Following:
         self._is_on = True
 
     def expect(self, cyclic: Mapping[int, int]) -> None:
-        """The drive sends these at SYNCs by itself, mux -> at every how many of them; the rest is `unsent`."""
+        """The drive sends these at SYNCs by itself, mux -> at every how many of them; what else it has is `unsent`."""
         self._cyclic = cyclic
         self._unanswered = {}
-        self.unsent = {STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE}.difference(cyclic)
+        dictionary = self._axis.node.dictionary
+        self.unsent = {mux for mux in _NAMES if mux not in cyclic and (mux >> 8, mux & 0xFF) in dictionary}
 
     def end(self) -> None:
         """No set-points are followed any more."""

@@ -207,6 +207,11 @@ class Bus:
         """ns between two SYNCs that we send, or our transport; 0 for none."""
         return self._period or (self.sync.period if self.sync is not None else 0)
 
+    @property
+    def hears_own_sync(self) -> bool:
+        """Whether a SYNC that comes is ours: the transport sends them."""
+        return bool(self._period)
+
     def start_sync(self, period: Time, now: Time) -> None:
         """Send SYNC now and then once per period (ns), by our producer or by the transport. Raises TransportError."""
         assert self.sync is not None
@@ -230,7 +235,7 @@ class Bus:
 
     def sync_came(self, sync: SyncReceived, now: Time) -> Event:
         """What a received SYNC is here: ours, where the transport sends them."""
-        if not self._period:
+        if not self.hears_own_sync:
             return sync
         skipped = 0
         if self._last_sync is not None:

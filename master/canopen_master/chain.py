@@ -58,7 +58,7 @@ from canopen_master.joint_procedures import (
     stop,
 )
 from canopen_master.silence import sdo_silence
-from canopen_master.supervision import Supervision, foreign_commands
+from canopen_master.supervision import Supervision
 from canopen_proto.cia402.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
@@ -409,11 +409,9 @@ class Chain:
 
     # ---- being stopped ----
 
-    def _stop(self, why: str, culprit: Device | None = None) -> None:
+    def _stop(self, why: str) -> None:
         """Halt all joints, and have whatever runs on this chain end. Also in the pump's turn; `_joints_stopped` waits for it."""
         self._why_halted = why
-        if culprit is not None:
-            self._culprit = culprit, why, foreign_commands(self._master, culprit)
         state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
@@ -469,9 +467,10 @@ class Chain:
 
     # ---- in the pump's turn ----
 
-    def _joint_failed(self, device: Device, reason: str) -> None:
+    def _joint_failed(self, device: Device, reason: str, cause: str) -> None:
         if self.state is not ChainState.FAULT and not self._master.is_closed:
-            self._stop(reason, device)
+            self._culprit = device, reason, cause
+            self._stop(reason)
 
     def _on_sync(self, sync: SyncSent) -> None:
         if self.state is not ChainState.FOLLOWING:

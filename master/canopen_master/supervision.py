@@ -30,12 +30,20 @@ if TYPE_CHECKING:
 RECENT: Final = 1 * SECOND
 """What another master said within this time may be the reason why a joint does not follow."""
 
+SILENT: Final = (
+    "its power is off, its cable is loose, or it was stopped; or it does not send its PDO at each SYNC (then "
+    "ChainSettings(define_pdos=True) tells it to)"
+)
+
 
 class Supervision:
     """See this module's text. is_on: whether failures are told at all."""
 
-    def __init__(self, master: Master, devices: Sequence[Device], failed: Callable[[Device, str], None]) -> None:
-        """failed: called in the pump's turn, with the joint and what it did, as "fell into fault"; perhaps several times."""
+    def __init__(self, master: Master, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
+        """failed: called in the pump's turn with the joint, what it did, as "fell into fault", and the likely cause, or "".
+
+        Perhaps several times.
+        """
         self._master = master
         self._devices = devices
         self._failed = failed
@@ -63,26 +71,30 @@ class Supervision:
     def _on_event(self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeBooted) -> None:
         if not self.is_on:
             return
+        cause = foreign_commands(self._master, device)
         match report:
-            case FollowingLost(cause=cause):
-                self._failed(device, cause)
+            case FollowingLost(cause=reason, is_silent=is_silent):
+                self._failed(device, reason, cause or (SILENT if is_silent else ""))
             case AxisStateChanged() if device.has_fault:
-                self._failed(device, "fell into fault")
+                self._failed(device, "fell into fault", cause)
             case HeartbeatLost(timeout=timeout):
-                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s")
+                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause)
             case NodeBooted():
-                self._failed(device, "was reset, or lost its power: it has booted anew")
+                self._failed(device, "was reset, or lost its power: it has booted again", cause)
 
 
 def foreign_commands(master: Master, device: Device) -> str:
     """Which commands of others were heard lately that may be why a joint does not follow, for people; "" for none."""
-    network, node_id, now = master.bus(device.node.bus).network, device.node.node_id, master.now()
-    keys = {"a SYNC": SYNC, "an NMT command": NMT, "an SDO request to it": SDO_CLIENT_TO_SERVER + node_id}
+    bus, node_id, now = master.bus(device.node.bus), device.node.node_id, master.now()
+    keys = {"an NMT command": NMT, "an SDO request to it": SDO_CLIENT_TO_SERVER + node_id}
+    if not bus.hears_own_sync:
+        keys["a SYNC"] = SYNC
     for number, producer in device.node.remote.rpdos.items():
-        keys[f"its RPDO {number}"] = producer.key or 0
+        if producer.key is not None:
+            keys[f"its RPDO {number}"] = producer.key
     heard = []
     for what, key in keys.items():
-        time = network.last_heard_of(key)
+        time = bus.network.last_heard_of(key)
         if time is not None and now - time <= RECENT:
             heard.append(f"{what} {(now - time) / MILLISECOND:.0f} ms ago")
     return f"somebody else commands this bus: {', '.join(heard)}" if heard else ""

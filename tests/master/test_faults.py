@@ -213,7 +213,7 @@ def _mute_tpdos(host: Host) -> None:
     ("do", "reason"),
     [
         (_disable_by_hand, "left operation enabled by itself: ready to switch on"),
-        (_reset, "it has booted anew"),
+        (_reset, "it has booted again"),
         (_pre_operational, "left NMT state Operational: PRE_OPERATIONAL"),
         (_mute_tpdos, "is silent: no PDO with its statusword for 30 ms, behind 3 SYNCs"),
     ],
@@ -227,6 +227,18 @@ def test_other_ways_to_fail(do: Callable[[Host], Any], reason: str) -> None:
             assert reason in caught.value.reason
             assert caught.value.joint == "joint1"
             assert value(drives(host)[1], 0x6040_00) & 0x100
+
+    test()
+
+
+@pytest.mark.parametrize("cycles", [3, 10])
+def test_how_long_a_joint_may_be_silent_is_a_setting(cycles: int) -> None:
+    @virtual_time
+    async def test() -> None:
+        async with following_arm(3, max_silent_cycles=cycles) as (host, _, arm):
+            with pytest.raises(ChainFault, match=f"for {cycles * 10} ms, behind {cycles} SYNCs") as caught:
+                await follow(arm, at=5, do=lambda: _mute_tpdos(host))
+            assert "cause: its power is off, its cable is loose" in str(caught.value)
 
     test()
 
@@ -292,7 +304,7 @@ async def test_a_reference_that_was_lost_is_lost() -> None:
         await arm.initialise()
         await arm.home()
         await arm.enable_interpolated_position()
-        with pytest.raises(ChainFault, match="booted anew"):
+        with pytest.raises(ChainFault, match="booted again"):
             await follow(arm, at=50, do=lambda: _reset(host))
         stood = [position_of(host, node) for node in drives(host)]
         for _ in range(2):
@@ -321,7 +333,7 @@ async def test_a_drive_that_keeps_its_reference_goes_on() -> None:
         await arm.initialise()
         await arm.home()
         await arm.enable_interpolated_position()
-        with pytest.raises(ChainFault, match="booted anew"):
+        with pytest.raises(ChainFault, match="booted again"):
             await follow(arm, at=50, do=lambda: _reset(host))
         await arm.recover()
         assert arm.state is ChainState.FOLLOWING
@@ -332,7 +344,7 @@ async def test_a_drive_that_keeps_its_reference_goes_on() -> None:
 @virtual_time
 async def test_an_arm_that_was_never_homed_recovers_from_a_reset() -> None:
     async with following_arm(3, 4) as (host, _, arm):
-        with pytest.raises(ChainFault, match="booted anew"):
+        with pytest.raises(ChainFault, match="booted again"):
             await follow(arm, at=50, do=lambda: _reset(host))
         await arm.recover()
         assert arm.state is ChainState.FOLLOWING

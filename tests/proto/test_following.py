@@ -20,7 +20,7 @@ from canopen_proto.cia402.objects import (
     STATUSWORD,
 )
 from canopen_proto.cia402.servo import Shape
-from canopen_proto.dictionary import Direction, PdoDescription
+from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.nmt import NmtCommand
@@ -161,6 +161,7 @@ def test_silence_is_counted_in_syncs_that_were_sent(every: int) -> None:
             desk.sync()
             assert not desk.lost
         desk.send(0)
+    desk.cycle(0, 0)
     for _ in range(3 * every + 1):
         assert not desk.lost
         desk.sync()
@@ -323,6 +324,13 @@ def test_what_a_drive_does_not_have_is_left_out() -> None:
     rig.run(read_unsent([following]))
     assert not following.unsent
     assert following.is_on
+
+
+def test_what_the_dictionary_does_not_have_is_not_read() -> None:
+    axis = Axis(RemoteNode(Outbox(), 5, ObjectDictionary([each for each in DICTIONARY.objects.values() if each.index != 0x6064])))
+    following = Following(axis)
+    following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic={})
+    assert following.unsent == {STATUSWORD, MODES_OF_OPERATION_DISPLAY}
 
 
 def test_nothing_to_read_is_nothing_to_do() -> None:
