@@ -14,6 +14,7 @@ import pytest
 
 from canopen_master import errors
 from canopen_master.cli.app import CLOSED_PIPE
+from canopen_master.cli.demonstration import MAX_LATE_SHARE
 from canopen_master.cli.problem import KINDS, ExitCode, problem_of
 from canopen_master.direct.connection import AlreadyConnected, NotConnected
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
@@ -112,6 +113,10 @@ def test_the_exit_statuses_are_all_there(page: str) -> None:
     shown = {int(status): kind for status, kind in re.findall(r"^\| ([0-9]+) \| (?:`(\w+)`)? ?\|", page, re.MULTILINE)}
     expected = {int(status): KINDS.get(status, "other") for status in ExitCode}
     assert shown == expected | {ExitCode.OK: "", CLOSED_PIPE: ""}
+
+
+def test_the_share_of_late_cycles_is_that_of_the_demo(page: str) -> None:
+    assert f"`demo`: more than {MAX_LATE_SHARE:.0%} of the cycles were late".replace("%", " %") in page
 
 
 def test_each_exception_on_the_page_exists(page: str, rows: list[list[str]]) -> None:

@@ -291,7 +291,7 @@ class Chain:
 
     @enable_ki_protection
     def hold(self) -> None:
-        """Stay at the last set-points in this cycle on purpose: it does not count as missed."""
+        """Stay at the last set-points in this cycle on purpose: it does not count as missed. `Cycle.time` stands still."""
         self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.hold()
 
