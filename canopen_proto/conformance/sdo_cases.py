@@ -44,6 +44,7 @@ BAD_TOGGLE: Final = (AbortCode.TOGGLE_NOT_ALTERNATED, AbortCode.GENERAL_ERROR)
 
 DEVICE_TYPE: Final = 0x1000
 SDO_SERVER: Final = 0x1200
+ERROR_HISTORY: Final = 0x1003
 HEARTBEAT: Final = 0x1017
 SYNC_OVERFLOW: Final = 0x1019
 
@@ -223,13 +224,17 @@ def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
 
 
 def write_too_high(bench: Bench) -> Procedure[None]:
-    """2.10: a value above an object's limit."""
+    """2.10: a value above an object's limit; else another number of errors than 0 in 0x1003:00, as in CiA's tool. 7.5.2.4"""
     for variable, _, above in limited(bench):
         if above is not None:
             code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(above))
             expect_refusal(code, TOO_HIGH, f"writing {above} to {variable.label}")
             return
-    does_not_apply("no object has a high limit of its own")
+    errors = bench.dictionary.get(ERROR_HISTORY)
+    if errors is None or not errors.access.writable:
+        does_not_apply("no object has a high limit of its own")
+    code = yield from bench.refusal_of_write(ERROR_HISTORY, 0, b"\xff")
+    expect_refusal(code, TOO_HIGH, "writing 255 to 0x1003:00")
 
 
 def write_too_low(bench: Bench) -> Procedure[None]:

@@ -41,9 +41,6 @@ FAILURES: Mapping[str, Mapping[str, Failure]] = {
         "1.0": Failure("is no OCTET_STRING|which is not in the file|ARRAY without any sub-object", CUT_OUT),
         "3.21": Failure("which is not in the dictionary", CUT_OUT),
     },
-    "canopennode-demo-device.eds": {
-        "1.0": Failure("a VISIBLE_STRING has no character", "a VISIBLE_STRING is ASCII"),
-    },
     "cia-301.eds": {
         "1.0": Failure("is no number", NO_COB_IDS),
         "2.12": Failure(r"0x1200:0\d is 0 ", NO_COB_IDS),

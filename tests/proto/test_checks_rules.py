@@ -66,6 +66,8 @@ CASES: list[tuple[str, str, str, Change]] = [
     ("default-type", "[2001]", "DefaultValue='x': INTEGER32 takes an integer, not 'x'", field(0x2001, 0, default="x")),
     ("default-type", "[2000]", "DefaultValue=65535: 65536 is outside 0..65535 (UNSIGNED16)",
      field(0x2000, 0, default=65535, adds_node_id=True, high_limit=None)),
+    ("text-characters", "[2002]", "DefaultValue='5 €': a VISIBLE_STRING has no character '\\u20ac' ('5 €')",
+     field(0x2002, 0, default="5 €")),
     ("default-limits", "[2000]", "DefaultValue=101 is outside its limits 0..100", field(0x2000, 0, default=101)),
     ("default-limits", "[2000]", "DefaultValue=0 is outside its limits 1..",
      field(0x2000, 0, default=0, low_limit=1, high_limit=None)),

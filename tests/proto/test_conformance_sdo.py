@@ -92,6 +92,12 @@ def test_each_case_has_a_fault() -> None:
     assert {case.number for case in sdo_cases.CASES} == {number for number, _, _ in FAULTS}
 
 
+def test_too_high_a_number_of_errors() -> None:
+    """Where no object has a limit, CiA's tool writes to the error history."""
+    limitless = full_device(LIMITLESS)
+    check_caught("2.10", Fault("takes it", heard=[("605#2F031000FF(.*)", r"605#2F03100000\1")]), limitless, "255 to 0x1003:00")
+
+
 def test_segmented_device_type() -> None:
     """A server may send four bytes in segments."""
     segments = [
@@ -106,7 +112,7 @@ def test_an_endless_upload_ends() -> None:
     assert "no last segment" in verdict_of("2.18", Fault("endless", node=Endless)).reason
 
 
-BARE = full_device(LIMITLESS, OPEN, without=(0x1008, 0x1009, 0x1200, 0x100C))
+BARE = full_device(LIMITLESS, OPEN, without=(0x1003, 0x1008, 0x1009, 0x1200, 0x100C))
 
 
 @pytest.mark.parametrize("number", ["2.4", "2.10", "2.11", "2.12", "2.14", "2.16", "2.17", "2.18"])

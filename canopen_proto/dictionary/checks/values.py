@@ -18,6 +18,7 @@ from canopen_proto.pdo.mapping import MAX_BITS
 
 RULES: Final = (
     Rule("default-type", ERROR, "a default that the object's type cannot hold"),
+    Rule("text-characters", WARNING, "a text with characters that a VISIBLE_STRING does not have; CiA's own checker takes it"),
     Rule("default-limits", WARNING, "a default outside the object's own limits"),
     Rule("configured-type", ERROR, "a configured value that the object's type cannot hold"),
     Rule("configured-limits", ERROR, "a configured value outside the object's limits: the device will refuse it"),
@@ -69,7 +70,8 @@ def _check_value(
             variable.encode(each)
         except ValueRangeError as error:
             text = f"{field}={_shown(value)}: {str(error).partition(': ')[2]}"
-            yield subject.of_variable(f"{what}-type", variable, text, field)
+            is_text = isinstance(each, str) and variable.data_type is DataType.VISIBLE_STRING
+            yield subject.of_variable("text-characters" if is_text else f"{what}-type", variable, text, field)
             return
         try:
             variable.check_limits(each)
