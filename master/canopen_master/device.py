@@ -79,7 +79,7 @@ class Device:
         """
         if VELOCITY_ACTUAL_VALUE in self.node.remote.heard_at:
             return self.axis.velocity
-        return self._velocity
+        return None if self.position is None else self._velocity
 
     @property
     def torque(self) -> float | None:
@@ -170,7 +170,8 @@ class Device:
         if POSITION_ACTUAL_VALUE not in report.mapping.muxes:
             return
         now, position = self._master.now(), self.position
-        assert position is not None  # it has just come
+        if position is None:
+            return  # it has booted since
         if self._position is not None and now > self._position[0]:
             self._velocity = (position - self._position[1]) * SECOND / (now - self._position[0])
         self._position = now, position

@@ -194,6 +194,6 @@ def _not_confirmed(problems: str) -> HaltNotConfirmed:
         HALT_NOT_CONFIRMED,
         "the master was left, but not every drive confirmed that it stands",
         seen=problems,
-        cause="the drive is off, or does not answer",
+        cause=f"the drive is off, does not answer, or needs longer than {SHUTDOWN_TIME:g} s to stop",
         tries=("look at the drive; press the emergency stop if it moves",),
     )

@@ -24,6 +24,7 @@ from canopen_proto.cia402 import axis
 from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.cia402.states import State
 from tests.master.cli_support import Alarm, Run, runner, stands, watched_fleets
+from tests.master.test_cli_demo_eds import written
 
 SHORT = ("--seconds", "0.5", "--cycle", "20ms")
 
@@ -249,6 +250,12 @@ def test_the_same_on_a_bus(run: Run, bus: list[Fleet]) -> None:
     assert "scan -b demo" not in outcome.err
     assert_all_stand(bus)
     assert run("demo", *SHORT, "-b", "virtual:real", "--json").json["simulated"] is False
+
+
+def test_a_file_of_schunks_brings_its_scale(run: Run, bus: list[Fleet], tmp_path: Path) -> None:
+    outcome = run("demo", *SHORT, "--eds", written(tmp_path / "joint.dcf"), "-b", "virtual:real")
+    assert outcome.status == 0, outcome.err
+    assert_all_stand(bus)
 
 
 def test_a_drive_on_a_bus_breaks_down(run: Run, bus: list[Fleet], alarm: Alarm) -> None:

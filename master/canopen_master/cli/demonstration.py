@@ -221,7 +221,7 @@ class Demonstration:
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
             axis = AxisSettings() if file is None else file.axis
-            axes[joint.name] = replace(axis, counts_per_unit=scale, max_speed=max_speed)
+            axes[joint.name] = replace(axis, counts_per_unit=scale or axis.counts_per_unit, max_speed=max_speed)
             if file is not None:
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
         settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
