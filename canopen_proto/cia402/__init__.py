@@ -6,6 +6,7 @@
     motion.py            closed-form motion profiles
     axis.py              `Axis`: a drive as its master sees it                        the master's side
     drive.py             `Drive`: a simulated drive                                   the drive's side
+    late_drive.py        a drive that acts late, as real ones do
     drive_modes.py       what it does in each mode
     homing_run.py        how it homes
     servo.py             its mechanics: track, lag, limits

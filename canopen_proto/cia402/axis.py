@@ -74,7 +74,9 @@ class AxisSettings:
     ns for a whole homing, for one change of state or mode. following_error_limit: how far off its set-points the drive may be, in
     the user's unit, before it counts as lost; None: as `procedures.following.following_limit` finds it, math.inf: no limit.
     keeps_reference: whether the drive knows its position after a reset or without power, as one with an absolute encoder does; it
-    need not be homed again then.
+    need not be homed again then. reaction_time: ns that the drive may take until what it shows answers what it was commanded; for
+    that long the end of a homing, a move or a halt that it has shown before is not believed. halt_time: ns that a halted drive
+    may take beyond that; one whose speed shows that it still slows down is waited for longer.
 
     min_position, max_position: set-points beyond are refused, in the user's unit; None: only what the drive says (0x607D), which
     counts in any case. max_speed: set-points that ask for more are refused, in the user's unit per second; None: what the drive
@@ -93,6 +95,8 @@ class AxisSettings:
     min_position: float | None = None
     max_position: float | None = None
     max_speed: float | None = None
+    reaction_time: Time = 1 * SECOND
+    halt_time: Time = 1 * SECOND
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
@@ -110,6 +114,8 @@ class AxisSettings:
             )
         if self.max_speed is not None and not self.max_speed > 0:
             raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
+        if self.reaction_time <= 0 or self.halt_time <= 0:
+            raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
 
     def of_vendor(self, vendor_id: int | None) -> AxisSettings:
         """These settings, with what they leave open filled in as drives of that vendor have it (None: no vendor-ID).
@@ -191,8 +197,13 @@ class Axis:
     @property
     def position(self) -> float | None:
         """0x6064 as last heard, in the user's unit (counts without a scale); None if it never was since the node's last boot."""
-        counts = self._heard(POSITION_ACTUAL_VALUE)
+        counts = self.position_counts
         return None if counts is None else self.from_counts(counts)
+
+    @property
+    def position_counts(self) -> int | None:
+        """0x6064 as last heard, in counts; None if it never was since the node's last boot."""
+        return self._heard(POSITION_ACTUAL_VALUE)
 
     @property
     def velocity(self) -> float | None:

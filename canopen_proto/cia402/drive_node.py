@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from canopen_proto.cia402.drive import Drive, DriveFault, DriveFaultCleared, StatuswordChanged
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.late_drive import LateDrive
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.servo import UNSET_BY_ZERO, DriveSettings, Shape
 from canopen_proto.dictionary import ObjectDictionary
@@ -31,7 +32,8 @@ class DriveNode(LocalNode):
         """
         super().__init__(out, node_id, drive_dictionary(settings.shape) if dictionary is None else dictionary)
         zeros = frozenset(key for key in UNSET_BY_ZERO if self.values.store.get(key) == 0)
-        self.drive = Drive(self.inner, node_id, self.values, replace(settings, unset=settings.unset | zeros))
+        kind = LateDrive if settings.reaction else Drive
+        self.drive: Drive = kind(self.inner, node_id, self.values, replace(settings, unset=settings.unset | zeros))
         self.pdos.sends_on_start = True  # a master that goes by event-driven TPDOs must not stay blind until something changes
         self.application = self.drive
         self.storage.excluded.add(CONTROLWORD >> 8)  # a command, no parameter

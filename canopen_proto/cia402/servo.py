@@ -117,6 +117,7 @@ class DriveSettings:
     position: where on the track it stands at power-on, and what it shows before it is homed. lag: time constant with which the
     actual position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated one.
     self_test: from power-on to Switch on disabled, ns. homing_method: how a Schunk Powerball homes, which has no say in 6098h.
+    reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms to 1 s.
     unset: muxes of objects whose 0 says nothing.
     """
 
@@ -128,6 +129,7 @@ class DriveSettings:
     self_test: Time = 0
     homing_method: int = 19
     unset: frozenset[int] = frozenset()
+    reaction: Time = 0
 
 
 class Servo:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import Key
+from canopen_proto.dictionary import Key, Variable
 from canopen_proto.machine import Outcome
 from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoFailed
 from canopen_proto.remote_node import RemoteNode
@@ -25,12 +25,17 @@ def read(node: RemoteNode, key: Key) -> Procedure[Value]:
     variable = node.dictionary.variable(key)
     outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
     if isinstance(outcome, SdoUploaded):
-        try:
-            return variable.decode(outcome.data)
-        except ValueRangeError as error:
-            raise UnexpectedLength(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
+        return value_of(node, variable, outcome)
     assert isinstance(outcome, SdoAborted)
     raise SdoFailed(outcome, "reading")
+
+
+def value_of(node: RemoteNode, variable: Variable, uploaded: SdoUploaded) -> Value:
+    """Return the value that an upload of this object brought. Raises UnexpectedLength."""
+    try:
+        return variable.decode(uploaded.data)
+    except ValueRangeError as error:
+        raise UnexpectedLength(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
 
 
 def read_int(node: RemoteNode, key: Key) -> Procedure[int]:

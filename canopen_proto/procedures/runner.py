@@ -6,8 +6,8 @@ by `start` ends in one event, sent through the outbox of the Runner: ProcedureFi
 Cancelling a task (`cancel`, or a failure beside it under `all_of`): its children are cancelled first and waited for; or its step
 is taken back (a queued request is dropped, one under way is aborted on the wire); then `Cancelled` is thrown into the generator.
 Steps that it yields after that, and those of the procedures that it runs then, are urgent (before all queued requests of their
-node), and the whole clean-up of a task has CLEAN_UP_TIME. A task that is cancelled by its own code or step gets Cancelled at the
-yield that it is at or comes to. A second cancel does nothing.
+node), and the whole clean-up of a task has CLEAN_UP_TIME, or more if it asks for more (`ask_for_time`). A task that is cancelled
+by its own code or step gets Cancelled at the yield that it is at or comes to. A second cancel does nothing.
 
 When the time is over, a task is closed where it stands. One that still waited for its children to clean up gets Cancelled first:
 what it can do at once (a halt by PDO) still goes out.
@@ -19,13 +19,13 @@ import enum
 from typing import Any, Final, TypeVar
 
 from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time, event
-from canopen_proto.procedures.steps import Act, AllOf, Cancelled, Procedure, ProcedureError, Request, Step, Wait
+from canopen_proto.procedures.steps import Act, AllOf, AskForTime, Cancelled, Procedure, ProcedureError, Request, Step, Wait
 from canopen_proto.sdo.events import SdoProgress
 
 T = TypeVar("T")
 
 CLEAN_UP_TIME: Final = 1 * SECOND
-"""What a cancelled procedure's clean-up may take in all. A drive halts in less; a dead node must not hold up a shutdown."""
+"""What a cancelled procedure's clean-up may take if it asks for no more: a dead node must not hold up a shutdown."""
 
 
 @event
@@ -50,7 +50,7 @@ class ProcedureCancelled(Outcome):
 
 
 class CleanUpTimeout(ProcedureError):
-    """The clean-up of a cancelled procedure did not end within CLEAN_UP_TIME and was given up."""
+    """The clean-up of a cancelled procedure did not end within the time that it had (CLEAN_UP_TIME) and was given up."""
 
 
 class _State(enum.Enum):
@@ -61,8 +61,8 @@ class _State(enum.Enum):
 
 class _Task:
     __slots__ = (
-        "active", "children", "clean_up_by", "clean_up_error", "error", "failure", "generator", "open_children", "parent",
-        "request_id", "result", "state", "step", "thrown", "token", "urgent", "wake",
+        "active", "cancelled_at", "children", "clean_up_by", "clean_up_error", "error", "failure", "generator", "needs_until",
+        "open_children", "parent", "request_id", "result", "state", "step", "thrown", "token", "urgent", "wake",
     )  # fmt: skip
 
     def __init__(self, generator: Procedure[Any], request_id: RequestId, parent: _Task | None) -> None:
@@ -76,7 +76,9 @@ class _Task:
         self.step: Step | None = None  # what it waits for
         self.token: tuple[object, RequestId] | None = None  # of a Request under way
         self.wake: Time = NEVER
+        self.cancelled_at: Time = NEVER
         self.clean_up_by: Time = NEVER
+        self.needs_until: Time = -NEVER  # what it, or a child of it, asked for by AskForTime
         self.children: list[_Task] = []  # of the AllOf under way
         self.open_children = 0
         self.failure: Exception | None = None  # of the child that failed, if one did
@@ -104,6 +106,11 @@ class Runner(Machine):
     def busy(self) -> bool:
         """Whether any procedure runs."""
         return bool(self._tasks)
+
+    @property
+    def needs_until(self) -> Time:
+        """Until when the running procedures have asked for time, whoever may end them before; -NEVER if none has."""
+        return max((task.needs_until for task in self._tasks.values()), default=-NEVER)
 
     def start(self, procedure: Procedure[T], now: Time) -> RequestId:
         """Start a procedure: its first steps are taken at once. One Outcome event with the id that is returned follows."""
@@ -231,10 +238,21 @@ class Runner(Machine):
                     if failure is not None:
                         raise failure
                     return results
+            case AskForTime():
+                self._grant(task, now + step.duration)
+                return None
             case _:
                 raise TypeError(f"a procedure yielded {step!r}, which is not a step; did it say 'yield' for 'yield from'?")
         task.step = step
         return None
+
+    def _grant(self, task: _Task | None, until: Time) -> None:
+        """Give a task more time for its clean-up, and those that wait for it."""
+        while task is not None:
+            task.needs_until = max(task.needs_until, until)
+            if task.state is _State.CANCELLING:
+                task.clean_up_by = max(task.clean_up_by, until)
+            task = task.parent
 
     def _start_children(self, task: _Task, step: AllOf, now: Time) -> None:
         task.failure = None
@@ -248,7 +266,7 @@ class Runner(Machine):
         if task.state is not _State.RUNNING:
             return
         task.state = _State.CANCELLING
-        task.clean_up_by = now + CLEAN_UP_TIME
+        task.cancelled_at, task.clean_up_by = now, now + CLEAN_UP_TIME
         self._drop_step(task, now)
         if task.open_children:
             for child in task.children:
@@ -277,7 +295,9 @@ class Runner(Machine):
         self._drop_step(task, now)
         task.active = True  # whatever its children's end would tell it
         self._give_up_children(task, now)
-        error: Exception = CleanUpTimeout(f"the clean-up did not end within {CLEAN_UP_TIME / 1e9:g} s and was given up")
+        error: Exception = CleanUpTimeout(
+            f"the clean-up did not end within {(now - task.cancelled_at) / 1e9:g} s and was given up"
+        )
         try:
             task.generator.close()
         except Cancelled:

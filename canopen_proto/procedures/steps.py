@@ -11,8 +11,8 @@ A procedure is a sequence of requests without I/O: homing, PDO remapping, a scan
 
 `yield from` composes in sequence, `all_of` side by side. A step that fails raises a `ProcedureError` at the `yield from`. A
 procedure that is cancelled gets `Cancelled` there: a BaseException, so that no `except Exception` swallows it. Clean-up stands in
-`except Cancelled:` and may use steps again (they go before all queued requests, and share CLEAN_UP_TIME); never in `finally`,
-since a generator that is collected may not yield.
+`except Cancelled:` and may use steps again (they go before all queued requests, and share CLEAN_UP_TIME, unless they ask for more
+by `ask_for_time`); never in `finally`, since a generator that is collected may not yield.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Requester(Protocol):
 
 
 class Step:
-    """What a procedure yields. The four subclasses are all there are."""
+    """What a procedure yields. The five subclasses are all there are."""
 
     __slots__ = ()
 
@@ -131,6 +131,15 @@ class AllOf(Step):
         self.procedures = procedures
 
 
+class AskForTime(Step):
+    """Go on at once. A clean-up under way may take until `duration` ns from now, if that is later than it may otherwise."""
+
+    __slots__ = ("duration",)
+
+    def __init__(self, duration: Time) -> None:
+        self.duration = duration
+
+
 Procedure: TypeAlias = Generator[Step, Any, T]
 
 
@@ -148,6 +157,14 @@ def current_time() -> Procedure[Time]:
 def sleep(duration: Time) -> Procedure[None]:
     """Wait for `duration` ns."""
     yield Wait(duration)
+
+
+def ask_for_time(duration: Time) -> Procedure[None]:
+    """Let the clean-up under way, if this is one, take `duration` ns from now.
+
+    For one that has just seen that it gets on: a drive that answers and brakes is waited for, a silent one is not.
+    """
+    yield AskForTime(duration)
 
 
 def wait_for_event(

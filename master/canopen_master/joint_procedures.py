@@ -130,11 +130,11 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
                 raise
 
 
-def follow(device: Device, cycle_time: Time) -> Procedure[Limit]:
+def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[Limit]:
     """Read the joint's limits, then let it follow set-points from where it stands; how far off them it may be. cycle_time: ns."""
     device.limits = yield from read_limits(device.axis)
     limit = yield from following_limit(device.axis, device.limits)
-    yield from start_interpolation(device.axis, cycle_time)
+    yield from start_interpolation(device.axis, cycle_time, sends_itself=sends_itself)
     return limit
 
 

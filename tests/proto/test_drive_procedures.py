@@ -178,12 +178,34 @@ def test_interpolation_without_sync_starts_by_sdo() -> None:
 
 
 def test_cyclic_position_follows() -> None:
-    rig = Rig(Shape.STANDARD, pdos=False)
+    rig = Rig(Shape.STANDARD)
     rig.run(drive.home(rig.axis))
+    rig.run(use_device_pdo(rig.remote, Direction.RPDO, 3))
     with pytest.raises(ProcedureError):
         rig.run(drive.start_cyclic_position(rig.axis, 1))
     assert rig.run(drive.start_cyclic_position(rig.axis, CYCLE)) == 0
     assert rig.axis.mode == Mode.CYCLIC_SYNCHRONOUS_POSITION
+
+
+STARTS = {"ip": (drive.start_interpolation, "0x60C1:01"), "csp": (drive.start_cyclic_position, "0x607A:00")}
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_following_without_an_rpdo_that_carries_set_points_is_refused(name: str) -> None:
+    start, carried = STARTS[name]
+    rig = Rig(Shape.STANDARD, pdos=False)
+    with pytest.raises(ProcedureError, match=f"would get no set-points: no RPDO .* carries {carried}"):
+        rig.run(start(rig.axis, CYCLE))
+    assert writes_of(rig, 0x6060) == writes_of(rig, 0x6040) == []
+    rig.run(start(rig.axis, CYCLE, sends_itself=True))
+
+
+def test_following_with_a_node_that_is_not_operational_is_refused() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.nmt.enter_pre_operational(5, rig.bus.now)
+    rig.bus.run(MILLISECOND)
+    with pytest.raises(ProcedureError, match=r"would get no set-points: .*PRE_OPERATIONAL"):
+        rig.run(drive.start_interpolation(rig.axis, CYCLE))
 
 
 def test_profile_position_absolute_and_relative() -> None:
@@ -308,7 +330,7 @@ def test_a_schunk_that_stands_unreferenced_has_failed() -> None:
 def test_a_schunk_that_does_not_begin_to_home_has_failed() -> None:
     rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
     schunk_whose_status_is(rig, 0x0237)
-    with pytest.raises(StepTimeout, match=r"the start of homing \(bit 8\)"):
+    with pytest.raises(drive.HomingFailed, match=r"did not begin to home within 1 s"):
         rig.run(drive.home(rig.axis))
 
 

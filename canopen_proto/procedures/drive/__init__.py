@@ -13,37 +13,42 @@
 A procedure that moves the drive halts it when it is cancelled or fails. Bit 4 is cleared before each homing and each start of
 interpolation: both begin on its rising edge.
 
-statusword.py waits and commands; state.py leads through states and modes; halting.py stops; homing.py, motion.py move.
+watching.py waits, controlword.py commands, state.py leads through states and modes, halting.py stops, homing.py and motion.py
+move, failures.py has the errors.
+
+A wait ends as soon as its goal is reached or cannot be: DriveFault, StateLost (a quick stop or a disable that was not ours),
+ModeLost (somebody else's 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
 
-from canopen_proto.procedures.drive.halting import halt, halt_after
-from canopen_proto.procedures.drive.homing import HomingFailed, home
-from canopen_proto.procedures.drive.motion import (
-    ReferenceLost,
-    move_to,
-    read_position,
-    start_cyclic_position,
-    start_interpolation,
-)
-from canopen_proto.procedures.drive.state import (
+from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.failures import (
+    DriveFault,
+    HomingFailed,
+    LimitReached,
+    ModeLost,
     ModeUnsupported,
-    change_state,
-    enable,
-    engage_brake,
-    quick_stop,
-    reset_fault,
-    set_mode,
-    shut_down,
+    NodeLost,
+    ReferenceLost,
+    StateLost,
+    fault_of,
 )
-from canopen_proto.procedures.drive.statusword import DriveFault, command, fault_of, read_statusword, wait_for_statusword
+from canopen_proto.procedures.drive.halting import halt, halt_after
+from canopen_proto.procedures.drive.homing import home
+from canopen_proto.procedures.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
+from canopen_proto.procedures.drive.state import change_state, enable, engage_brake, quick_stop, reset_fault, set_mode, shut_down
+from canopen_proto.procedures.drive.watching import read_statusword, wait_for_statusword
 
 __all__ = [
     "DriveFault",
     "HomingFailed",
+    "LimitReached",
+    "ModeLost",
     "ModeUnsupported",
+    "NodeLost",
     "ReferenceLost",
+    "StateLost",
     "change_state",
     "command",
     "enable",

@@ -1,22 +1,50 @@
-"""Halt a drive: it stops and stays enabled. Also the clean-up of everything that moves a drive."""
+"""Halt a drive: it stops and stays enabled. Also the clean-up of everything that moves a drive.
+
+How long that takes is the drive's business: its speed and its ramp. So a halt waits step by step, as long as the drive is slower
+at the end of a step than it was at its beginning. A step takes `reaction_time` and `halt_time`. A drive that does not get slower
+is told after one step.
+"""
 
 from __future__ import annotations
 
+from collections import deque
+from itertools import pairwise
 from typing import Final
 
 from canopen_proto.cia402.axis import Axis, HomingStyle
 from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.objects import (
+    HALT_OPTION_CODE,
+    MODES_OF_OPERATION_DISPLAY,
+    POSITION_ACTUAL_VALUE,
+    PROFILE_ACCELERATION,
+    PROFILE_DECELERATION,
+    QUICK_STOP_DECELERATION,
+    VELOCITY_ACTUAL_VALUE,
+)
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit, state_of
-from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.procedures.drive.statusword import command, name_of, read_statusword, wait_for_statusword
-from canopen_proto.procedures.objects import read_int
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
-
-STANDSTILL_TIME: Final = 800 * MILLISECOND
-"""How long a halt waits for the drive to report standstill; within CLEAN_UP_TIME."""
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.failures import name_of
+from canopen_proto.procedures.drive.watching import Watch, read_statusword
+from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.steps import (
+    Cancelled,
+    Procedure,
+    ProcedureError,
+    SdoFailed,
+    StepTimeout,
+    ask_for_time,
+    current_time,
+    sleep,
+)
+from canopen_proto.remote_node import FRESH
 
 STANDSTILL_LOOK: Final = 30 * MILLISECOND
 """Between two looks at the position of a drive whose statusword does not tell that it stands."""
+
+MANY_LOOKS: Final = 10
+"""Looks that tell a position that goes to and fro from one that goes somewhere."""
 
 _SHOWS_STANDSTILL: Final = (
     Mode.PROFILE_POSITION,
@@ -27,43 +55,38 @@ _SHOWS_STANDSTILL: Final = (
 )
 """Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Others reserve it."""
 
+_BRAKING: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+"""States in which the axis has power and may still move. In all others it has none, and there is nothing to stop."""
+
+_SLOWER: Final = 0.02
+"""What a drive whose ramp is not known has to lose of its speed in a step, as a share, to be one that slows down."""
+_OF_ITS_RAMP: Final = 0.25
+"""What one whose ramp is known has to lose, as a share of what that ramp takes away in `halt_time`: it may begin smoothly."""
+
 
 def halt(axis: Axis) -> Procedure[None]:
-    """Stop the drive by bit 8 (it stays enabled) and wait for standstill. A drive that is not enabled is left alone.
+    """Stop the drive by bit 8 (it stays enabled) and wait for standstill. One that is not enabled is not commanded.
 
-    Any later command without bit 8 ends the halt. Raises StepTimeout where the drive does not report standstill, SdoFailed.
+    Any later command without bit 8 ends the halt. It waits as long as the drive slows down (0x606C, else 0x6064). Raises
+    StepTimeout where the drive does not report standstill, and has not become slower within a step; SdoFailed, NodeLost.
     """
-    statusword = yield from read_statusword(axis)
-    if state_of(statusword) is not State.OPERATION_ENABLED:
+    try:
+        statusword = yield from read_statusword(axis)
+    except SdoFailed:
+        if axis.state is State.OPERATION_ENABLED and axis.node.rpdo_of(0x6040) is not None:  # a PDO needs no answer
+            yield from command(axis, _halt_word(axis))
+        raise
+    state = state_of(statusword)
+    if state is State.OPERATION_ENABLED:
+        yield from command(axis, _halt_word(axis))
+    elif state not in _BRAKING:
         return
-    controlword = axis.controlword if axis.controlword & 0x0F == Command.ENABLE_OPERATION else int(Command.ENABLE_OPERATION)
-    yield from command(axis, controlword | ControlBit.HALT)
-
-    is_schunk = axis.settings.homing is HomingStyle.SCHUNK
-    if not is_schunk and axis.mode not in _SHOWS_STANDSTILL and "0x6064" in axis.node.dictionary:
-        yield from _wait_for_same_position(axis)
-        return
-
-    def stands(word: int) -> bool:
-        if state_of(word) is not State.OPERATION_ENABLED:
-            return True
-        return not word & StatusBit.MANUFACTURER_8 if is_schunk else bool(word & StatusBit.TARGET_REACHED)
-
-    yield from wait_for_statusword(axis, stands, STANDSTILL_TIME, "standstill after a halt", accept_fault=True)
+    yield from _wait_for_standstill(axis)
 
 
-def _wait_for_same_position(axis: Axis) -> Procedure[None]:
-    """Standstill as the actual position shows it: the same after STANDSTILL_LOOK, but for the last digit."""
-    deadline = (yield from current_time()) + STANDSTILL_TIME
-    position = yield from read_int(axis.node, "0x6064")
-    while True:
-        yield from sleep(STANDSTILL_LOOK)
-        before, position = position, (yield from read_int(axis.node, "0x6064"))
-        if abs(position - before) <= 1:
-            return
-        if (yield from current_time()) >= deadline:
-            limit = f"{STANDSTILL_TIME / SECOND:g} s"
-            raise StepTimeout(f"{name_of(axis)} did not reach standstill after a halt within {limit}: {axis.describe()}")
+def _halt_word(axis: Axis) -> int:
+    is_enabling = axis.controlword & 0x0F == Command.ENABLE_OPERATION
+    return (axis.controlword if is_enabling else int(Command.ENABLE_OPERATION)) | ControlBit.HALT
 
 
 def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
@@ -74,3 +97,124 @@ def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
         if isinstance(cause, Cancelled):
             raise
         cause.add_note(f"and the halt of {name_of(axis)} failed: {error}")
+
+
+def _wait_for_standstill(axis: Axis) -> Procedure[None]:
+    settings = axis.settings
+    timeout = settings.reaction_time + settings.halt_time
+    while True:
+        yield from ask_for_time(timeout + SECOND)  # a drive that answers, and slows down, is worth waiting for
+        speed = yield from _speed(axis)
+        try:
+            yield from _stands(axis, timeout)
+            return
+        except StepTimeout:
+            if speed is None or not (yield from _has_slowed(axis, speed)):
+                raise
+
+
+def _stands(axis: Axis, timeout: Time) -> Procedure[None]:
+    """Wait until the drive reports standstill, or has no power any more."""
+    reads = {MODES_OF_OPERATION_DISPLAY: FRESH}
+    if "0x6064" in axis.node.dictionary:
+        reads[POSITION_ACTUAL_VALUE] = STANDSTILL_LOOK
+    watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=reads)
+    yield from watch.until(_Standstill(watch).judge, timeout)
+
+
+class _Standstill:
+    """The judge of a halt: whether what the drive shows says that it stands.
+
+    It may show bit 10 since before the halt ("target velocity reached", say). So that bit counts once it was seen 0, or the
+    position shows standstill too; of a drive that tells no position, once `reaction_time` is over.
+    """
+
+    def __init__(self, watch: Watch[bool]) -> None:
+        self._watch = watch
+        self._axis = watch.axis
+        self._is_schunk = watch.axis.settings.homing is HomingStyle.SCHUNK
+        self._was_clear = False  # bit 10 was 0
+        self._looked_at: Time = -NEVER
+        self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
+
+    def judge(self, statusword: int, heard_at: Time) -> bool | None:
+        """True if the drive stands."""
+        self._look_at_position()
+        state = state_of(statusword)
+        if state not in (*_BRAKING, State.UNKNOWN):
+            return True
+        if self._is_schunk:
+            return None if statusword & StatusBit.MANUFACTURER_8 else True
+        if not self._knows(MODES_OF_OPERATION_DISPLAY):
+            return None  # what bit 10 means is not known yet
+        has_position = "0x6064" in self._axis.node.dictionary and self._watch.refusal(POSITION_ACTUAL_VALUE) is None
+        if has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
+            return self._is_at_one_place() or None
+        if not statusword & StatusBit.TARGET_REACHED:
+            self._was_clear = True
+            return None
+        if not has_position:
+            return self._was_clear or heard_at - self._watch.began >= self._axis.settings.reaction_time or None
+        return self._was_clear or self._is_at_one_place() or None
+
+    def _knows(self, mux: int) -> bool:
+        """Whether the object was heard, or will never be."""
+        return self._watch.heard(mux) is not None or self._watch.refusal(mux) is not None
+
+    def _look_at_position(self) -> None:
+        heard_at = self._watch.heard(POSITION_ACTUAL_VALUE)
+        position = self._axis.position_counts
+        if heard_at is not None and position is not None and heard_at - self._looked_at >= STANDSTILL_LOOK:
+            self._looked_at = heard_at
+            self._positions.append(position)
+
+    def _is_at_one_place(self) -> bool:
+        """Whether the position is the same as one look before, but for the last digit; or goes to and fro, as a fine encoder's
+        does on a drive that holds its place: then the way of MANY_LOOKS leads nowhere."""
+        steps = [after - before for before, after in pairwise(self._positions)]
+        if steps and abs(steps[-1]) <= 1:
+            return True
+        return len(self._positions) == MANY_LOOKS and 3 * abs(sum(steps)) < sum(map(abs, steps))
+
+
+def _speed(axis: Axis) -> Procedure[float | None]:
+    """How fast the drive is now, in its own unit; None where it does not tell."""
+    node = axis.node
+    now = yield from current_time()
+    velocity = node.fresh(VELOCITY_ACTUAL_VALUE, now, STANDSTILL_LOOK)
+    if velocity is None:
+        velocity = yield from read_if_present(node, "0x606C")
+    if isinstance(velocity, int):
+        return float(abs(velocity))
+    before = yield from read_if_present(node, "0x6064")
+    began = yield from current_time()
+    if not isinstance(before, int):
+        return None
+    yield from sleep(STANDSTILL_LOOK)
+    after = yield from read_if_present(node, "0x6064")
+    now = yield from current_time()
+    return abs(after - before) * SECOND / (now - began) if isinstance(after, int) else None
+
+
+def _has_slowed(axis: Axis, before: float) -> Procedure[bool]:
+    """Whether the drive is clearly slower than it was a step ago."""
+    speed = yield from _speed(axis)
+    if speed is None:
+        return False
+    loss = _SLOWER * before
+    ramp = yield from _ramp(axis)
+    if ramp is not None:
+        loss = min(loss, _OF_ITS_RAMP * ramp * axis.settings.halt_time / SECOND)
+    return before - speed > loss
+
+
+def _ramp(axis: Axis) -> Procedure[int | None]:
+    """The deceleration by which the drive halts (0x605D), in its own unit per second; None where it does not tell."""
+    node = axis.node
+    option = yield from read_if_present(node, (HALT_OPTION_CODE >> 8, 0))
+    keys = {1: (PROFILE_DECELERATION, PROFILE_ACCELERATION), 2: (QUICK_STOP_DECELERATION,)}
+    for key in keys.get(option if isinstance(option, int) else 1, ()):
+        rate = yield from read_if_present(node, (key >> 8, 0))
+        if isinstance(rate, int) and rate > 0:
+            return rate
+    return None

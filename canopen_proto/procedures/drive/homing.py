@@ -1,35 +1,65 @@
-"""Home a drive: by the standard's homing mode, or as Schunk's joints do."""
+"""Home a drive: by the standard's homing mode, or as Schunk's joints do.
+
+Theory of operation
+-------------------
+A homing begins with the rising edge of bit 4. When the drive sees the edge and shows it is its own business: for up to
+`reaction_time` it may still show the end of the homing before, and be about to move. So a bit that tells an end counts for this
+homing once it was seen 0 after the edge. A bit that stood all the time counts once the drive has shown that end, which says that
+it stands, for `reaction_time` without a break: it was done between two looks (methods 35 and 37), or was at its reference.
+
+              homed                          failed            neither, and it stands
+    standard  bits 13, 12, 10 = 0, 1, 1      bit 13 = 1        bits 13, 12, 10 = 0, 0, 1
+    Schunk    bit 15 = 1, bit 8 = 0          -                 bit 15 = 0, bit 8 = 0
+
+"Neither" is what a drive shows before it begins, and between two parts of its way; for `reaction_time` without a break it is a
+homing that did not begin, or was interrupted.
+
+Source: IEC 61800-7-201 (CiA 402-2), homing mode: statusword.
+"""
 
 from __future__ import annotations
 
+from enum import Enum, auto
 from typing import Final
 
 from canopen_proto.cia402.axis import Axis, HomingStyle
-from canopen_proto.cia402.modes import HomingStatus, Mode, ModeControl, homing_status
-from canopen_proto.cia402.states import Command, StatusBit
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.cia402.modes import HomingStatus, Mode, ModeControl, ModeStatus, homing_status
+from canopen_proto.cia402.states import Command, State, StatusBit
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.failures import HomingFailed, name_of
 from canopen_proto.procedures.drive.halting import halt_after
 from canopen_proto.procedures.drive.state import enable, set_mode
-from canopen_proto.procedures.drive.statusword import command, name_of, wait_for_statusword
+from canopen_proto.procedures.drive.watching import Watch
 from canopen_proto.procedures.objects import write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, sleep
-
-REACTION_TIME: Final = 50 * MILLISECOND
-"""What a drive may take until its statusword answers a command: an older "homing complete" must not end the next homing."""
-
-START_TIME: Final = 1 * SECOND
-"""How long a homing may take to begin to move."""
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 
 
-class HomingFailed(ProcedureError):
-    """The drive reported a homing error, or ended its homing unreferenced."""
+class _Ending(Enum):
+    """What a statusword says of a homing."""
+
+    NONE = auto()
+    HOMED = auto()
+    FAILED = auto()
+    STANDS = auto()
+
+
+_STANDARD_ENDINGS: Final = {
+    HomingStatus.COMPLETE: _Ending.HOMED,
+    HomingStatus.ERROR_MOVING: _Ending.FAILED,
+    HomingStatus.ERROR_STOPPED: _Ending.FAILED,
+    HomingStatus.INTERRUPTED: _Ending.STANDS,
+}
+_STANDARD_BITS: Final = {_Ending.HOMED: ModeStatus.HOMING_ATTAINED, _Ending.FAILED: ModeStatus.HOMING_ERROR}
+_SCHUNK_BITS: Final = {_Ending.HOMED: StatusBit.MANUFACTURER_15}
+"""The bit that tells an end."""
 
 
 def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end.
 
-    Raises HomingFailed, DriveFault, ModeUnsupported, StepTimeout (`homing_timeout`). The drive is halted when that happens, and
-    when it is cancelled.
+    Returns when the drive stands at its new reference. Raises HomingFailed, DriveFault, ModeUnsupported, StateLost, ModeLost,
+    NodeLost, StepTimeout (`homing_timeout`). The drive is halted when that happens, and when it is cancelled.
     """
     settings = axis.settings
     axis.is_homed = False
@@ -41,7 +71,7 @@ def home(axis: Axis) -> Procedure[None]:
     try:
         yield from command(axis, int(Command.ENABLE_OPERATION))
         yield from command(axis, Command.ENABLE_OPERATION | ModeControl.START_HOMING)
-        yield from (_schunk_homing(axis) if is_schunk else _standard_homing(axis))
+        yield from _wait_for_end(axis)
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
@@ -49,28 +79,53 @@ def home(axis: Axis) -> Procedure[None]:
     axis.is_homed = True
 
 
-def _standard_homing(axis: Axis) -> Procedure[None]:
-    yield from sleep(REACTION_TIME)
-    ends = (HomingStatus.COMPLETE, HomingStatus.ERROR_STOPPED, HomingStatus.ERROR_MOVING)
-    statusword = yield from wait_for_statusword(
-        axis,
-        lambda word: homing_status(word) in ends,
-        axis.settings.homing_timeout,
-        "the end of homing",
-    )
-    if homing_status(statusword) is not HomingStatus.COMPLETE:
+def _wait_for_end(axis: Axis) -> Procedure[None]:
+    """Wait for the end of the homing whose edge has just reached the drive."""
+    watch: Watch[_Ending] = Watch(axis, "the end of homing", mode=Mode.HOMING, stays=State.OPERATION_ENABLED)
+    judge = _EndOfHoming(axis, (yield from current_time()))
+    ending = yield from watch.until(judge.judge, axis.settings.homing_timeout)
+    if ending is _Ending.FAILED:
         raise HomingFailed(f"{name_of(axis)} reports a homing error: {axis.describe()}")
+    if ending is _Ending.STANDS:
+        raise HomingFailed(f"{name_of(axis)} {judge.why_it_stands()}: {axis.describe()}")
 
 
-def _schunk_homing(axis: Axis) -> Procedure[None]:
-    moving, referenced = StatusBit.MANUFACTURER_8, StatusBit.MANUFACTURER_15
-    try:
-        yield from wait_for_statusword(axis, lambda word: bool(word & moving), START_TIME, "the start of homing (bit 8)")
-    except StepTimeout:
-        # A joint that stands at its reference already need not move; or the movement was over between two reads.
-        if not axis.statusword & referenced:
-            raise
-    timeout = axis.settings.homing_timeout
-    statusword = yield from wait_for_statusword(axis, lambda word: not word & moving, timeout, "the end of homing (bit 8)")
-    if not statusword & referenced:
-        raise HomingFailed(f"{name_of(axis)} stopped, but is not referenced (bit 15): {axis.describe()}")
+class _EndOfHoming:
+    """Judges which statuswords tell the end of one homing; see this module's text."""
+
+    def __init__(self, axis: Axis, edge: Time) -> None:
+        """edge: when bit 4 has reached the drive."""
+        self._reaction_time = axis.settings.reaction_time
+        self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
+        self._bits = _SCHUNK_BITS if self._is_schunk else _STANDARD_BITS
+        self._seen_clear = 0  # bits that were 0 after the edge
+        self._shown: _Ending | None = None
+        self._shown_since = edge
+        self._began = False
+
+    def judge(self, statusword: int, heard_at: Time) -> _Ending | None:
+        """The end that this statusword tells for certain."""
+        ending = self._ending_of(statusword)
+        self._seen_clear |= ~statusword
+        if ending is not self._shown:
+            if self._shown is not None:
+                self._shown_since = heard_at
+            self._shown = ending
+        if ending is _Ending.NONE:
+            self._began = True
+            return None
+        is_new = self._seen_clear & self._bits.get(ending, 0)
+        return ending if is_new or heard_at - self._shown_since >= self._reaction_time else None
+
+    def _ending_of(self, statusword: int) -> _Ending:
+        if not self._is_schunk:
+            return _STANDARD_ENDINGS.get(homing_status(statusword), _Ending.NONE)
+        if statusword & StatusBit.MANUFACTURER_8:
+            return _Ending.NONE
+        return _Ending.HOMED if statusword & StatusBit.MANUFACTURER_15 else _Ending.STANDS
+
+    def why_it_stands(self) -> str:
+        """What to say of a drive that stands, neither homed nor with an error."""
+        if not self._began:
+            return f"did not begin to home within {self._reaction_time / SECOND:g} s (reaction_time)"
+        return "stopped, but is not referenced (bit 15)" if self._is_schunk else "stopped before it was homed: it was interrupted"

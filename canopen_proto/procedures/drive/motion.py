@@ -2,48 +2,70 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
-from canopen_proto.cia402.states import Command, StatusBit
+from canopen_proto.cia402.states import Command, State, StatusBit
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.failures import LimitReached, ReferenceLost, name_of
 from canopen_proto.procedures.drive.halting import halt_after
 from canopen_proto.procedures.drive.state import enable, set_mode
-from canopen_proto.procedures.drive.statusword import command, wait_for_statusword
-from canopen_proto.procedures.objects import read_int, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+from canopen_proto.procedures.drive.watching import POLL_INTERVAL, wait_for_statusword
+from canopen_proto.procedures.objects import read_if_present, read_int, write
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
 
+NO_WINDOW: Final = 2**32 - 1
+"""0x6067, position window: not watched."""
 
-class ReferenceLost(ProcedureError):
-    """Positions of the drive mean something else than before, or nothing: it has to be homed again. Nothing was sent."""
+_OTHER_TARGET: Final = "a target within the limit, or another limit"
 
 
 def _require_reference(axis: Axis) -> None:
     if axis.has_lost_reference:
         raise ReferenceLost(
-            f"drive {axis.node.node_id} has lost its reference: it was homed, and then reset or without power, or homed without "
+            f"{name_of(axis)} has lost its reference: it was homed, and then reset or without power, or homed without "
             "success. Try: home it again; AxisSettings(keeps_reference=True) if it has an absolute encoder"
         )
 
 
-def start_interpolation(axis: Axis, cycle_time: Time) -> Procedure[float]:
+def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow a set-point per SYNC in interpolated position mode; the position from which it does so.
 
-    cycle_time: ns between two SYNCs, 1 to 255 ms or 0.1 ms steps below. The actual position is read and is the first set-point,
-    so that nothing jumps when bit 4 is set. Raises ReferenceLost, ModeUnsupported, DriveFault, StepTimeout. Halted if cancelled
-    half-way.
+    cycle_time: ns between two SYNCs, 1 to 255 ms or 0.1 ms steps below. sends_itself: the caller sends the set-points by a PDO of
+    its own; else an RPDO that the node exchanges has to carry them. The actual position is read and is the first set-point, so
+    that nothing jumps when bit 4 is set. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
+    StepTimeout, and ProcedureError where no RPDO carries set-points, or none is sent. Halted if cancelled half-way.
     """
-    _require_reference(axis)
-    yield from set_mode(axis, Mode.INTERPOLATED_POSITION)
-    yield from _set_interpolation_period(axis, cycle_time)
-    return (yield from _follow(axis, 0x60C1, 1, ModeControl.ENABLE_INTERPOLATION, ModeStatus.IP_MODE_ACTIVE))
+    goal = "interpolation active (bit 12)"
+    yield from _prepare(axis, Mode.INTERPOLATED_POSITION, (0x60C1, 1), cycle_time, sends_itself)
+    return (yield from _follow(axis, Mode.INTERPOLATED_POSITION, (0x60C1, 1), ModeStatus.IP_MODE_ACTIVE, goal))
 
 
-def start_cyclic_position(axis: Axis, cycle_time: Time) -> Procedure[float]:
+def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """As start_interpolation, in cyclic synchronous position mode (0x607A is the set-point, and there is no bit 4)."""
+    goal = "follows command (bit 12)"
+    yield from _prepare(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, (0x607A, 0), cycle_time, sends_itself)
+    return (yield from _follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, (0x607A, 0), ModeStatus.FOLLOWS_COMMAND, goal))
+
+
+def _carriers(axis: Axis, set_point: tuple[int, int]) -> list[int]:
+    """The numbers of the RPDOs that carry a set-point."""
+    return [number for number, rpdo in axis.node.rpdos.items() if rpdo.mapping.find_component(set_point) is not None]
+
+
+def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Time, sends_itself: bool) -> Procedure[None]:
+    """See whether the drive has a reference, and set-points can reach it, and select the mode."""
     _require_reference(axis)
-    yield from set_mode(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    if not sends_itself and not _carriers(axis, set_point):
+        index, subindex = set_point
+        raise ProcedureError(
+            f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries 0x{index:04X}:{subindex:02X}. "
+            "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
+        )
+    yield from set_mode(axis, mode)
     yield from _set_interpolation_period(axis, cycle_time)
-    return (yield from _follow(axis, 0x607A, 0, 0, ModeStatus.FOLLOWS_COMMAND))
 
 
 def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
@@ -59,22 +81,34 @@ def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
     yield from write(axis.node, (0x60C2, 1), units)
 
 
-def _follow(axis: Axis, index: int, subindex: int, start: int, active: int) -> Procedure[float]:
+def _follow(axis: Axis, mode: Mode, set_point: tuple[int, int], active: int, goal: str) -> Procedure[float]:
     node = axis.node
     yield from enable(axis)
     try:
         position = yield from read_int(node, "0x6064")
         axis.set_position_counts(position)
-        if (index, subindex) in node.dictionary:
-            yield from write(node, (index, subindex), position)
+        if set_point in node.dictionary:
+            yield from write(node, set_point, position)
         now = yield from current_time()
-        for number, producer in node.rpdos.items():
-            if producer.mapping.find_component((index, subindex)) is not None:
-                node.enable_rpdo(number, now)
+        carriers = _carriers(axis, set_point)
+        for number in carriers:
+            node.enable_rpdo(number, now)
+        if carriers and not any(node.rpdos[number].is_live for number in carriers):
+            raise ProcedureError(
+                f"{name_of(axis)} would get no set-points: RPDOs are sent to a node that is Operational, and this one is "
+                f"{node.nmt_state.name if node.nmt_state is not None else 'in an NMT state that nobody knows'}. Try: NMT start"
+            )
         yield from command(axis, int(Command.ENABLE_OPERATION))
-        yield from command(axis, Command.ENABLE_OPERATION | start)
-        goal = "interpolation active (bit 12)" if start else "follows command (bit 12)"
-        yield from wait_for_statusword(axis, lambda word: bool(word & active), axis.settings.state_timeout, goal)
+        if mode == Mode.INTERPOLATED_POSITION:
+            yield from command(axis, Command.ENABLE_OPERATION | ModeControl.ENABLE_INTERPOLATION)
+        yield from wait_for_statusword(
+            axis,
+            lambda word: bool(word & active),
+            axis.settings.state_timeout,
+            goal,
+            mode=mode,
+            stays=State.OPERATION_ENABLED,
+        )
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
@@ -85,7 +119,9 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
     The set-point handshake of CiA 402: bit 4 clear, target, bit 4 set, bit 12 acknowledges, bit 4 clear, bit 10 at the target.
-    Halted when cancelled or failed. Raises ReferenceLost for a position that is not relative.
+    Whether it is the target is seen by the position (0x6062, 0x6064): a drive stops at a software limit, and shows bit 10 there.
+    timeout: ns for the whole way. Raises LimitReached, DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout.
+    ReferenceLost too for a position that is not relative. Halted when cancelled or failed.
     """
     if not relative:
         _require_reference(axis)
@@ -96,24 +132,119 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     try:
         yield from command(axis, int(Command.ENABLE_OPERATION))
         yield from _wait_for_acknowledge(axis, False)
+        target = counts + ((yield from _demand(axis)) if relative else 0)
         yield from write(axis.node, "0x607A", counts)
         options = ModeControl.NEW_SET_POINT | (ModeControl.RELATIVE if relative else 0)
         yield from command(axis, Command.ENABLE_OPERATION | options)
-        yield from _wait_for_acknowledge(axis, True)
+        given_at = yield from current_time()
+        try:
+            yield from _wait_for_acknowledge(axis, True)
+        except StepTimeout as refused:
+            limit = yield from _limit_before(axis, target)
+            if limit:
+                raise LimitReached(f"{name_of(axis)} did not take its target: {limit}. Try: {_OTHER_TARGET}") from refused
+            raise
         yield from command(axis, Command.ENABLE_OPERATION | options & ~ModeControl.NEW_SET_POINT)
-        yield from wait_for_statusword(axis, lambda word: bool(word & StatusBit.TARGET_REACHED), timeout, "its target position")
+        yield from _wait_for_target(axis, target, given_at, timeout, relative)
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
 
 
-def _wait_for_acknowledge(axis: Axis, wanted: bool) -> Procedure[None]:
-    yield from wait_for_statusword(
-        axis,
-        lambda word: bool(word & ModeStatus.SET_POINT_ACKNOWLEDGE) is wanted,
-        axis.settings.state_timeout,
-        f"set-point acknowledge (bit 12) = {int(wanted)}",
+def _wait_for_bit(axis: Axis, bit: int, wanted: bool, timeout: Time, goal: str) -> Procedure[int]:
+    """Wait for a bit of the statusword in profile position mode."""
+    return (
+        yield from wait_for_statusword(
+            axis,
+            lambda word: bool(word & bit) is wanted,
+            timeout,
+            goal,
+            mode=Mode.PROFILE_POSITION,
+            stays=State.OPERATION_ENABLED,
+        )
     )
+
+
+def _wait_for_acknowledge(axis: Axis, wanted: bool) -> Procedure[None]:
+    goal = f"set-point acknowledge (bit 12) = {int(wanted)}"
+    yield from _wait_for_bit(axis, ModeStatus.SET_POINT_ACKNOWLEDGE, wanted, axis.settings.state_timeout, goal)
+
+
+def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, relative: bool) -> Procedure[None]:
+    """Wait for bit 10 at the target. For `reaction_time` it may still be that of the target before."""
+    deadline = (yield from current_time()) + timeout
+    while True:
+        left = max(0, deadline - (yield from current_time()))
+        statusword = yield from _wait_for_bit(axis, StatusBit.TARGET_REACHED, True, left, "its target position")
+        is_there = yield from _is_at(axis, target)
+        if is_there:
+            return
+        if (yield from current_time()) - given_at >= axis.settings.reaction_time:
+            break
+        yield from sleep(POLL_INTERVAL)
+    position = yield from read_int(axis.node, "0x6064")
+    limit = yield from _limit_before(axis, target)
+    if not limit and statusword & StatusBit.INTERNAL_LIMIT:
+        limit = "an internal limit of the drive is active (bit 11)"
+    if limit or (is_there is False and not relative):  # 0x60F2: from where a drive reckons is its own business
+        raise LimitReached(
+            f"{name_of(axis)} stands at {axis.from_counts(position):g} ({position} counts), not at its target "
+            f"{axis.from_counts(target):g} ({target} counts): {limit or axis.describe()}. Try: {_OTHER_TARGET}"
+        )
+
+
+def _demand(axis: Axis) -> Procedure[int]:
+    """Where the drive's profile is now (0x6062), in counts; where the axis is, for a drive that does not tell."""
+    demand = yield from read_if_present(axis.node, "0x6062")
+    return demand if isinstance(demand, int) else (yield from read_int(axis.node, "0x6064"))
+
+
+def _is_at(axis: Axis, target: int) -> Procedure[bool | None]:
+    """Whether the drive is at its target; None where it tells too little: neither its demand (0x6062) nor a window (0x6067)."""
+    node = axis.node
+    demand = yield from read_if_present(node, "0x6062")
+    position = yield from read_int(node, "0x6064")
+    window = yield from read_if_present(node, "0x6067")
+    has_window = isinstance(window, int) and window != NO_WINDOW
+    tolerance = window if isinstance(window, int) and has_window else 1
+    turn = yield from _turn(axis)
+    if any(isinstance(each, int) and _distance(each, target, turn) <= tolerance for each in (demand, position)):
+        return True
+    return False if has_window or isinstance(demand, int) else None
+
+
+def _turn(axis: Axis) -> Procedure[int]:
+    """The counts after which the position of an axis without end begins again (0x607B), 0 for one with ends."""
+    low = yield from read_if_present(axis.node, (0x607B, 1))
+    high = yield from read_if_present(axis.node, (0x607B, 2))
+    return high - low + 1 if isinstance(low, int) and isinstance(high, int) and low < high else 0
+
+
+def _distance(position: int, target: int, turn: int) -> int:
+    distance = abs(position - target)
+    return min(distance % turn, -distance % turn) if turn else distance
+
+
+def _limit_before(axis: Axis, target: int) -> Procedure[str]:
+    """The software limit (0x607D) beyond which a target lies, in words; "" if there is none.
+
+    The standard reckons the limits from the mechanical zero: the home offset (0x607C) is taken off them before they are compared.
+    Not all drives do so. So a limit is named if the target lies beyond it in either way.
+    """
+    node = axis.node
+    low = yield from read_if_present(node, (0x607D, 1))
+    high = yield from read_if_present(node, (0x607D, 2))
+    offset = yield from read_if_present(node, "0x607C")
+    if not isinstance(low, int) or not isinstance(high, int) or low >= high:
+        return ""
+    shift = offset if isinstance(offset, int) else 0
+    if target < max(low, low - shift):
+        subindex, limit = 1, low
+    elif target > min(high, high - shift):
+        subindex, limit = 2, high
+    else:
+        return ""
+    return f"its software limit 0x607D:{subindex:02X} is {axis.from_counts(limit):g} ({limit} counts)"
 
 
 def read_position(axis: Axis) -> Procedure[float]:

@@ -3,39 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import ModeControl, mode_name, supported, supported_modes
+from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
 from canopen_proto.cia402.states import Command, State, next_command, state_of
-from canopen_proto.procedures.drive.statusword import (
-    POLL_INTERVAL,
-    command,
-    fault_of,
-    name_of,
-    read_statusword,
-    wait_for_statusword,
-)
-from canopen_proto.procedures.objects import read_if_present, read_int, write
-from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, current_time, sleep
+from canopen_proto.machine import Time
+from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
+from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
+from canopen_proto.procedures.objects import read_if_present, write
+from canopen_proto.procedures.steps import Procedure, StepTimeout, current_time
 
-
-class ModeUnsupported(ProcedureError):
-    """The drive does not have a mode of operation (0x6502), or did not take it."""
+_FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
+_POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
+"""How far a state is on the way to Operation enabled; all others: 0."""
 
 
 def _leaves(state: State) -> Callable[[int], bool]:
-    return lambda statusword: state_of(statusword) is not state
+    return lambda statusword: state_of(statusword) not in (state, State.UNKNOWN)
 
 
 def change_state(axis: Axis, target: State) -> Procedure[int]:
-    """Lead the drive to a state, one command after the other; the statusword. Raises DriveFault, StepTimeout.
+    """Lead the drive to a state, one command after the other; the statusword.
 
-    A drive in fault is not reset: that is `reset_fault`, a decision of the user's.
+    A drive in fault is not reset: that is `reset_fault`, a decision of the user's. A drive that is led up and goes down, or comes
+    to a state twice, is commanded by somebody else: StateLost. Raises DriveFault, NodeLost, StepTimeout, SdoFailed too.
     """
     statusword = yield from read_statusword(axis)
+    seen: list[State] = []
     while (state := state_of(statusword)) is not target:
-        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if state in _FAULTS:
             raise (yield from fault_of(axis, f"and cannot go to {target}"))
+        goes_up = _POWER.get(target, 0) > _POWER.get(state, 0)
+        if state in seen or (goes_up and seen and _POWER.get(state, 0) < _POWER.get(seen[-1], 0)):
+            raise state_lost(axis, state, str(target))
+        seen.append(state)
         step = next_command(state, target)
         if step is not None:
             yield from command(axis, int(step))
@@ -81,28 +85,41 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     """Select a mode of operation and wait until the drive shows it.
 
     Raises ModeUnsupported, with nothing written, where 0x6502 lacks the mode (a drive without 0x6502 is asked by doing), and
-    where the drive does not take it up. waive_check: for drives that can do what 0x6502 denies (Schunk's homing).
+    where the drive does not take it up within `state_timeout`. waive_check: for drives that can do what 0x6502 denies (Schunk's
+    homing). Raises DriveFault, StateLost (it was enabled, and is no more), NodeLost.
     """
     if not waive_check:
         modes = yield from read_if_present(axis.node, "0x6502")
         if isinstance(modes, int) and not supported(modes, mode):
             has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
             raise ModeUnsupported(f"{name_of(axis)} does not support {mode_name(mode)}: 0x6502 = 0x{modes:08X}, which is {has}")
+    state = state_of((yield from read_statusword(axis)))
     # Bit 4 means something else in each mode: what interpolates must not begin to home because it still stands.
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
-    if bears_bit_4 and state_of((yield from read_statusword(axis))) is State.OPERATION_ENABLED:
+    if bears_bit_4 and state is State.OPERATION_ENABLED:
         yield from command(axis, int(Command.ENABLE_OPERATION))
     yield from write(axis.node, "0x6060", mode)
-    deadline = (yield from current_time()) + axis.settings.state_timeout
-    while True:
-        shown = yield from read_int(axis.node, "0x6061")
-        if shown == mode:
-            return
-        if (yield from current_time()) >= deadline:
-            raise ModeUnsupported(
-                f"{name_of(axis)} did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061: {axis.describe()}"
-            )
-        yield from sleep(POLL_INTERVAL)
+    watch: Watch[bool] = Watch(
+        axis,
+        mode_name(mode),
+        accept_fault=state in _FAULTS,
+        stays=state if state is State.OPERATION_ENABLED else None,
+        reads={MODES_OF_OPERATION_DISPLAY: POLL_INTERVAL},
+    )
+
+    def is_shown(statusword: int, heard_at: Time) -> bool | None:
+        refusal = watch.refusal(MODES_OF_OPERATION_DISPLAY)
+        if refusal is not None:
+            raise refusal
+        return True if watch.heard(MODES_OF_OPERATION_DISPLAY) is not None and axis.mode == mode else None
+
+    try:
+        yield from watch.until(is_shown, axis.settings.state_timeout)
+    except StepTimeout as late:
+        shown = mode_name(axis.mode or 0)
+        raise ModeUnsupported(
+            f"{name_of(axis)} did not take up {mode_name(mode)}; it shows {shown} in 0x6061: {axis.describe()}"
+        ) from late
 
 
 def quick_stop(axis: Axis) -> Procedure[None]:

@@ -130,7 +130,7 @@ class DirectDrive:
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
             )
         self._end_following()
-        limit = await self._run(follow(self._device, self.interval * MILLISECOND))
+        limit = await self._run(follow(self._device, self.interval * MILLISECOND, sends_itself=True))
         following = self._device.following
         following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=self._cyclic, lag=1, silent_syncs=SILENT_SYNCS)
         self._taken.clear()

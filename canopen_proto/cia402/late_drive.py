@@ -1,0 +1,62 @@
+"""`LateDrive`: a simulated drive that acts late on what it is commanded, as real ones do.
+
+A controlword or a mode (6060h) takes effect `DriveSettings.reaction` after it came, in the order in which they came; all else as
+in `Drive`. Until then statusword and mode display show what was before: a master that looks too early sees the past.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive import STEP, Drive
+from canopen_proto.cia402.servo import DriveSettings
+from canopen_proto.dictionary.values import Values
+from canopen_proto.machine import Outbox, Time
+
+_COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
+
+
+class LateDrive(Drive):
+    """See this module's text."""
+
+    __slots__ = ("_late", "_obeys")
+
+    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings) -> None:
+        super().__init__(out, node_id, values, settings)
+        self._late: deque[tuple[Time, int, int]] = deque()  # when it takes effect, key, value
+        self._obeys = False
+
+    def reset(self, now: Time) -> None:
+        self._late.clear()
+        super().reset(now)
+
+    def written(self, index: int, subindex: int, now: Time) -> None:
+        key = index << 8 | subindex
+        if key not in _COMMANDS:
+            super().written(index, subindex, now)
+            return
+        value = self._servo.parameter(key)
+        last = next((late[2] for late in reversed(self._late) if late[1] == key), None)
+        if value != last:  # else the same again, as each cycle brings it
+            self._late.append((now + self.settings.reaction, key, value))
+            self._schedule()
+
+    def _advance(self, now: Time) -> None:
+        while not self._obeys and self._late and self._late[0][0] <= now:
+            self._obey(*self._late.popleft())
+        super()._advance(now)
+
+    def _obey(self, time: Time, key: int, value: int) -> None:
+        store = self.values.store
+        newest, store[key] = store[key], value
+        self._obeys = True  # one after the other, those of one PDO too
+        super().written(key >> 8, key & 0xFF, time)
+        self._obeys = False
+        store[key] = newest
+
+    def _schedule(self, step: Time = STEP) -> None:
+        super()._schedule(step)
+        if self._late:
+            self._arm(min(self.deadline, self._late[0][0]))

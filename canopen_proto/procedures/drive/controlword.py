@@ -1,0 +1,51 @@
+"""Bring a controlword to a drive."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.machine import MILLISECOND, Event
+from canopen_proto.procedures.drive.failures import is_loss_of, node_lost
+from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
+from canopen_proto.sync import SyncReceived, SyncSent
+
+SYNC_ALIVE: Final = 500 * MILLISECOND
+"""SYNC counts as running when one was sent or heard within this time; it is also what a command waits for the next one."""
+
+
+def command(axis: Axis, controlword: int) -> Procedure[None]:
+    """Bring a controlword to the drive: by the live RPDO that carries it, else by SDO, confirmed.
+
+    A synchronous RPDO leaves behind a SYNC, and the drive takes it at the SYNC after that (CiA 301 v4.2.0, 7.5.2.35). The command
+    waits for that one, so that two commands in a row are two PDOs, an edge is an edge, and what the drive shows from then on is
+    its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used. Raises SdoFailed, NodeLost.
+    """
+    producer = axis.node.rpdo_of(0x6040)
+    if producer is not None and not producer.is_synchronous:
+        yield from act(lambda now: axis.set_controlword(controlword, now))
+        return
+    last_sync = axis.node.last_sync
+    if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
+        yield from act(lambda now: axis.set_controlword(controlword, now))
+        # One of type n goes at every n-th SYNC.
+        if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
+            return
+    yield from write(axis.node, "0x6040", controlword)
+
+
+def _syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
+    """Wait for that many SYNCs; False once the next one does not come."""
+    node = axis.node
+
+    def concerns(report: Event) -> bool:
+        return isinstance(report, SyncSent | SyncReceived) or is_loss_of(node, report)
+
+    for _ in range(count):
+        report = yield Wait(SYNC_ALIVE, node, concerns)
+        if report is None:
+            return False
+        if is_loss_of(node, report):
+            raise node_lost(axis, report, "the SYNC that takes a command along")
+    return True

@@ -1,0 +1,218 @@
+"""Wait for a drive: one wait for all procedures, which knows what ends it.
+
+Theory of operation
+-------------------
+A `Watch` looks at the statusword, and at what else it is told to, whenever something came: by a TPDO, which serves for 100 ms,
+else by SDO, 10 ms after the last answer. The reads run beside the wait: a TPDO, a lost heartbeat or a boot-up ends it while an
+answer is still awaited. What was heard before the wait began does not count.
+
+Each look asks in this order: is the drive in fault, did it leave the state that it has to stay in, does it show another mode
+(0x6061), and then the judge: is what is waited for there? The mode-specific bits mean something else in each mode. So with a mode
+that has to stay, the judge's word counts only once 0x6061 was heard after it was first given: from the TPDO that carries it, else
+by one more read. While waiting, a mode that no TPDO carries is read every 100 ms. A drive that refuses 0x6061 is not asked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final, Generic, TypeVar
+
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, STATUSWORD
+from canopen_proto.cia402.states import State, state_of
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.procedures.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
+from canopen_proto.procedures.objects import read_int, value_of
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, StepTimeout, Wait, current_time
+from canopen_proto.remote_node import FRESH
+from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.sdo.client import SdoAborted, SdoUploaded
+
+T = TypeVar("T")
+
+POLL_INTERVAL: Final = 10 * MILLISECOND
+"""From the answer of an SDO read to the next read of the same object, as the manual's library polled."""
+
+_FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
+_MODE: Final = MODES_OF_OPERATION_DISPLAY
+
+
+def read_statusword(axis: Axis) -> Procedure[int]:
+    """The present statusword: what was heard no longer than 100 ms ago, else read by SDO."""
+    now = yield from current_time()
+    statusword = axis.fresh_statusword(now)
+    if statusword is None:
+        statusword = yield from read_int(axis.node, "0x6041")
+    return statusword
+
+
+def wait_for_statusword(
+    axis: Axis,
+    done: Callable[[int], bool],
+    timeout: Time,
+    goal: str,
+    *,
+    accept_fault: bool = False,
+    mode: int | None = None,
+    stays: State | None = None,
+) -> Procedure[int]:
+    """Wait until done(statusword), at most `timeout` ns; the statusword. What was heard before the wait does not count.
+
+    mode: what 0x6061 has to show meanwhile; stays: the state that the drive has to stay in; None: any. Raises, as soon as it is
+    seen: DriveFault (unless accept_fault), NodeLost, StateLost, ModeLost; StepTimeout that names `goal` and what was seen last;
+    SdoFailed where the statusword cannot be read.
+    """
+    watch: Watch[int] = Watch(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays)
+    return (yield from watch.until(lambda statusword, heard_at: statusword if done(statusword) else None, timeout))
+
+
+class Watch(Generic[T]):
+    """One wait for a drive; see this module's text. Used once."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        goal: str,
+        *,
+        accept_fault: bool = False,
+        mode: int | None = None,
+        stays: State | None = None,
+        reads: Mapping[int, Time] | None = None,
+    ) -> None:
+        """goal: what is waited for, in messages. mode, stays, accept_fault: as in `wait_for_statusword`.
+
+        reads: mux -> ns between two reads of what else the judge looks at; the drive's dictionary has to have it.
+        """
+        self.axis = axis
+        self.goal = goal
+        self.began: Time = NEVER
+        self._accept_fault = accept_fault
+        self._mode = mode
+        self._stays = stays
+        self._pauses: dict[int, Time] = {STATUSWORD: POLL_INTERVAL, **(reads or {})}
+        if mode is not None:
+            self._pauses.setdefault(_MODE, FRESH)
+        self._due: dict[int, Time] = {}  # mux -> when it is to be read by SDO
+        self._open: dict[RequestId, tuple[int, Time]] = {}  # the reads under way: mux, and when it was asked for
+        self._timed_out: set[int] = set()  # whose last read was not answered
+        self._refused: dict[int, SdoFailed] = {}
+        self._mode_seen: Time = -NEVER  # 0x6061 is known to be as it is at this time or later
+        self._reached_at: Time | None = None  # since when the judge says so
+
+    def heard(self, mux: int) -> Time | None:
+        """When the drive last said the value of an object, since the wait began; None: not yet."""
+        heard_at = self.axis.node.heard_at.get(mux)
+        return heard_at if heard_at is not None and heard_at >= self.began else None
+
+    def refusal(self, mux: int) -> SdoFailed | None:
+        """The error with which the drive refused to let an object be read, if it did."""
+        return self._refused.get(mux)
+
+    def until(self, judge: Callable[[int, Time], T | None], timeout: Time) -> Procedure[T]:
+        """Wait until judge(statusword, when it was heard) gives a result, at most `timeout` ns; that result.
+
+        The judge is asked at each look, and may raise. Else as `wait_for_statusword`.
+        """
+        axis, node = self.axis, self.axis.node
+        self.began = yield from current_time()
+        deadline = self.began + timeout
+        for mux, pause in self._pauses.items():
+            known_at = node.heard_at.get(mux, -NEVER) if mux == _MODE and self._mode is not None else -NEVER
+            self._due[mux] = max(self.began, known_at + pause)
+        try:
+            while True:
+                now = yield from current_time()
+                result = yield from self._look(judge, now)
+                if result is not None:
+                    return result
+                if now >= deadline and self.heard(STATUSWORD) is not None:
+                    seen = axis.describe()
+                    raise StepTimeout(f"{name_of(axis)} did not reach {self.goal} within {timeout / SECOND:g} s: {seen}")
+                self._ask(now)
+                wake = min(time for time in (deadline, *self._due.values(), NEVER) if time > now)
+                report = yield Wait(wake - now, node, self._concerns)
+                if report is not None:
+                    self._take(report, (yield from current_time()))
+        except (Cancelled, ProcedureError):
+            self._take_back((yield from current_time()))
+            raise
+
+    def _look(self, judge: Callable[[int, Time], T | None], now: Time) -> Procedure[T | None]:
+        axis = self.axis
+        heard_at = self.heard(STATUSWORD)
+        if heard_at is None:
+            return None
+        statusword = axis.statusword
+        state = state_of(statusword)
+        if state in _FAULTS and not self._accept_fault:
+            raise (yield from fault_of(axis, f"while waiting for {self.goal}"))
+        if self._stays is not None and state is not self._stays:
+            if state is State.UNKNOWN:
+                return None  # no state at all: the next statusword will tell
+            raise state_lost(axis, state, self.goal)
+        if self._mode is not None and _MODE in axis.node.heard_at and axis.mode != self._mode:
+            raise mode_lost(axis, self._mode, self.goal)
+        result = judge(statusword, heard_at)
+        if result is None:
+            self._reached_at = None
+        elif self._mode is not None and _MODE not in self._refused:
+            if self._reached_at is None:
+                self._reached_at = now
+            if self._mode_seen < self._reached_at:
+                self._due[_MODE] = min(self._due[_MODE], now)
+                return None
+        return result
+
+    def _ask(self, now: Time) -> None:
+        """Read by SDO what is due."""
+        node = self.axis.node
+        for mux, due in self._due.items():
+            if due <= now:
+                # Urgent: a wait for a drive does not stand in line behind a backup of it.
+                request_id = node.read((mux >> 8, mux & 0xFF), now, urgent=True)
+                self._open[request_id] = (mux, now)
+                self._due[mux] = NEVER
+
+    def _concerns(self, report: Event) -> bool:
+        """Whether the wait has to look at an event."""
+        if isinstance(report, Outcome):
+            return report.request_id in self._open
+        node = self.axis.node
+        return is_loss_of(node, report) or (isinstance(report, PdoReceived) and report.node_id == node.node_id)
+
+    def _take(self, report: Event, now: Time) -> None:
+        match report:
+            case PdoReceived(mapping=mapping):
+                for mux in self._due.keys() & set(mapping.muxes):
+                    if self._due[mux] != NEVER:
+                        self._due[mux] = now + FRESH
+                if _MODE in mapping.muxes:
+                    self._mode_seen = now
+            case SdoUploaded() | SdoAborted():
+                mux, asked_at = self._open.pop(report.request_id)
+                self._take_answer(report, mux, asked_at, now)
+            case _:
+                raise node_lost(self.axis, report, self.goal)
+
+    def _take_answer(self, report: SdoUploaded | SdoAborted, mux: int, asked_at: Time, now: Time) -> None:
+        node = self.axis.node
+        self._due[mux] = now + self._pauses[mux]
+        if isinstance(report, SdoUploaded):
+            value_of(node, node.dictionary.variable((mux >> 8, mux & 0xFF)), report)
+            self._timed_out.discard(mux)
+            if mux == _MODE:
+                self._mode_seen = asked_at
+        elif mux == STATUSWORD or mux in self._timed_out:
+            raise SdoFailed(report, "reading")
+        elif report.origin is AbortOrigin.PEER:
+            self._refused[mux] = SdoFailed(report, "reading")
+            self._due[mux] = NEVER
+        else:
+            self._timed_out.add(mux)  # a single frame may have been lost
+
+    def _take_back(self, now: Time) -> None:
+        """Give up the reads under way: what follows, perhaps a halt, does not wait for them."""
+        for request_id in self._open:
+            self.axis.node.cancel(request_id, now)
+        self._open.clear()
