@@ -63,9 +63,12 @@ class Rig:
     def outcome(self, request_id: RequestId, limit: Time = 120 * SECOND) -> Ended:
         """Run the bus until a procedure has ended."""
         found: list[Ended] = []
+        seen = 0
 
         def ended() -> bool:
-            found.extend(event for event in self.bus.events if isinstance(event, Ended) and event.request_id == request_id)
+            nonlocal seen
+            new, seen = self.bus.events[seen:], len(self.bus.events)
+            found.extend(event for event in new if isinstance(event, Ended) and event.request_id == request_id)
             return bool(found)
 
         self.bus.run_until(ended, limit)

@@ -6,6 +6,7 @@ from typing import Final
 
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.machine import MILLISECOND, Event
+from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.drive.failures import is_loss_of, node_lost
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
@@ -20,19 +21,28 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
 
     A synchronous RPDO leaves behind a SYNC, and the drive takes it at the SYNC after that (CiA 301 v4.2.0, 7.5.2.35). The command
     waits for that one, so that two commands in a row are two PDOs, an edge is an edge, and what the drive shows from then on is
-    its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used. Raises SdoFailed, NodeLost.
+    its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used; as it is where the RPDO is not sent
+    (any more). Raises SdoFailed, NodeLost.
     """
     producer = axis.node.rpdo_of(0x6040)
     if producer is not None and not producer.is_synchronous:
         yield from act(lambda now: axis.set_controlword(controlword, now))
         return
     last_sync = axis.node.last_sync
-    if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
+    is_sync_alive = last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE
+    if producer is not None and is_sync_alive:
         yield from act(lambda now: axis.set_controlword(controlword, now))
         # One of type n goes at every n-th SYNC.
         if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
+    elif is_sync_alive and any(_may_wait(rpdo) for rpdo in axis.node.rpdos.values()):
+        yield from _syncs_passed(axis, 1)
     yield from write(axis.node, "0x6040", controlword)
+
+
+def _may_wait(rpdo: PdoProducer) -> bool:
+    """Whether the drive may hold an older word for the next SYNC, which would undo what is written by SDO before that."""
+    return rpdo.is_synchronous and rpdo.mapping.find_component((0x6040, 0)) is not None
 
 
 def _syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
