@@ -208,8 +208,13 @@ class Axis:
     @property
     def velocity(self) -> float | None:
         """0x606C as last heard, in the user's unit per second; None if it never was."""
-        counts = self._heard(VELOCITY_ACTUAL_VALUE)
+        counts = self.velocity_counts
         return None if counts is None else self.settings.direction * counts / self._scale
+
+    @property
+    def velocity_counts(self) -> int | None:
+        """0x606C as last heard, in the drive's own unit; None if it never was since the node's last boot."""
+        return self._heard(VELOCITY_ACTUAL_VALUE)
 
     @property
     def torque(self) -> float | None:

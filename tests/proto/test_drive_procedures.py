@@ -187,6 +187,16 @@ def test_cyclic_position_follows() -> None:
     assert rig.axis.mode == Mode.CYCLIC_SYNCHRONOUS_POSITION
 
 
+def test_cyclic_position_does_not_jump_to_an_old_target() -> None:
+    """In csp a drive follows 0x607A as soon as it has the mode and power."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.node.values.store[objects.TARGET_POSITION] = -50_000
+    rig.start_sync()
+    rig.run(drive.start_cyclic_position(rig.axis, CYCLE, sends_itself=True))
+    assert rig.drive._servo.demand_position == rig.drive.settings.position
+    assert not moving(rig)
+
+
 STARTS = {"ip": (drive.start_interpolation, "0x60C1:01"), "csp": (drive.start_cyclic_position, "0x607A:00")}
 
 

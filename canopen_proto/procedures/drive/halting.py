@@ -100,26 +100,21 @@ def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
 
 
 def _wait_for_standstill(axis: Axis) -> Procedure[None]:
-    settings = axis.settings
-    timeout = settings.reaction_time + settings.halt_time
+    timeout = axis.settings.reaction_time + axis.settings.halt_time
+    before: float | None = None
     while True:
         yield from ask_for_time(timeout + SECOND)  # a drive that answers, and slows down, is worth waiting for
-        speed = yield from _speed(axis)
+        judge = _Standstill(axis)
         try:
-            yield from _stands(axis, timeout)
+            yield from judge.watch.until(judge.judge, timeout)
             return
         except StepTimeout:
-            if speed is None or not (yield from _has_slowed(axis, speed)):
+            if before is None:
+                before = judge.top_speed  # not that at the beginning: it may just have gathered speed
+            now = yield from _speed(axis)
+            if before is None or now is None or not (yield from _has_slowed(axis, before, now)):
                 raise
-
-
-def _stands(axis: Axis, timeout: Time) -> Procedure[None]:
-    """Wait until the drive reports standstill, or has no power any more."""
-    reads = {MODES_OF_OPERATION_DISPLAY: FRESH}
-    if "0x6064" in axis.node.dictionary:
-        reads[POSITION_ACTUAL_VALUE] = STANDSTILL_LOOK
-    watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=reads)
-    yield from watch.until(_Standstill(watch).judge, timeout)
+            before = now
 
 
 class _Standstill:
@@ -129,17 +124,20 @@ class _Standstill:
     position shows standstill too; of a drive that tells no position, once `reaction_time` is over.
     """
 
-    def __init__(self, watch: Watch[bool]) -> None:
-        self._watch = watch
-        self._axis = watch.axis
-        self._is_schunk = watch.axis.settings.homing is HomingStyle.SCHUNK
+    def __init__(self, axis: Axis) -> None:
+        reads = {MODES_OF_OPERATION_DISPLAY: FRESH, POSITION_ACTUAL_VALUE: STANDSTILL_LOOK, VELOCITY_ACTUAL_VALUE: FRESH}
+        present = {mux: pause for mux, pause in reads.items() if (mux >> 8, mux & 0xFF) in axis.node.dictionary}
+        self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
+        self.top_speed: float | None = None  # that was seen, in the drive's unit
+        self._axis = axis
+        self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_clear = False  # bit 10 was 0
         self._looked_at: Time = -NEVER
         self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
 
     def judge(self, statusword: int, heard_at: Time) -> bool | None:
         """True if the drive stands."""
-        self._look_at_position()
+        self._look()
         state = state_of(statusword)
         if state not in (*_BRAKING, State.UNKNOWN):
             return True
@@ -147,26 +145,33 @@ class _Standstill:
             return None if statusword & StatusBit.MANUFACTURER_8 else True
         if not self._knows(MODES_OF_OPERATION_DISPLAY):
             return None  # what bit 10 means is not known yet
-        has_position = "0x6064" in self._axis.node.dictionary and self._watch.refusal(POSITION_ACTUAL_VALUE) is None
+        has_position = "0x6064" in self._axis.node.dictionary and self.watch.refusal(POSITION_ACTUAL_VALUE) is None
         if has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
             return self._is_at_one_place() or None
         if not statusword & StatusBit.TARGET_REACHED:
             self._was_clear = True
             return None
         if not has_position:
-            return self._was_clear or heard_at - self._watch.began >= self._axis.settings.reaction_time or None
+            return self._was_clear or heard_at - self.watch.began >= self._axis.settings.reaction_time or None
         return self._was_clear or self._is_at_one_place() or None
 
     def _knows(self, mux: int) -> bool:
         """Whether the object was heard, or will never be."""
-        return self._watch.heard(mux) is not None or self._watch.refusal(mux) is not None
+        return self.watch.heard(mux) is not None or self.watch.refusal(mux) is not None
 
-    def _look_at_position(self) -> None:
-        heard_at = self._watch.heard(POSITION_ACTUAL_VALUE)
+    def _look(self) -> None:
+        """See where the drive is, and how fast."""
+        if self.watch.heard(VELOCITY_ACTUAL_VALUE) is not None:
+            self.top_speed = max(self.top_speed or 0.0, abs(self._axis.velocity_counts or 0))
+        heard_at = self.watch.heard(POSITION_ACTUAL_VALUE)
         position = self._axis.position_counts
-        if heard_at is not None and position is not None and heard_at - self._looked_at >= STANDSTILL_LOOK:
-            self._looked_at = heard_at
-            self._positions.append(position)
+        if heard_at is None or position is None or heard_at - self._looked_at < STANDSTILL_LOOK:
+            return
+        if self._positions and (VELOCITY_ACTUAL_VALUE not in self._axis.node.heard_at):
+            speed = abs(position - self._positions[-1]) * SECOND / (heard_at - self._looked_at)
+            self.top_speed = max(self.top_speed or 0.0, speed)
+        self._looked_at = heard_at
+        self._positions.append(position)
 
     def _is_at_one_place(self) -> bool:
         """Whether the position is the same as one look before, but for the last digit; or goes to and fro, as a fine encoder's
@@ -196,16 +201,13 @@ def _speed(axis: Axis) -> Procedure[float | None]:
     return abs(after - before) * SECOND / (now - began) if isinstance(after, int) else None
 
 
-def _has_slowed(axis: Axis, before: float) -> Procedure[bool]:
+def _has_slowed(axis: Axis, before: float, now: float) -> Procedure[bool]:
     """Whether the drive is clearly slower than it was a step ago."""
-    speed = yield from _speed(axis)
-    if speed is None:
-        return False
     loss = _SLOWER * before
     ramp = yield from _ramp(axis)
     if ramp is not None:
         loss = min(loss, _OF_ITS_RAMP * ramp * axis.settings.halt_time / SECOND)
-    return before - speed > loss
+    return before - now > loss
 
 
 def _ramp(axis: Axis) -> Procedure[int | None]:

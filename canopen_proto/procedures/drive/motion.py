@@ -35,7 +35,7 @@ def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = Fa
 
     cycle_time: ns between two SYNCs, 1 to 255 ms or 0.1 ms steps below. sends_itself: the caller sends the set-points by a PDO of
     its own; else an RPDO that the node exchanges has to carry them. The actual position is read and is the first set-point, so
-    that nothing jumps when bit 4 is set. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
+    that nothing jumps. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
     StepTimeout, and ProcedureError where no RPDO carries set-points, or none is sent. Halted if cancelled half-way.
     """
     goal = "interpolation active (bit 12)"
@@ -64,8 +64,18 @@ def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Tim
             f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries 0x{index:04X}:{subindex:02X}. "
             "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
         )
+    yield from _align(axis, set_point)  # in csp the drive follows as soon as it has mode and power
     yield from set_mode(axis, mode)
     yield from _set_interpolation_period(axis, cycle_time)
+
+
+def _align(axis: Axis, set_point: tuple[int, int]) -> Procedure[int]:
+    """Make the actual position the set-point, so that nothing jumps; that position, in counts."""
+    position = yield from read_int(axis.node, "0x6064")
+    axis.set_position_counts(position)
+    if set_point in axis.node.dictionary:
+        yield from write(axis.node, set_point, position)
+    return position
 
 
 def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
@@ -85,10 +95,7 @@ def _follow(axis: Axis, mode: Mode, set_point: tuple[int, int], active: int, goa
     node = axis.node
     yield from enable(axis)
     try:
-        position = yield from read_int(node, "0x6064")
-        axis.set_position_counts(position)
-        if set_point in node.dictionary:
-            yield from write(node, set_point, position)
+        position = yield from _align(axis, set_point)
         now = yield from current_time()
         carriers = _carriers(axis, set_point)
         for number in carriers:
