@@ -245,7 +245,7 @@ class ProfileVelocity(OperationMode):
     @property
     def status(self) -> int:
         stands = not self.servo.is_moving
-        reached = abs(self.servo.demand_velocity - self._speed) < 1.0
+        reached = self.servo.is_settled if self.is_halted else abs(self.servo.demand_velocity - self._speed) < 1.0
         return reached * StatusBit.TARGET_REACHED | stands * ModeStatus.SPEED_ZERO
 
 

@@ -54,6 +54,9 @@ E = TypeVar("E", bound=Event)
 SDO_TIMEOUT = 0.5
 """Seconds that a device may take for each answer."""
 
+_LOOK = 0.1
+"""Seconds between two looks whether a drive that is halted needs longer."""
+
 
 class Master:
     """See this module's text. buses: the Bus objects by their names. failure: why the master went down, or None.
@@ -337,8 +340,8 @@ class Master:
     async def run(self, procedure: Procedure[T]) -> T:
         """Run a procedure of `canopen_proto.procedures`, or your own, and wait for its end; its result.
 
-        Cancelled, it cancels the procedure and waits for its clean-up first (CLEAN_UP_TIME, 1 s, at most). Raises what the
-        procedure raised: a ProcedureError.
+        Cancelled, it cancels the procedure and waits for its clean-up first (CLEAN_UP_TIME, 1 s, at most, or longer for a drive
+        that still slows down). Raises what the procedure raised: a ProcedureError.
         """
         self.check_open()
         request_id, waiter = self.launch(procedure)
@@ -450,10 +453,11 @@ class Master:
         return self._body
 
     @enable_ki_protection
-    async def halt_and_flush(self) -> None:
+    async def halt_and_flush(self, scope: trio.CancelScope) -> None:
         """Take no new commands, end everything that runs, halt all drives that are enabled, and send what is queued.
 
-        `halts` then tells which drives did not confirm that they stand. May be cancelled: what was sent is sent.
+        scope: around this; its deadline is put off while procedures ask for time. `halts` then tells which drives did not confirm
+        that they stand. May be cancelled: what was sent is sent.
         """
         self.is_closed = True
         self._end_waiting(MasterClosed())
@@ -471,7 +475,10 @@ class Master:
                     halts.append(halt.run())
         self.launch(all_of(*halts))
         while self._procedures:
-            await self._procedure_ended.park()
+            with trio.move_on_after(_LOOK):
+                await self._procedure_ended.park()
+            asked = (self.runner.needs_until - self.now()) / SECOND
+            scope.deadline = max(scope.deadline, trio.current_time() + asked)
         await self._pump.flush()
 
     def _drive_on(self, node: Node) -> Device | None:

@@ -1,10 +1,10 @@
 """`open_master`: how a master comes and goes.
 
 **The way out.** However the `async with` block ends (its end, an error, a cancel, Ctrl-C, a bus that fails), the master takes no
-new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent, SHUTDOWN_TIME at
-most. Only then do its tasks end and its transports close. The tasks are shielded all that time: without that a cancel would put
-nothing on the wire, and the drives would run on. Drives that did not confirm that they stand are told by HaltNotConfirmed, or in
-a note on the exception that is under way.
+new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent: SHUTDOWN_TIME at
+most, or longer for a drive that answers and still slows down. Only then do its tasks end and its transports close. The tasks are
+shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. Drives that did not
+confirm that they stand are told by HaltNotConfirmed, or in a note on the exception that is under way.
 
 A further Ctrl-C on the way out shortens nothing. trio raises it in the main task, which only waits there; the halts go out in a
 task of their own. It comes out of the block when the drives stand.
@@ -35,7 +35,8 @@ BusSource: TypeAlias = str | Transport
 """A locator, or a transport that is open already; the master closes it."""
 
 SHUTDOWN_TIME: Final = 2.0
-"""Seconds that the way out may take, whatever the drives do: a person who pressed Ctrl-C waits no longer."""
+"""Seconds that the way out may take: a person who pressed Ctrl-C does not wait longer for a drive that is dead. A drive that is
+seen to brake is waited for (`procedures.steps.ask_for_time`)."""
 
 
 def open_master(
@@ -139,8 +140,8 @@ class MasterSession:
     async def _halt(self) -> None:
         """The way out: see this module's text."""
         try:
-            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME):
-                await self._master.halt_and_flush()
+            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME) as scope:
+                await self._master.halt_and_flush(scope)
         finally:
             self._master.pump.stop()
 

@@ -42,8 +42,9 @@ R = TypeVar("R")
 
 WATCH_INTERVAL: Final = 0.05
 """Seconds after which the end of the main thread is noticed, at most."""
-TAKE_BACK_TIME: Final = 3.0
-"""Seconds that an interrupted call may take to clean up: a procedure takes CLEAN_UP_TIME, 1 s, at most."""
+TAKE_BACK_TIME: Final = 30.0
+"""Seconds that an interrupted call may take to clean up: a procedure takes CLEAN_UP_TIME, 1 s, or as long as a drive brakes. A
+second Ctrl-C ends the waiting."""
 _LOOK_UP: Final = 0.5
 """Seconds after which a waiting thread looks up: on Windows, Ctrl-C is held back by a wait until that is over."""
 

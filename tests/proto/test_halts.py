@@ -1,0 +1,120 @@
+"""A halt takes what the drive's speed and ramp take: it is waited for, also as the clean-up of what was cancelled."""
+
+from __future__ import annotations
+
+import pytest
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.procedures import drive
+from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
+from canopen_proto.procedures.steps import StepTimeout
+from canopen_proto.remote_node import RemoteNode
+from tests.proto.rig import Rig
+
+SPEED = 50_000
+
+
+def running(rig: Rig, ramp: int) -> None:
+    """Let the drive run at SPEED for ever, with that deceleration."""
+    rig.node.values.store[objects.PROFILE_DECELERATION] = ramp
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(drive.enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", SPEED))
+    rig.bus.run(SECOND)
+    assert rig.drive._servo.velocity == pytest.approx(SPEED)
+
+
+def speed_of(rig: Rig) -> float:
+    rig.drive.refresh(rig.bus.now)
+    return rig.drive._servo.velocity
+
+
+HIDDEN = {
+    "speed and ramp": (),
+    "speed": (0x6084, 0x6083),
+    "position and ramp": (0x606C,),
+    "position": (0x606C, 0x6084, 0x6083, 0x605D),
+}
+
+
+@pytest.mark.parametrize("reaction", [0, 500 * MILLISECOND])
+@pytest.mark.parametrize("ramp", [5_000, 10_000, 16_000, 500_000])
+def test_a_drive_that_brakes_is_waited_for_whatever_its_ramp(ramp: int, reaction: int) -> None:
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=reaction))
+    running(rig, ramp)
+    began = rig.bus.now
+    rig.run(drive.halt(rig.axis))
+    assert speed_of(rig) == 0
+    assert rig.bus.now - began == pytest.approx(SPEED / ramp * SECOND + reaction, abs=100 * MILLISECOND)
+
+
+@pytest.mark.parametrize("told", HIDDEN)
+def test_a_drive_that_brakes_is_waited_for_whatever_it_tells(told: str) -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    running(rig, 10_000)
+    rest = [each for index, each in rig.node.dictionary.objects.items() if index not in HIDDEN[told]]
+    rig.master.detach(rig.remote)
+    remote = RemoteNode(rig.master.out, 5, ObjectDictionary(rest))
+    rig.master.attach(remote)
+    rig.run(drive.halt(Axis(remote)))
+    assert speed_of(rig) == 0
+
+
+def test_the_halt_of_a_cancelled_move_is_waited_for() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    for key, value in ((objects.PROFILE_VELOCITY, SPEED), (objects.PROFILE_DECELERATION, 16_000)):
+        rig.node.values.store[key] = value
+    request = rig.master.run(drive.move_to(rig.axis, 15.0, timeout=60 * SECOND), rig.bus.now)
+    rig.bus.run(2 * SECOND)
+    assert speed_of(rig) == SPEED
+    began = rig.bus.now
+    rig.master.cancel(request, began)
+    ended = rig.outcome(request)
+    assert isinstance(ended, ProcedureCancelled)
+    assert ended.clean_up_error is None
+    assert speed_of(rig) == 0
+    assert rig.bus.now - began > 3 * SECOND
+
+
+def test_the_halt_of_a_dead_drive_holds_up_nobody() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    request = rig.master.run(drive.move_to(rig.axis, 15.0, timeout=60 * SECOND), rig.bus.now)
+    rig.bus.run(SECOND)
+    rig.bus.detach(rig.device)
+    began = rig.bus.now
+    rig.master.cancel(request, began)
+    ended = rig.outcome(request)
+    assert isinstance(ended, ProcedureCancelled)
+    assert ended.clean_up_error is not None
+    assert rig.bus.now - began <= CLEAN_UP_TIME
+
+
+def test_a_drive_that_goes_on_as_before_is_told_within_reaction_and_halt_time() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=2900 * MILLISECOND))
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(drive.enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", SPEED))
+    rig.bus.run(SECOND)
+    began = rig.bus.now
+    with pytest.raises(StepTimeout, match="standstill after a halt"):
+        rig.run(drive.halt(rig.axis))
+    settings = rig.axis.settings
+    assert rig.bus.now - began <= settings.reaction_time + settings.halt_time + 100 * MILLISECOND
+    assert speed_of(rig) == pytest.approx(SPEED)
+
+
+def test_a_quick_stop_by_somebody_else_is_waited_for_too() -> None:
+    """A drive that is not enabled is not commanded; one that brakes moves all the same."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.node.values.store[objects.QUICK_STOP_DECELERATION] = 20_000
+    running(rig, 10_000)
+    rig.run(drive.quick_stop(rig.axis))
+    assert speed_of(rig) > 0
+    rig.run(drive.halt(rig.axis))
+    assert speed_of(rig) == 0
