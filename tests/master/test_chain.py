@@ -56,7 +56,7 @@ async def test_from_power_on_to_motion_and_back() -> None:
             arm.set_positions([0.001 * cycle.number, -0.002 * cycle.number])
             if cycle.number == 100:
                 break
-        await trio.sleep(0.06)
+        await trio.sleep(0.065)
         assert arm.positions == pytest.approx([0.1, -0.2], abs=MILLIDEGREE)
         assert arm.desired_positions == pytest.approx([0.1, -0.2], abs=MILLIDEGREE)
         assert [position_of(host, node) for node in drives(host)] == [5730, -11459]
