@@ -70,7 +70,10 @@ def halted_in_csp(rig: Rig) -> None:
 WAITS = {
     "home": Waiting(lambda rig: drive.home(rig.axis), homing, Mode.HOMING, wait=SECOND),
     "move_to": Waiting(
-        lambda rig: drive.move_to(rig.axis, 3.0, timeout=60 * SECOND), enabled_in(1), Mode.PROFILE_POSITION, wait=1500 * MILLISECOND
+        lambda rig: drive.move_to(rig.axis, 3.0, timeout=60 * SECOND),
+        enabled_in(1),
+        Mode.PROFILE_POSITION,
+        wait=1500 * MILLISECOND,
     ),
     "start_interpolation": Waiting(
         lambda rig: drive.start_interpolation(rig.axis, CYCLE, sends_itself=True), enabled_in(7), Mode.INTERPOLATED_POSITION
