@@ -17,11 +17,13 @@ from canopen_proto.dictionary.eds.ini import MAX_FINDINGS
 from canopen_proto.dictionary.findings import DictionaryError
 from canopen_proto.dictionary.xdd import read_xdd
 from canopen_proto.frame import Frame
-from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
+from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, HeartbeatRecovered, NodeBooted
+from canopen_proto.machine import SECOND, LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from fuzz.steps import decode
+from fuzz.two_ended import sdo_pair
 from tests.proto.devices import io_device
 from tests.proto.subjects import LocalSubject, RemoteSubject, held
 
@@ -185,6 +187,40 @@ def eds_files(data: bytes) -> None:
         assert line >= 1 <= column or description.device_info.compact_pdo  # which stands for whole objects
 
 
+def heartbeat(data: bytes) -> None:
+    """A heartbeat consumer: a node is lost when, and only when, its time is over (CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.5.2.19).
+
+    Each byte is a heartbeat (0..99), a boot-up (100..127), or so many tenths of the consumer time that pass (128 and on).
+    """
+    timeout, now = SECOND, 0
+    consumer = HeartbeatConsumer(Outbox(), 5, timeout)
+    heard_at: Time | None = None  # since when it is watched and lives
+    for byte in data[:MOST_STEPS]:
+        if byte >= 128:
+            end = now + (byte - 128) % 16 * timeout // 10
+            if consumer.deadline <= end:
+                now = consumer.deadline
+                consumer.handle_timeout(now)
+            is_over = heard_at is not None and end >= heard_at + timeout
+            lost = [report for report in consumer.out.events if isinstance(report, HeartbeatLost)]
+            assert len(lost) == is_over
+            if is_over and heard_at is not None:
+                assert now == heard_at + timeout
+                heard_at = None
+            now = end
+        else:
+            boots = byte >= 100
+            was_lost = consumer.lost
+            consumer.receive(Frame(0x705, bytes((0 if boots else 5,))), now)
+            kinds = [type(report) for report in consumer.out.events]
+            assert kinds[0] is (NodeBooted if boots else HeartbeatReceived)
+            assert (HeartbeatRecovered in kinds) == (was_lost and not boots)
+            if not boots or heard_at is not None:
+                heard_at = now
+        consumer.out.events.clear()
+
+
 TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
-    target.__name__: target for target in (local_node, remote_node, sdo_client, sdo_server, csv_files, xdd_files, eds_files)
+    target.__name__: target
+    for target in (local_node, remote_node, sdo_client, sdo_server, sdo_pair, heartbeat, csv_files, xdd_files, eds_files)
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from binascii import crc_hqx
 from typing import Any
 
 from canopen_proto.frame import Frame
@@ -112,6 +113,11 @@ class ServerBench(Bench):
 def frames(*texts: str) -> list[str]:
     """Hex text as it comes out of a bench."""
     return [bytes.fromhex(text).ljust(8, b"\x00").hex().upper() for text in texts]
+
+
+def crc_bytes(content: bytes) -> str:
+    """The CRC as it stands in an end frame, as hex text."""
+    return crc_hqx(content, 0).to_bytes(2, "little").hex()
 
 
 def segments(content: bytes, count: int = 127, *, final: bool = True, first: int = 1) -> list[str]:

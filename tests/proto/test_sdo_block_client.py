@@ -5,8 +5,6 @@ CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16
 
 from __future__ import annotations
 
-from binascii import crc_hqx
-
 import pytest
 
 from canopen_proto.frame import Frame
@@ -14,15 +12,11 @@ from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import LEAST_SILENCE
 from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
-from tests.proto.block_bench import ClientBench, frames, segments
+from tests.proto.block_bench import ClientBench, crc_bytes, frames, segments
 from tests.proto.block_pair import pattern
 
 TEXT = b"Hello, blocks"
 """13 bytes: two segments, of the second of which one byte is unused."""
-
-
-def crc_bytes(content: bytes) -> str:
-    return crc_hqx(content, 0).to_bytes(2, "little").hex()
 
 
 # ---- download ----
@@ -362,6 +356,10 @@ def test_a_transfer_that_is_not_right_is_an_abort(end: str, code: AbortCode) -> 
 
 def test_more_than_was_announced_or_can_be_taken() -> None:
     bench = ClientBench(max_upload=20)
+    bench.upload()
+    assert bench.tell("C6 08 10 00 14 00 00 00") == frames("A3")  # not one too many
+    bench.tell("80 08 10 00 00 00 00 08")
+    bench.events()
     bench.upload()
     assert bench.tell("C6 08 10 00 15 00 00 00") == frames("80 08 10 00 05 00 04 05")
     assert bench.aborted() == (0x05040005, AbortOrigin.LOCAL)

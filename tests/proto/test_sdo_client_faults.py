@@ -161,6 +161,9 @@ def test_what_is_larger_than_allowed_is_refused_as_soon_as_it_is_known() -> None
     bench.hear("40 08 10 00 00 00 00 00", "00 30 31 32 33 34 35 36", "10 30 31 32 33 34 35 36", "09 30 31 32 00 00 00 00")
     assert bench.frames()[-1] == "60C#8008100005000405"
     assert bench.aborted() == (0x05040005, LOCAL)
+    bench.client.upload(0x1008, 0, 0)
+    bench.hear("41 08 10 00 10 00 00 00")
+    assert bench.frames()[-1] == "60C#6000000000000000"  # not one too many
 
 
 def test_empty_segments_without_end_are_no_transfer() -> None:

@@ -1,0 +1,433 @@
+"""Planted bugs, and who finds them: the kept inputs of the fuzz targets, and the tests.
+
+    python -m fuzz.mutants [NAME ...]         each planted in a copy of the core; run it by hand, and once a week
+
+A bug is a piece of source that is replaced. The corpus has to find every one. The tests that it names are to find it as well:
+the two scores are printed. tests/proto/test_fuzz_mutants.py looks that each can still be planted.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import canopen_proto
+
+ROOT: Final = Path(__file__).parent.parent
+SOURCE: Final = Path(canopen_proto.__file__).parent
+TARGETS: Final = ("heartbeat", "sdo_pair")
+"""The fuzz targets that know the truth."""
+MOST_SECONDS: Final = 120
+"""For one bug and one way to find it: a bug may be one that never ends."""
+CORE: Final = "canopen_proto"
+BLOCKS: Final = ("tests/proto/test_sdo_block_client.py", "tests/proto/test_sdo_block_server.py")
+PIECES: Final = ("tests/proto/test_sdo_block_server_pieces.py",)
+FAULTS: Final = ("tests/proto/test_sdo_single_faults.py", "tests/proto/test_sdo_block_pauses.py")
+PLAIN: Final = ("tests/proto/test_sdo_client.py", "tests/proto/test_sdo_client_faults.py", "tests/proto/test_sdo_server.py")
+STREAMS: Final = ("tests/proto/test_sdo_block_streams.py",)
+FALL_BACK: Final = ("tests/proto/test_sdo_block_fall_back.py",)
+FATE: Final = ("tests/proto/test_sdo_not_confirmed.py",)
+LATE: Final = ("tests/proto/test_sdo_late_answers.py",)
+HEARTBEAT: Final = ("tests/proto/test_heartbeat.py",)
+
+
+class Mutant(NamedTuple):
+    """old becomes new in a file of the core; why it is a bug; the tests that should find it."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    why: str
+    tests: tuple[str, ...]
+
+
+_RECEIVER: Final = "sdo/block_receiver.py"
+_SENDER: Final = "sdo/block_sender.py"
+_CLIENT: Final = "sdo/client.py"
+_SERVER: Final = "sdo/server.py"
+_BLOCK_CLIENT: Final = "sdo/block_client.py"
+_BLOCK_SERVER: Final = "sdo/block_server.py"
+_QUEUE: Final = "sdo/request_queue.py"
+
+MUTANTS: Final = (
+    Mutant(
+        "paused_unnoticed",
+        _RECEIVER,
+        " or 0 < self._paused_behind < sequence",
+        "",
+        "a sender that paused too long goes on, and its segments are taken for others",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "short_silence",
+        _RECEIVER,
+        "self._silence = silence_limit(party.timeout)",
+        "self._silence = party.timeout // 5",
+        "a pause is taken for a loss",
+        BLOCKS,
+    ),
+    Mutant(
+        "least_silence",
+        "sdo/block.py",
+        "LEAST_SILENCE: Final = 1 * SECOND",
+        "LEAST_SILENCE: Final = 700 * MILLISECOND",
+        "a pause of a second is taken for a loss",
+        FAULTS,
+    ),
+    Mutant(
+        "early_as_usual",
+        _RECEIVER,
+        "self._end_sub_block(0, now, is_early=True)",
+        "self._end_sub_block(0, now)",
+        "nothing is expected of a sender that paused",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "impatient_sender",
+        _SENDER,
+        "self._patience = 2 * silence_limit(party.timeout)",
+        "self._patience = silence_limit(party.timeout)",
+        "the sender gives up before the receiver asks again",
+        FAULTS,
+    ),
+    Mutant(
+        "zero_crc_guard",
+        _RECEIVER,
+        "if not self.with_crc or self._size is None:\n            return",
+        "if not self.with_crc:\n            return",
+        "zeros do not count in a CRC that begins with 0: without a size they may be repeated",
+        BLOCKS[1:],
+    ),
+    Mutant(
+        "reminder_of_a_segment",
+        _RECEIVER,
+        "remaining <= SEGMENT_SIZE:",
+        "remaining < SEGMENT_SIZE:",
+        "a last segment of seven bytes is not asked for",
+        FAULTS[:1],
+    ),
+    Mutant("no_reminder", _RECEIVER, "            self._remind()\n", "", "a lost acknowledgement is not repeated", BLOCKS),
+    Mutant(
+        "size_unchecked",
+        _RECEIVER,
+        "elif self._size is not None and self.offset + end != self._size:",
+        "elif self._size is None and end < 0:",
+        "fewer or more bytes than were announced",
+        BLOCKS,
+    ),
+    Mutant(
+        "crc_unchecked", _RECEIVER, "if self.with_crc and crc != data[1] | data[2] << 8:", "if crc < 0:", "damaged bytes", BLOCKS
+    ),
+    Mutant(
+        "crc_high_byte", _RECEIVER, "crc != data[1] | data[2] << 8:", "crc & 0xFF != data[1]:", "one in 256 faults passes", BLOCKS
+    ),
+    Mutant(
+        "crc_of_pieces",
+        _RECEIVER,
+        "            self._check(len(self._buffer))\n            self._state = HELD",
+        "            self._state = HELD",
+        "the CRC of a stream misses what was handed on",
+        STREAMS,
+    ),
+    Mutant(
+        "limit_forgotten",
+        _RECEIVER,
+        "elif self.offset + end > self._limit:",
+        "elif end < 0:",
+        "more is taken than may be",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "empty_copy_is_abort",
+        _RECEIVER,
+        "if self._state != STARTING and data == self._party._last:",
+        "if self._state == STARTING and data == self._party._last:",
+        "the second copy of an empty last segment looks like an abort",
+        FAULTS[:1],
+    ),
+    Mutant(
+        "block_size_of_1",
+        "sdo/block.py",
+        "return max(2, min(block_size",
+        "return max(1, min(block_size",
+        "the second copy of a segment has the number that is due",
+        BLOCKS[1:],
+    ),
+    Mutant(
+        "gap_acknowledged_whole",
+        _RECEIVER,
+        "        received = self._received\n",
+        "        received = max(self._received, self._heard)\n",
+        "lost segments are acknowledged",
+        BLOCKS,
+    ),
+    Mutant(
+        "copied_acknowledgement",
+        _SENDER,
+        "if not self._sent or acknowledged > self._sent:",
+        "if acknowledged > MAX_BLOCK_SIZE:",
+        "the second copy of an acknowledgement counts for the next sub-block",
+        BLOCKS,
+    ),
+    Mutant(
+        "sub_block_guard",
+        _SENDER,
+        "party._arm(now + party.copy_guard)",
+        "party._arm(now)",
+        "a copy of the acknowledgement that comes a moment later counts for the next sub-block",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "empty_has_no_segment",
+        _SENDER,
+        " or 1  # no data at all is one segment",
+        " or 0  # no data at all is one segment",
+        "an empty object has nothing to acknowledge",
+        BLOCKS,
+    ),
+    Mutant(
+        "crc_of_what_was_sent",
+        _SENDER,
+        "        end = self._base + size\n        if self.with_crc:",
+        "        end = self._base + self._sent * SEGMENT_SIZE\n        if self.with_crc:",
+        "what has to be sent again is dropped",
+        BLOCKS,
+    ),
+    Mutant(
+        "fall_back_order",
+        _BLOCK_CLIENT,
+        "client._urgent.appendleft(plain)",
+        "client._urgent.append(plain)",
+        "a request that falls back loses its turn",
+        FALL_BACK,
+    ),
+    Mutant(
+        "fall_back_guard",
+        _BLOCK_CLIENT,
+        "    client._unsettled = True",
+        "    client._unsettled = False",
+        "the second copy of the refusal refuses the plain transfer too",
+        FALL_BACK,
+    ),
+    Mutant(
+        "size_unheard",
+        _BLOCK_CLIENT,
+        "[0] if command & BLOCK_SIZE_BIT else None",
+        "[0] if command & 0x10 else None",
+        "an announced size guards nothing",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "crc_on_our_side_alone",
+        _BLOCK_CLIENT,
+        "self._request.crc and bool(command & CRC_BIT)",
+        "self._request.crc",
+        "a server without CRC seems to send wrong ones",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "largest_refused",
+        _BLOCK_CLIENT,
+        "if size is not None and size > limit:",
+        "if size is not None and size >= limit:",
+        "max_upload bytes are too many",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "crc_of_the_server_alone",
+        _BLOCK_SERVER,
+        "self.with_crc = server.crc and bool(request[0] & CRC_BIT)",
+        "self.with_crc = server.crc",
+        "a client without CRC is refused",
+        BLOCKS[1:],
+    ),
+    Mutant(
+        "initiate_is_a_segment",
+        _BLOCK_SERVER,
+        "if has_heard or is_copy or not is_initiate(command):",
+        "if has_heard or is_copy or command:",
+        "a server whose answer was lost does not hear the next request",
+        BLOCKS[1:],
+    ),
+    Mutant(
+        "pieces_limited",
+        _BLOCK_SERVER,
+        "MAX_SIZE if in_pieces else server.max_download",
+        "server.max_download",
+        "what goes in pieces is limited like what is held whole",
+        PIECES,
+    ),
+    Mutant(
+        "straggler_behind_an_abort",
+        _SERVER,
+        "        self._straggler = 0  # the client sends nothing behind its abort\n",
+        "",
+        "a request whose command byte is the next number is ignored",
+        BLOCKS[1:],
+    ),
+    Mutant(
+        "copied_segment",
+        _SERVER,
+        "if data == self._last and self._state != _IDLE:",
+        "if data == self._last and self._state == _IDLE:",
+        "the second copy of a segment ends the transfer",
+        PLAIN[2:],
+    ),
+    Mutant(
+        "executed_is_refused",
+        _CLIENT,
+        "not is_refusal and self._is_all_sent()",
+        "False",
+        "an abort for the second copy of the last segment ends a write that was executed",
+        FATE,
+    ),
+    Mutant(
+        "stray_abort_counts",
+        _CLIENT,
+        "(transfer is not None and transfer.has_begun)",
+        "transfer is not None",
+        "the abort for a copy of the last segment ends the next block transfer",
+        BLOCKS[:1],
+    ),
+    Mutant(
+        "expedited_is_certain",
+        _CLIENT,
+        "            return bool(request.first[0] & EXPEDITED_BIT)\n        return state",
+        "            return False\n        return state",
+        "an expedited write whose answer was lost is called refused",
+        FATE,
+    ),
+    Mutant(
+        "segments_are_certain",
+        _CLIENT,
+        "state == _DOWNLOAD_SEGMENT and self._offset >= len(request.content)",
+        "state == _DOWNLOAD_SEGMENT and self._offset < 0",
+        "a segmented write whose last answer was lost is called refused",
+        FATE,
+    ),
+    Mutant(
+        "plain_limit",
+        _CLIENT,
+        "if self._announced > self.max_upload:",
+        "if self._announced >= self.max_upload:",
+        "max_upload bytes are too many",
+        PLAIN[:2],
+    ),
+    Mutant(
+        "copied_response",
+        _CLIENT,
+        "data[:4] == self._last[:4]:",
+        'data[:4] == b"":',
+        "the second copy of an initiate response ends the transfer",
+        PLAIN[:2],
+    ),
+    Mutant(
+        "copy_guard",
+        _QUEUE,
+        "if self._unsettled or self._request.is_like(request):",
+        "if self._unsettled:",
+        "the second copy of an answer is taken for that of the next request",
+        PLAIN[:1],
+    ),
+    Mutant(
+        "late_guard",
+        _QUEUE,
+        "overdue[multiplexer] = now + self.late_guard",
+        "overdue[multiplexer] = now",
+        "a late answer is taken for that of the next request",
+        LATE,
+    ),
+    Mutant(
+        "last_bit",
+        "sdo/codec.py",
+        "    if unused < 0:\n        return",
+        "    if unused <= 0:\n        return",
+        "a last segment of seven bytes is not the last",
+        PLAIN[:1],
+    ),
+    Mutant(
+        "heartbeat_at_boot_up",
+        "heartbeat.py",
+        "        if self.timeout and self._begun and not self.lost:",
+        "        if data[0] and self.timeout and self._begun and not self.lost:",
+        "a node that boots is lost before its time",
+        HEARTBEAT,
+    ),
+    Mutant(
+        "watched_from_boot_up",
+        "heartbeat.py",
+        "self._begun = False  # a heartbeat was heard",
+        "self._begun = True  # a heartbeat was heard",
+        "a node without a heartbeat is lost",
+        HEARTBEAT,
+    ),
+)
+
+
+def plant(mutant: Mutant, tree: Path) -> None:
+    """Put a bug into a copy. Raises ValueError where its place is not there exactly once."""
+    path = tree / CORE / mutant.file
+    source = path.read_text(encoding="utf-8")
+    if source.count(mutant.old) != 1:
+        raise ValueError(f"{mutant.name}: its place is {source.count(mutant.old)} times in {mutant.file}")
+    path.write_text(source.replace(mutant.old, mutant.new), encoding="utf-8")
+
+
+def copy_of_the_project(tree: Path) -> None:
+    """A copy of what the corpus and the tests of the core need."""
+    for folder in (SOURCE, *(ROOT / name for name in ("fuzz", "tests", "data", "transports", "master"))):
+        shutil.copytree(folder, tree / folder.name, ignore=shutil.ignore_patterns("__pycache__", "found", "*.egg-info"))
+    shutil.copy(ROOT / "pyproject.toml", tree)
+
+
+def replay() -> int:
+    """Run the inputs of the targets that know the truth; whatever they find is raised."""
+    from fuzz.kept import HERE, kept
+    from fuzz.targets import TARGETS as BODIES
+
+    for target in TARGETS:
+        for data in [*(path.read_bytes() for path in sorted((HERE / "corpus" / target).iterdir())), *kept(target)]:
+            BODIES[target](data)
+    return 0
+
+
+def is_found(tree: Path, *command: str) -> bool:
+    """Whether a command fails in a copy; one that does not end counts as well."""
+    try:
+        ended = subprocess.run([sys.executable, "-m", *command], cwd=tree, capture_output=True, timeout=MOST_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        return True
+    return ended.returncode != 0
+
+
+def main(names: list[str]) -> int:
+    """The exit status: 0, or 1 if the corpus misses a bug."""
+    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    by_corpus = by_tests = 0
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder)
+        copy_of_the_project(tree)
+        for mutant in chosen:
+            original = (tree / CORE / mutant.file).read_bytes()
+            plant(mutant, tree)
+            in_corpus = is_found(tree, "fuzz.mutants", "--replay")
+            in_tests = is_found(tree, "pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", *mutant.tests)
+            (tree / CORE / mutant.file).write_bytes(original)
+            by_corpus += in_corpus
+            by_tests += in_tests
+            words = ("MISSED", "found")
+            print(f"{mutant.name:28} corpus {words[in_corpus]:7} tests {words[in_tests]:7} {mutant.why}", flush=True)
+        if is_found(tree, "fuzz.mutants", "--replay"):
+            print("and the corpus finds something where no bug was planted")
+            return 1
+    print(f"{len(chosen)} bugs: the corpus finds {by_corpus}, the tests {by_tests}")
+    return 0 if by_corpus == len(chosen) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(replay() if sys.argv[1:] == ["--replay"] else main(sys.argv[1:]))
