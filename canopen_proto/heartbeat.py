@@ -25,6 +25,8 @@ frames first, then the time, and no node is lost by our own delay.
 Left out: node guarding, which shares the CAN-ID but is asked for by remote frames (guarding.py). A guarding answer's toggle
 bit is masked out here, so that a node that is guarded by somebody else is still understood. EMCY 0x8130 and the error
 behaviour of a device that lost a heartbeat belong to its node.
+
+`OwnHeartbeat` is the heartbeat of a participant that is no device: a master whose drives watch over it (procedures/grip.py).
 """
 
 from __future__ import annotations
@@ -100,6 +102,14 @@ class HeartbeatRecovered(Event):
     state: NmtState
 
 
+@event
+class ForeignHeartbeat(Event):
+    """Another node uses the node-ID under which our own heartbeat is being sent. Whoever watches that ID does not notice when we
+    are gone. Reported once in each run of our heartbeat. state: what the other one shows, None for a boot-up frame."""
+
+    state: NmtState | None
+
+
 def _check_time(name: str, value: Time) -> Time:
     if value != 0 and value < MIN_PERIOD:
         raise LocalProtocolError(f"{name} is {value} ns, neither 0 (off) nor 1 ms or more")
@@ -157,6 +167,45 @@ class HeartbeatProducer(Machine):
 
     def _send(self) -> None:
         self.out.frames.append(Frame(ERROR_CONTROL + self.node_id, bytes((self.state,))))
+
+
+class OwnHeartbeat(HeartbeatProducer):
+    """The heartbeat of a participant that is no device, under a node-ID that nobody else may have: it also hears who does.
+
+    It shows OPERATIONAL, and sends no boot-up frame.
+    """
+
+    __slots__ = ("_told",)
+
+    def __init__(self, out: Outbox, node_id: int) -> None:
+        """node_id: 1..127, else LocalProtocolError. It sends nothing before `start`."""
+        super().__init__(out, node_id)
+        self.state = NmtState.OPERATIONAL
+        self._told = False
+
+    def can_ids(self) -> Iterable[int]:
+        return (ERROR_CONTROL + self.node_id,)
+
+    def start(self, period: Time, now: Time) -> None:
+        """Send a heartbeat now and then once per period (ns); one that runs with that period goes on."""
+        if period != self.period:
+            self._told = False
+            self.set_period(period, now)
+
+    def stop(self, now: Time) -> None:
+        """Send no more."""
+        self.set_period(0, now)
+
+    def beat(self, now: Time) -> None:
+        """Send a heartbeat now, beside those of the period: who was told to watch us begins with the first one that he hears."""
+        self._send()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take a frame of somebody else with our node-ID. Event: ForeignHeartbeat, once, while ours is sent."""
+        data = frame.data
+        if self.period and not self._told and len(data) == 1:
+            self._told = True
+            self.out.events.append(ForeignHeartbeat(self.node_id, STATE_OF_BYTE[data[0]] or None))
 
 
 class HeartbeatConsumer(Machine):

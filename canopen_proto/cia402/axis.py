@@ -31,7 +31,7 @@ import enum
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.cia402.objects import (
@@ -50,6 +50,9 @@ from canopen_proto.cia402.objects import (
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time, event
 from canopen_proto.remote_node import FRESH, RemoteNode
+
+if TYPE_CHECKING:
+    from canopen_proto.procedures.steps import Procedure
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 
@@ -152,13 +155,24 @@ class AxisStateChanged(Event):
     statusword: int
 
 
+class AxisGrip(Protocol):
+    """Who sees to it that a drive stops by itself when its master is gone; see procedures/grip.py."""
+
+    def hold(self) -> Procedure[None]:
+        """The drive is about to be enabled."""
+
+    def let_go(self) -> Procedure[None]:
+        """The drive stands and is disabled."""
+
+
 class Axis:
     """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing.
 
-    settings: those in force; what the user left open is filled in once `is_identified`.
+    settings: those in force; what the user left open is filled in once `is_identified`. grip: asked before the drive is enabled,
+    and once it is shut down.
     """
 
-    __slots__ = ("_given", "_is_homed", "_was_homed", "is_identified", "node", "settings", "state")
+    __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "state")
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """node: its dictionary must have controlword, statusword and modes of operation, else LocalProtocolError."""
@@ -169,6 +183,7 @@ class Axis:
         self.is_identified = False
         self.state = State.UNKNOWN
         self._is_homed = self._was_homed = False
+        self.grip: AxisGrip | None = None
         node.commanded.add(CONTROLWORD)
         node.add_listener(self._on_values, self._on_boot)
 

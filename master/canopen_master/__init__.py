@@ -33,6 +33,7 @@ from canopen_master.errors import (
     UnexpectedAnswer,
     UnknownChain,
 )
+from canopen_master.grip import NodeIdTaken, NotHeld
 from canopen_master.master import Master
 from canopen_master.node import Node
 from canopen_master.node_pdos import PdoDiffers
@@ -40,6 +41,7 @@ from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation import DeviceModel, Host, powerballs, simulate, standard_drives
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
+from canopen_proto.procedures.grip import Grip
 
 __all__ = [
     "SCHUNK_POWERBALL",
@@ -60,6 +62,7 @@ __all__ = [
     "DeviceModel",
     "FramesLost",
     "FramesNotSent",
+    "Grip",
     "HaltNotConfirmed",
     "HomingStyle",
     "Host",
@@ -70,7 +73,9 @@ __all__ = [
     "MasterSession",
     "Node",
     "NodeError",
+    "NodeIdTaken",
     "NodeSilent",
+    "NotHeld",
     "PdoDiffers",
     "SdoError",
     "SdoGivenUp",

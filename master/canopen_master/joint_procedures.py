@@ -121,7 +121,8 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
     yield from identify(device.axis)
     yield from read_if_present(node, "0x6064")  # where it stands; PDOs keep it up to date from the first one on
     yield from exchange
-    if heartbeat_timeout and HEARTBEAT in node.dictionary:
+    is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
+    if heartbeat_timeout and HEARTBEAT in node.dictionary and not is_guarded:
         period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))
         try:
             yield from write(node, HEARTBEAT, period)

@@ -32,6 +32,7 @@ from canopen_master.chain_file import ChainDescription, on_buses, parse_chains, 
 from canopen_master.device import Device
 from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, UnknownChain
+from canopen_master.grip import Grips, NodeGrip
 from canopen_master.halting import Halt
 from canopen_master.node import Node
 from canopen_master.pump import Pump
@@ -42,6 +43,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.remote_node import RemoteNode
@@ -72,6 +74,7 @@ class Master:
         sdo_timeout: float = SDO_TIMEOUT,
         heartbeat_timeout: float = 0.0,
         dictionary: ObjectDictionary | None = None,
+        grip: Grip | None = DEFAULT_GRIP,
     ) -> None:
         """transports: open ones, by name. aliases: more names for them. The rest: see `open_master`."""
         self._sdo_timeout = nanoseconds(sdo_timeout)
@@ -100,6 +103,7 @@ class Master:
         self.failure: Exception | None = None
         self.is_closed = False
         self._body = trio.CancelScope()
+        self.grips = Grips(self, grip)
 
     def _add_bus(self, name: str, transport: Transport) -> None:
         network = Network(next(iter(self.buses.values())).network.runner if self.buses else None)
@@ -197,6 +201,7 @@ class Master:
         device = self.devices.get(node)
         if device is None:
             axis = Axis(node.remote, AxisSettings() if settings is None else settings)
+            axis.grip = NodeGrip(self.grips, node)
             device = self.devices[node] = Device(self, name or f"node {node.node_id}", node, axis)
         else:
             if settings is not None:
@@ -472,7 +477,7 @@ class Master:
                 if self.buses[node.bus].failed:
                     halt.problem = halt.problem and "its bus has failed"
                 else:
-                    halts.append(halt.run())
+                    halts.append(self._leave(node, halt))
         self.launch(all_of(*halts))
         while self._procedures:
             with trio.move_on_after(_LOOK):
@@ -480,6 +485,11 @@ class Master:
             asked = (self.runner.needs_until - self.now()) / SECOND
             scope.deadline = max(scope.deadline, trio.current_time() + asked)
         await self._pump.flush()
+
+    def _leave(self, node: Node, halt: Halt) -> Procedure[None]:
+        yield from halt.run()
+        if not halt.problem:
+            yield from self.grips.let_go(node)
 
     def _drive_on(self, node: Node) -> Device | None:
         """The drive on a node; also one that was enabled by hand, if its dictionary is that of a drive."""

@@ -128,7 +128,7 @@ class Node:
         After SdoNotConfirmed, or cancelled, it may have been executed nevertheless. It is never sent twice by itself.
         """
         variable, meant, _ = self.remote.encode(key, value)
-        self._note(variable.mux, meant)
+        await self._note(variable.mux, meant)
         await self._download(lambda now: self.remote.write(variable, meant, now, block=block), f"writing {meant!r} to")
 
     async def matches(self, key: Key, constant: str) -> bool:
@@ -169,7 +169,7 @@ class Node:
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, whether the dictionary has it or not."""
-        self._note(index << 8 | subindex, int.from_bytes(data[:4], "little"))
+        await self._note(index << 8 | subindex, int.from_bytes(data[:4], "little"))
         shown = data.hex() if len(data) <= MAX_SHOWN else f"{len(data)} bytes"
         await self._download(lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to")
 
@@ -319,8 +319,10 @@ class Node:
             return int.from_bytes(data, "little", signed=True)
         return None
 
-    def _note(self, mux: int, value: Value) -> None:
+    async def _note(self, mux: int, value: Value) -> None:
         if mux == CONTROLWORD:
+            if _enables(value):
+                await self._master.run(self._master.grips.hold(self))
             self._enabled_by_hand = _enables(value)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:

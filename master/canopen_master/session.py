@@ -29,6 +29,7 @@ from canopen_master.errors import HALT_NOT_CONFIRMED, BusError, HaltNotConfirmed
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_transports import Transport, TransportError, open_transport
 
 BusSource: TypeAlias = str | Transport
@@ -45,13 +46,15 @@ def open_master(
     sdo_timeout: float = SDO_TIMEOUT,
     heartbeat_timeout: float = 0.0,
     dictionary: ObjectDictionary | None = None,
+    grip: Grip | None = DEFAULT_GRIP,
 ) -> MasterSession:
     """The master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
 
     locators: the buses, each known by its locator. buses: buses by names of your own, such as those that a chain file uses;
     several names may mean one bus. Times in seconds: sdo_timeout, for each answer of a device; heartbeat_timeout, after which a
     node whose heartbeat stops is lost, 0 for no supervision (a chain that initialises its joints then has them send heartbeats).
-    dictionary: for nodes that are given none; by default that of the data files.
+    dictionary: for nodes that are given none; by default that of the data files. grip: how drives notice that this master is
+    gone, and stop: once it enables one, it sends its heartbeat as node 127. None to have none of that. See grip.py.
 
     On entering: BusError for a bus that cannot be opened. On leaving: see this module's text.
     """
@@ -72,6 +75,7 @@ def open_master(
             sdo_timeout=sdo_timeout,
             heartbeat_timeout=heartbeat_timeout,
             dictionary=dictionary,
+            grip=grip,
         )
 
     return MasterSession(named, make)

@@ -109,7 +109,7 @@ def test_a_drive_that_may_move_is_not_kept_waiting(run: Run, monkeypatch: pytest
     outcome = run("write", "5", "controlword", "15", *ON_BUS)
     assert outcome.status == ExitCode.NO_ANSWER
     assert "may have been executed" in outcome.err
-    assert "node 5 is alive: SDO answer 500 ms ago\n" in outcome.err
+    assert "node 5 is alive: " in outcome.err
 
 
 def test_nmt_waits_for_what_does_not_come(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

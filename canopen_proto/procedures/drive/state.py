@@ -30,7 +30,10 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
 
     A drive in fault is not reset: that is `reset_fault`, a decision of the user's. A drive that is led up and goes down, or comes
     to a state twice, is commanded by somebody else: StateLost. Raises DriveFault, NodeLost, StepTimeout, SdoFailed too.
+    On the way to Operation enabled `axis.grip` first has it watch over its master.
     """
+    if target is State.OPERATION_ENABLED and axis.grip is not None:
+        yield from axis.grip.hold()
     statusword = yield from read_statusword(axis)
     seen: list[State] = []
     while (state := state_of(statusword)) is not target:
@@ -142,3 +145,5 @@ def shut_down(axis: Axis) -> Procedure[None]:
     now = yield from current_time()
     for number in axis.node.rpdos:
         axis.node.enable_rpdo(number, now, False)
+    if axis.grip is not None:
+        yield from axis.grip.let_go()

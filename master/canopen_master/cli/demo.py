@@ -10,7 +10,7 @@ import click
 from canopen_master.cli.demonstration import Demonstration, Plan
 from canopen_master.cli.drive_files import drive_files
 from canopen_master.cli.new_files import check_new_file
-from canopen_master.cli.options import Duration, Fault, Settings, common
+from canopen_master.cli.options import Duration, Fault, Settings, common, enabling
 from canopen_master.cli.plot import check_plot, write_plot
 from canopen_master.cli.problem import usage
 from canopen_master.cli.running import run
@@ -43,6 +43,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 )
 @click.option("--fault", type=Fault(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
+@enabling
 @common
 @click.pass_obj
 def demo(
@@ -92,7 +93,7 @@ def demo(
     screen = settings.screen()
     files = drive_files(settings.eds, defaults, screen, settings.encoding)
     scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
-    plan = Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files, scale)
+    plan = Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files, scale, settings.grip)
     demonstration = Demonstration(screen, plan)
     try:
         run(settings, screen, demonstration.run, story=lambda _: demonstration.story())

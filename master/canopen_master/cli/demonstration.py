@@ -35,6 +35,7 @@ from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 REFRESH: Final = 0.08
 """Seconds between two pictures on a terminal."""
@@ -73,6 +74,7 @@ class Plan:
     timeout: Time | None
     files: Mapping[int | None, DriveFile] = field(default_factory=dict)
     scale: float | None = None
+    grip: Grip = DEFAULT_GRIP
 
     def file_of(self, node_id: int) -> DriveFile | None:
         """What the drive of that node-ID is, if a file says so."""
@@ -207,7 +209,7 @@ class Demonstration:
 
     def _open_master(self, locators: dict[str, str]) -> contextlib.AbstractAsyncContextManager[Master]:
         timeout = SDO_TIMEOUT if self.plan.timeout is None else self.plan.timeout / SECOND
-        return open_master(*dict.fromkeys(locators.values()), sdo_timeout=timeout)
+        return open_master(*dict.fromkeys(locators.values()), sdo_timeout=timeout, grip=self.plan.grip)
 
     def _chain(self, master: Master, locators: dict[str, str]) -> Chain:
         joints = tuple(replace(joint, bus=locators[joint.bus]) for joint in self.description.joints)

@@ -8,7 +8,7 @@ import click
 import trio
 
 from canopen_master.cli.demo_view import DemoView, JointView
-from canopen_master.cli.options import Duration, NodeId, Settings, common
+from canopen_master.cli.options import Duration, NodeId, Settings, common, enabling
 from canopen_master.cli.problem import problem_of, usage
 from canopen_master.cli.running import all_stand, run
 from canopen_master.cli.screen import escape, node_text
@@ -37,6 +37,7 @@ STYLES: Final = {"auto": None, "standard": HomingStyle.STANDARD, "schunk": Homin
 @click.option("--method", type=int, help="Homing method, written to 0x6098 (17, 18, 19, 21, 33 to 37 ...).")
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
 @click.option("--reset-fault", is_flag=True, help="Reset a fault first.")
+@enabling
 @common
 @click.pass_obj
 def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int | None, limit: Time, reset_fault: bool) -> None:

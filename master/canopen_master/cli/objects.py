@@ -9,7 +9,7 @@ import click
 
 from canopen_master.cli.new_files import check_new_file
 from canopen_master.cli.object_files import FileTransfer, read_into_file, write_from_file
-from canopen_master.cli.options import NodeId, Settings, common
+from canopen_master.cli.options import NodeId, Settings, common, enabling
 from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.running import run
 from canopen_master.cli.screen import Screen, escape, node_text
@@ -192,6 +192,7 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
 @_BLOCK
 @click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
 @click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
+@enabling
 @common
 @click.pass_obj
 def write(

@@ -21,6 +21,7 @@ from canopen_master.cli.problem import Problem, usage
 from canopen_master.cli.screen import Screen
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 if TYPE_CHECKING:
     Kind: TypeAlias = click.ParamType[Any, Any]
@@ -39,7 +40,7 @@ class Settings:
     """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
     overlays.py. trace: where all that is said on the bus is recorded. encoding: of device files, "" = to be found out. force:
     overwrite files; some commands do more with it. clock: a test's virtual one. late: what is to be said when the command has
-    told its results."""
+    told its results. master_id: under which the drives that we enable hear us."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
@@ -53,6 +54,12 @@ class Settings:
     no_color: bool = False
     clock: trio.abc.Clock | None = None
     late: Problem | None = None
+    master_id: int | None = None
+
+    @property
+    def grip(self) -> Grip:
+        """How drives that are enabled notice that we are gone."""
+        return DEFAULT_GRIP if self.master_id is None else Grip(node_id=self.master_id)
 
     def screen(self) -> Screen:
         """Where the command writes."""
@@ -188,6 +195,8 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
             settings.eds += value
         case "overlays":
             settings.overlays += value
+        case "master_id" if value is not None:
+            settings.master_id = value
         case "timeout" if value is not None:
             settings.timeout = value
         case "trace" if value is not None:
@@ -208,6 +217,13 @@ def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
 
 def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
     return click.option(*names, callback=_store, expose_value=False, **attributes)
+
+
+def enabling(command: F) -> F:
+    """Add the option of commands that enable drives."""
+    help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {DEFAULT_GRIP.node_id}]"
+    added: F = _option("--master-id", type=NodeId(), help=help_text)(command)
+    return added
 
 
 def common(command: F) -> F:

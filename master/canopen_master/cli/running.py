@@ -9,8 +9,10 @@ With --trace all that is said on the buses meanwhile is recorded, to the last fr
 
 from __future__ import annotations
 
+import logging
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
@@ -21,6 +23,7 @@ from canopen_master.cli.options import Settings
 from canopen_master.cli.problem import ExitCode, Problem, problem_of, usage
 from canopen_master.cli.screen import Screen, escape
 from canopen_master.errors import HaltNotConfirmed
+from canopen_master.grip import LOGGER
 from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.tracing import Trace, recording
 
@@ -48,13 +51,14 @@ def run(
     LogFileError where --trace cannot begin.
     """
     if settings.trace is None:
-        return trio.run(_run, screen, command, story, clock=settings.clock)
+        with _warnings_on(screen):
+            return trio.run(_run, screen, command, story, clock=settings.clock)
     bus = settings.named_bus() or ""
     replayed = Path(bus.removeprefix("file:").partition("?")[0]) if bus.startswith("file:") else reads
     if replayed is not None and same_file(replayed, settings.trace):
         raise usage("CO123", f"--trace would replace {replayed}, which is being read", tries=("--trace other.log",))
     check_new_file(settings, screen, settings.trace)
-    with recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
+    with _warnings_on(screen), recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
         try:
             return trio.run(_run, screen, command, story, clock=settings.clock)
         finally:
@@ -62,6 +66,22 @@ def run(
             settings.late = _missing(settings.trace, trace)
             if settings.late is None:
                 screen.say(f"[dim]{trace.recorded} frame{'s' * (trace.recorded != 1)} recorded: {escape(str(settings.trace))}[/]")
+
+
+@contextmanager
+def _warnings_on(screen: Screen) -> Iterator[None]:
+    """What the master warns of (a drive that will not stop by itself) is shown on the screen."""
+
+    class OnScreen(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            screen.say(f"[yellow]{escape(record.getMessage())}[/]")
+
+    handler = OnScreen(logging.WARNING)
+    LOGGER.addHandler(handler)
+    try:
+        yield
+    finally:
+        LOGGER.removeHandler(handler)
 
 
 def _missing(path: Path, trace: Trace) -> Problem | None:

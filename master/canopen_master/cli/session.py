@@ -93,7 +93,7 @@ async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Sess
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
-        master = await stack.enter_async_context(open_master(bus, sdo_timeout=timeout, dictionary=dictionary))
+        master = await stack.enter_async_context(open_master(bus, sdo_timeout=timeout, dictionary=dictionary, grip=settings.grip))
         session = Session(master, dictionary, files)
         try:
             yield session

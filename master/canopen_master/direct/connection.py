@@ -23,6 +23,7 @@ from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.findings import DictionaryError
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import TransportError, open_transport
 
@@ -84,6 +85,7 @@ class Connection:
         buses: Mapping[str, str],
         sdo_timeout: float = SDO_TIMEOUT,
         dictionary: ObjectDictionary | None = None,
+        grip: Grip | None = DEFAULT_GRIP,
         prepare: Callable[[Master], object] = lambda _: None,
     ) -> bool:
         """Open the buses and begin the master's thread. buses: more of them, by name. prepare: is given the master at once."""
@@ -94,7 +96,7 @@ class Connection:
                 self._end()
                 if dictionary is None:
                     dictionary, _ = load_dictionary()  # now, so that a fault in the files is told now
-                make = partial(_master, tuple(self._simulated), bus, dict(buses), sdo_timeout, dictionary, prepare)
+                make = partial(_master, tuple(self._simulated), bus, dict(buses), sdo_timeout, dictionary, grip, prepare)
                 background = Background(make, lambda master: master.failure)
                 background.start()
             except OPENING_ERRORS as error:
@@ -149,6 +151,7 @@ async def _master(
     buses: Mapping[str, str],
     sdo_timeout: float,
     dictionary: ObjectDictionary,
+    grip: Grip | None,
     prepare: Callable[[Master], object],
 ) -> AsyncIterator[Master]:
     """The master, and around it the simulated drives, which have to outlive it: it halts them on its way out."""
@@ -160,7 +163,8 @@ async def _master(
         try:
             for locator, devices in simulated:
                 await nursery.start(simulate, await open_transport(locator), devices)
-            async with open_master(buses={bus: bus, **buses}, sdo_timeout=sdo_timeout, dictionary=dictionary) as master:
+            named = {bus: bus, **buses}
+            async with open_master(buses=named, sdo_timeout=sdo_timeout, dictionary=dictionary, grip=grip) as master:
                 prepare(master)
                 yield master
         except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group

@@ -44,6 +44,7 @@ from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.drive import read_position
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 R = TypeVar("R")
 
@@ -90,16 +91,18 @@ class Session:
         buses: Mapping[str, str] | None = None,
         sdo_timeout: float = SDO_TIMEOUT,
         dictionary: ObjectDictionary | None = None,
+        grip: Grip | None = DEFAULT_GRIP,
     ) -> bool:
         """Open a bus: "/dev/pcan32", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "virtual:demo". The first command of all.
 
         False if that cannot be done (`last_error` says why, and what to try), also while a connection is open. bus: what node-IDs
         refer to. buses: more buses by the names that a chain file has for them; a file's buses are opened by themselves where
         `bus` is one of them. sdo_timeout: seconds for one answer of a device. dictionary: by default that of the data files.
+        grip: how drives notice that this program is gone, and stop; see `open_master`.
         """
         named = dict.fromkeys(joint.bus for chain in self._chains for joint in chain.joints)
         more = {name: name for name in named if name != bus} if bus in named else {}
-        return self._connection.open(bus, {**more, **(buses or {})}, sdo_timeout, dictionary, self._prepare)
+        return self._connection.open(bus, {**more, **(buses or {})}, sdo_timeout, dictionary, grip, self._prepare)
 
     def init_listener_thread(self) -> None:
         """Nothing is left to do: `open_connection` has begun to listen. It stays for the manual's order of calls.

@@ -1,0 +1,279 @@
+"""The dead man's grip, for one drive: the drive watches over its master, and stops by itself when the master falls silent.
+
+Theory of operation
+-------------------
+`take_hold` sets two things in a drive, before it is enabled. All of it goes by SDO to the objects of the standard, whatever the
+dictionary of the node says; each is read first, and read back after it was written.
+
+    who is watched      0x1016: an entry with the master's node-ID and the time within which its heartbeat has to come. An entry
+                        of that ID is used again, else a free one; those of other nodes stay. A drive that has no 0x1016, or no
+                        room there, gets life guarding instead, if it has that: 0x1017 = 0, 0x100C and 0x100D, and from then on
+                        the master asks it by remote frames. It counts once the drive has answered.
+    what follows        0x6007, the abort connection option code: 3, quick stop
+
+The master's heartbeat has to run before that (`OwnHeartbeat`): a drive watches from the first heartbeat that it hears.
+
+What was there before is kept in `Hold.before`; `release` writes it back, when the drive stands. One thing is not put back: an
+entry that is just the one that `take_hold` would write. A master that died has left it, and it becomes free. A drive that boots
+has what it has at power-on, and is held no more.
+
+`Hold.gap` says why a drive will not stop by itself: it has none of these objects, or refuses what is written, or shows something
+else when it is read back. That is no failure here; `Grip.required` makes it one.
+
+Source: CiA 301 v4.2.0, 7.5.2.19 (0x1016), 7.5.2.11 and 7.5.2.12 (guarding), 7.2.8.3.2; IEC 61800-7-201 (0x6007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.guarding import MAX_LIFE_TIME_FACTOR, GuardingAnswered
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time, check_node_id
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, act, download, upload
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.abort import AbortOrigin
+
+CONSUMER_HEARTBEAT: Final = 0x1016
+PRODUCER_HEARTBEAT: Final = 0x1017
+GUARD_TIME: Final = 0x100C
+LIFE_TIME_FACTOR: Final = 0x100D
+ABORT_CONNECTION: Final = 0x6007
+_NAMES: Final = {
+    CONSUMER_HEARTBEAT: "consumer heartbeat time",
+    PRODUCER_HEARTBEAT: "producer heartbeat time",
+    GUARD_TIME: "guard time",
+    LIFE_TIME_FACTOR: "life time factor",
+    ABORT_CONNECTION: "abort connection option code",
+}
+
+QUICK_STOP: Final = 3
+"""0x6007 as CiA 402 has it: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. Some makers swap 2 and 3."""
+MIN_LIFE_TIME_FACTOR: Final = 3
+"""One lost guarding answer counts as two: with 2 a single lost frame would stop a drive."""
+MAX_CONSUMER_TIME: Final = 0xFFFF * MILLISECOND
+
+
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """How drives notice that their master is gone.
+
+    node_id: 1..127, under which the master sends its heartbeat; no other node of the bus may have it. period: ns between two
+    heartbeats, whole ms. timeout: ns, whole ms, at least two periods, 65.535 s at most: a drive that hears none for so long
+    stops. abort_connection: what is written to 0x6007; 3 is the quick stop of CiA 402, some makers have it as 2. required: a
+    drive that will not stop by itself is not enabled. LocalProtocolError for other values.
+    """
+
+    node_id: int = 127
+    period: Time = 100 * MILLISECOND
+    timeout: Time = 500 * MILLISECOND
+    abort_connection: int = QUICK_STOP
+    required: bool = False
+
+    def __post_init__(self) -> None:
+        check_node_id(self.node_id)
+        if self.period % MILLISECOND or self.timeout % MILLISECOND or self.period < MILLISECOND:
+            raise LocalProtocolError(f"period {self.period} ns and timeout {self.timeout} ns have to be whole milliseconds")
+        if not 2 * self.period <= self.timeout <= MAX_CONSUMER_TIME:
+            raise LocalProtocolError(f"timeout {self.timeout} ns is below two periods of {self.period} ns, or above 65.535 s")
+        if not -0x8000 <= self.abort_connection <= 0x7FFF:
+            raise LocalProtocolError(f"0x6007 is an INTEGER16, which cannot be {self.abort_connection}")
+
+    @property
+    def entry(self) -> int:
+        """What 0x1016 has to hold: node-ID << 16 | ms."""
+        return self.node_id << 16 | self.timeout // MILLISECOND
+
+
+DEFAULT_GRIP: Final = Grip()
+
+
+class NotHeldError(ProcedureError):
+    """A drive will not stop by itself when its master is gone, and `Grip.required` says that it must."""
+
+
+class Hold:
+    """What was done with one drive. before: the bytes of what was changed, by (index, subindex), in the order of the changes.
+    gap: why it will not stop by itself; "" if it will. is_taken: `take_hold` came to its end."""
+
+    __slots__ = ("before", "gap", "is_taken", "node")
+
+    def __init__(self, node: RemoteNode) -> None:
+        self.node = node
+        self.before: dict[tuple[int, int], bytes] = {}
+        self.gap = ""
+        self.is_taken = False
+
+    def forget(self) -> None:
+        """The drive has booted: nothing that was set is there any more."""
+        self.before.clear()
+        self.gap = ""
+        self.is_taken = False
+        if self.node.guarding.guard_time:
+            self.node.stop_guarding()
+
+
+class _Gap(Exception):
+    """Why it cannot be done; never leaves this module."""
+
+
+def take_hold(hold: Hold, grip: Grip) -> Procedure[None]:
+    """Have the drive stop by itself when the master's heartbeat (or its guarding) stays away. See this module's text.
+
+    Where the drive cannot, `hold.gap` says why. Raises SdoFailed for a drive that does not answer, NotHeldError if required.
+    """
+    gaps = []
+    for make in (_watch_master, _set_reaction):
+        try:
+            yield from make(hold, grip)
+        except _Gap as gap:
+            gaps.append(str(gap))
+    hold.gap = "; ".join(gaps)
+    hold.is_taken = not (hold.gap and grip.required)
+    if not hold.is_taken:
+        raise not_held(hold)
+
+
+def not_held(hold: Hold) -> NotHeldError:
+    """What to raise for a drive with a gap."""
+    return NotHeldError(f"drive {hold.node.node_id} would not stop by itself if this master fell silent: {hold.gap}")
+
+
+def release(hold: Hold) -> Procedure[None]:
+    """Put back what `take_hold` found, the last change first. The drive has to stand: nobody watches it any more.
+
+    Raises SdoFailed where that cannot be written; the rest then stays in `hold.before`.
+    """
+    hold.is_taken = False
+    yield from _put_back(hold)
+    hold.forget()
+
+
+# ---- who is watched ----
+
+
+def _watch_master(hold: Hold, grip: Grip) -> Procedure[None]:
+    """By its heartbeat, else by its guarding."""
+    try:
+        yield from _consume_heartbeat(hold, grip)
+    except _Gap as no_heartbeat:
+        try:
+            yield from _be_guarded(hold, grip)
+        except _Gap as no_guarding:
+            raise _Gap(f"{no_heartbeat}, and {no_guarding}") from None
+
+
+def _consume_heartbeat(hold: Hold, grip: Grip) -> Procedure[None]:
+    count = yield from _read(hold, CONSUMER_HEARTBEAT, 0)
+    place, others = 0, []
+    for subindex in range(1, (count & 0xFF) + 1):
+        entry = yield from _read(hold, CONSUMER_HEARTBEAT, subindex)
+        node_id = entry >> 16 & 0xFF
+        if not entry & 0xFFFF or not 1 <= node_id <= MAX_NODE_ID:
+            place = place or subindex
+        elif node_id == grip.node_id:
+            place = subindex
+            if entry == grip.entry:  # left by a master that died
+                hold.before.setdefault((CONSUMER_HEARTBEAT, subindex), bytes(4))
+            break
+        else:
+            others.append(str(node_id))
+    if not place:
+        raise _Gap(f"all entries of 0x1016 are in use (node {', '.join(others)})" if others else "0x1016 has no entries")
+    yield from _set(hold, CONSUMER_HEARTBEAT, place, grip.entry, 4)
+
+
+def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
+    """Life guarding: the drive watches over the master's requests. What was changed for it is put back where it fails."""
+    factor = min(max(MIN_LIFE_TIME_FACTOR, -(-grip.timeout // grip.period)), MAX_LIFE_TIME_FACTOR)
+    guard_time = max(1, grip.timeout // factor // MILLISECOND)
+    node, kept = hold.node, len(hold.before)
+    try:
+        yield from _read(hold, LIFE_TIME_FACTOR, 0)
+        if (yield from _read_if_present(hold, PRODUCER_HEARTBEAT, 0)):  # else it has none, or none runs
+            yield from _set(hold, PRODUCER_HEARTBEAT, 0, 0, 2)
+        yield from _set(hold, GUARD_TIME, 0, guard_time, 2)
+        yield from _set(hold, LIFE_TIME_FACTOR, 0, factor, 1)
+        yield from act(lambda now: node.start_guarding(guard_time * MILLISECOND, factor, now))
+        answer = yield Wait(grip.timeout, node, lambda each: isinstance(each, GuardingAnswered) and each.node_id == node.node_id)
+        if answer is None:
+            raise _Gap("it does not answer guarding (some adapters send no remote frames)")
+    except _Gap:
+        if node.guarding.guard_time:
+            yield from act(lambda now: node.stop_guarding())
+        yield from _put_back(hold, kept)
+        raise
+
+
+# ---- what follows ----
+
+
+def _set_reaction(hold: Hold, grip: Grip) -> Procedure[None]:
+    yield from _set(hold, ABORT_CONNECTION, 0, grip.abort_connection, 2)
+
+
+# ---- objects, by bytes ----
+
+
+def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Procedure[None]:
+    """Write an object that has another value, read it back, and keep what was there."""
+    key, label = (index, subindex), _label(index, subindex)
+    wanted = value.to_bytes(size, "little", signed=value < 0)
+    found = yield from _upload(hold, index, subindex)
+    if found is None:
+        raise _Gap(f"no {label}")
+    if found == wanted:
+        return
+    is_first = key not in hold.before
+    if is_first:
+        hold.before[key] = found  # before the write: one without an answer may have been executed
+    try:
+        yield from download(hold.node.sdo, index, subindex, wanted)
+    except SdoFailed as failed:
+        if failed.origin is not AbortOrigin.PEER:
+            raise
+        if is_first:
+            del hold.before[key]
+        raise _Gap(f"it refuses {_show(wanted)} in {label} (abort 0x{failed.abort_code:08X})") from None
+    shown = yield from _upload(hold, index, subindex)
+    if shown != wanted:
+        raise _Gap(f"its {label} shows {_show(shown)} after {_show(wanted)} was written")
+
+
+def _put_back(hold: Hold, kept: int = 0) -> Procedure[None]:
+    """Write back all but the first `kept` of what was changed, the last change first."""
+    while len(hold.before) > kept:
+        (index, subindex), data = next(reversed(hold.before.items()))
+        yield from download(hold.node.sdo, index, subindex, data)
+        del hold.before[index, subindex]
+
+
+def _read(hold: Hold, index: int, subindex: int) -> Procedure[int]:
+    value = yield from _read_if_present(hold, index, subindex)
+    if value is None:
+        raise _Gap(f"no {_label(index, subindex)}")
+    return value
+
+
+def _read_if_present(hold: Hold, index: int, subindex: int) -> Procedure[int | None]:
+    data = yield from _upload(hold, index, subindex)
+    return None if data is None else int.from_bytes(data, "little")
+
+
+def _upload(hold: Hold, index: int, subindex: int) -> Procedure[bytes | None]:
+    """The bytes of an object; None where the drive does not have it, or does not show it."""
+    try:
+        return (yield from upload(hold.node.sdo, index, subindex))
+    except SdoFailed as failed:
+        if failed.origin is AbortOrigin.PEER:
+            return None
+        raise
+
+
+def _show(data: bytes | None) -> str:
+    return "nothing" if data is None else f"0x{int.from_bytes(data, 'little'):X}"
+
+
+def _label(index: int, subindex: int) -> str:
+    return f"0x{index:04X}:{subindex:02X} ({_NAMES[index]})" if subindex else f"0x{index:04X} ({_NAMES[index]})"

@@ -1,0 +1,177 @@
+"""`Grips`: the dead man's grip of a master. Each drive that it enables watches over it, and stops by itself when it falls silent.
+
+Theory of operation
+-------------------
+Whatever enables a drive goes through `hold`: a chain, a procedure of the core with a Device's axis (`Axis.grip`), the blocking
+API, a controlword that is written by hand (`Node.write`). On the bus of that drive the master then
+
+- looks whether its node-ID is nobody else's: it has listened for two periods at least, and has heard no such node;
+- sends its heartbeat from then on (`OwnHeartbeat`), and only then: who merely reads must not keep a dead master's drives alive;
+- has the drive watch it (procedures/grip.py). A drive that boots has lost that, and is taken hold of again when it is enabled.
+
+`let_go` puts back what was there, when the drive is shut down or the master is left and the drive stands. The heartbeat ends with
+the last drive of its bus. A drive that did not confirm that it stands keeps watching: the heartbeat ends with the master, and the
+drive stops by itself.
+
+**What is told.** A drive that will not stop by itself is an event `NotHeld`, once, and a warning of the logger `canopen_master`:
+Python shows it on stderr where nobody has configured logging, and so does the command line. `Grip.required` makes it an error.
+The logger also tells of a foreign heartbeat with our node-ID (`ForeignHeartbeat`), and of objects that could not be put back.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+from canopen_proto.heartbeat import ForeignHeartbeat, NodeBooted, OwnHeartbeat
+from canopen_proto.machine import SECOND, Event, event
+from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
+
+if TYPE_CHECKING:
+    from canopen_master.bus import Bus
+    from canopen_master.master import Master
+    from canopen_master.node import Node
+
+LOGGER: Final = logging.getLogger("canopen_master")
+PERIODS_HEARD: Final = 2
+"""A master like this one, with the same node-ID and period, is heard within one."""
+
+
+@event
+class NotHeld(Event):
+    """A drive that was enabled will not stop by itself if this master falls silent. drive: its name. reason: what it lacks."""
+
+    drive: str
+    reason: str
+
+
+class NodeIdTaken(ProcedureError):
+    """The node-ID under which the master would send its heartbeat is another node's; nothing was enabled."""
+
+
+class Grips:
+    """Of one master, on all its buses; see this module's text. settings: None where drives are not to watch over it."""
+
+    def __init__(self, master: Master, settings: Grip | None) -> None:
+        self._master = master
+        self.settings = settings
+        self._opened_at = master.now()
+        self._heartbeats: dict[Bus, OwnHeartbeat] = {}
+        self._holds: dict[Node, Hold] = {}
+        self._under_way: set[Node] = set()
+        self._untold: dict[str, list[str]] = defaultdict(list)  # reason -> drives
+        self._told: set[Node] = set()
+        if settings is not None:
+            for bus in dict.fromkeys(master.buses.values()):
+                heartbeat = self._heartbeats[bus] = OwnHeartbeat(bus.network.out, settings.node_id)
+                bus.network.attach(heartbeat)
+                master.watch((ForeignHeartbeat,), lambda _, bus=bus: self._on_foreign(bus), bus)  # type: ignore[misc]
+
+    # ---- procedures ----
+
+    def hold(self, node: Node) -> Procedure[None]:
+        """Have the drive on a node watch over this master; does nothing where it does already.
+
+        A drive that does not answer counts as one that cannot. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
+        """
+        settings = self.settings
+        if settings is None:
+            return
+        hold = self._hold_of(node)
+        if hold.is_taken:
+            return
+        bus = self._master.bus(node.bus)
+        heartbeat = self._heartbeats[bus]
+        if not heartbeat.period:
+            yield from self._check_node_id(bus, settings)
+        self._under_way.add(node)
+        try:
+            yield from act(lambda now: heartbeat.start(settings.period, now))
+            yield from take_hold(hold, settings)
+            yield from act(heartbeat.beat)  # with which the drive begins to watch, before it is enabled
+        except SdoFailed as failed:
+            hold.gap = str(failed)
+            if settings.required:
+                raise not_held(hold) from failed
+        finally:
+            self._under_way.discard(node)
+            self._tell(node, hold)
+
+    def let_go(self, node: Node) -> Procedure[None]:
+        """Put back what was there before `hold`, as far as the drive lets us; does nothing for a drive that is not held."""
+        hold = self._holds.get(node)
+        if hold is None:
+            return
+        try:
+            yield from release(hold)
+        except ProcedureError as error:
+            left = ", ".join(f"0x{index:04X}:{subindex:02X}" for index, subindex in hold.before)
+            LOGGER.warning("%s: %s could not be put back as it was: %s", self._name(node), left, error)
+            return
+        bus = self._master.bus(node.bus)
+        watching = {each for each, other in self._holds.items() if other.is_taken or other.before} | self._under_way
+        if not any(self._master.bus(each.bus) is bus for each in watching):
+            yield from act(self._heartbeats[bus].stop)
+
+    # ---- inside ----
+
+    def _hold_of(self, node: Node) -> Hold:
+        hold = self._holds.get(node)
+        if hold is None:
+            hold = self._holds[node] = Hold(node.remote)
+            self._master.watch((NodeBooted,), lambda _: hold.forget(), self._master.bus(node.bus), node.node_id)
+        return hold
+
+    def _check_node_id(self, bus: Bus, settings: Grip) -> Procedure[None]:
+        """See whether our node-ID is ours alone. Raises NodeIdTaken."""
+        yield from sleep(max(0, self._opened_at + PERIODS_HEARD * settings.period - (yield from current_time())))
+        node_id, heard = settings.node_id, bus.network.heard(settings.node_id)
+        if heard.time is None or heard.service is None:
+            return
+        age = ((yield from current_time()) - heard.time) / SECOND
+        raise NodeIdTaken(
+            f"this master cannot send its heartbeat as node {node_id} on {bus.name}, so no drive was enabled: "
+            f"another node {node_id} was heard {age:.2g} s ago ({heard.service.value}). "
+            "Try: another node-ID for the master, by --master-id or open_master(..., grip=Grip(node_id=...))"
+        )
+
+    def _on_foreign(self, bus: Bus) -> None:
+        assert self.settings is not None  # its heartbeat heard it
+        LOGGER.warning(
+            "another node on %s sends heartbeats as node %d too: the drives there will not notice if this program ends",
+            bus.name,
+            self.settings.node_id,
+        )
+
+    def _tell(self, node: Node, hold: Hold) -> None:
+        """Once for each drive; those that are taken hold of together, together."""
+        if hold.gap and node not in self._told:
+            self._told.add(node)
+            name = self._name(node)
+            self._untold[hold.gap].append(name)
+            node.remote.out.events.append(NotHeld(node.node_id, name, hold.gap))
+        if not self._under_way:
+            for gap, names in self._untold.items():
+                who = "itself" if len(names) == 1 else "themselves"
+                LOGGER.warning("%s will not stop by %s if this program dies: %s", ", ".join(names), who, gap)
+            self._untold.clear()
+
+    def _name(self, node: Node) -> str:
+        device = self._master.devices.get(node)
+        return device.name if device is not None else f"node {node.node_id}"
+
+
+class NodeGrip:
+    """What an Axis asks; see canopen_proto.cia402.axis.AxisGrip."""
+
+    def __init__(self, grips: Grips, node: Node) -> None:
+        self._grips = grips
+        self._node = node
+
+    def hold(self) -> Procedure[None]:
+        return self._grips.hold(self._node)
+
+    def let_go(self) -> Procedure[None]:
+        return self._grips.let_go(self._node)

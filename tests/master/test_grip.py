@@ -1,0 +1,317 @@
+"""The dead man's grip of a master: whatever it was doing when it died, its drives stand soon; nobody else keeps them alive."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+import trio
+
+from canopen_master import (
+    ChainError,
+    Grip,
+    HaltNotConfirmed,
+    Host,
+    MasterError,
+    NodeIdTaken,
+    NotHeld,
+    open_master,
+    powerballs,
+    simulate,
+    standard_drives,
+)
+from canopen_master.grip import LOGGER
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import mux
+from canopen_proto.frame import Frame
+from canopen_proto.heartbeat import ForeignHeartbeat
+from canopen_proto.machine import SECOND
+from canopen_proto.procedures import drive
+from canopen_proto.procedures.grip import DEFAULT_GRIP, NotHeldError
+from canopen_proto.procedures.steps import ProcedureError
+from canopen_transports import open_transport
+from tests.master.motions import FAR, MOTIONS, SPEED
+from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time
+
+NODE = 3
+CONSUMERS, REACTION, ENTRY = mux(0x1016, 1), mux(0x6007), 127 << 16 | 500
+QUICK_STOP_SECONDS = 30_000 / 400_000
+"""From the fastest of the motions below to standstill, by the 0x6085 of the standard drive."""
+
+
+@asynccontextmanager
+async def one_drive() -> AsyncIterator[tuple[Host, DriveNode]]:
+    async with simulated(makers=standard_drives(NODE, settings=FAR)) as host:
+        yield host, drives(host)[0]
+
+
+# ---- a master that dies ----
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("sync_goes_on", [False, True])
+@virtual_time
+async def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(motion: str, sync_goes_on: bool) -> None:
+    async with one_drive() as (host, node):
+        cable = Link()
+
+        async def live() -> None:
+            with suppress(MasterError, ProcedureError):
+                async with open_master(cable) as master:
+                    await MOTIONS[motion](master, NODE)
+
+        async with trio.open_nursery() as nursery, await open_transport(BUS) as other:
+            nursery.start_soon(live)
+            await trio.sleep(3)
+            node.drive.refresh(host.now())
+            assert abs(value(node, objects.VELOCITY_DEMAND_VALUE)) >= SPEED
+            assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)
+            cable.copies = lambda frame, is_sent: 0  # kill -9
+            limit = trio.current_time() + DEFAULT_GRIP.timeout / SECOND + QUICK_STOP_SECONDS + 0.02
+            while trio.current_time() < limit:
+                if sync_goes_on:
+                    await other.send(Frame(0x080, b""))
+                await trio.sleep(0.01)
+            node.drive.refresh(host.now())
+            assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
+            stood = value(node, objects.POSITION_ACTUAL_VALUE)
+            await trio.sleep(5)
+            node.drive.refresh(host.now())
+            assert value(node, objects.POSITION_ACTUAL_VALUE) == pytest.approx(stood, abs=2)
+            assert node.drive.state is State.SWITCH_ON_DISABLED
+            nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_a_second_master_that_reads_keeps_no_drive_alive() -> None:
+    async with one_drive() as (_, node):
+        cable = Link()
+        async with trio.open_nursery() as nursery, open_master(BUS) as reader:
+
+            async def live() -> None:
+                with suppress(MasterError, ProcedureError):
+                    async with open_master(cable) as master:
+                        await MOTIONS["pv"](master, NODE)
+
+            nursery.start_soon(live)
+            await trio.sleep(3)
+            cable.copies = lambda frame, is_sent: 0
+            for _ in range(20):
+                await reader.node(NODE).read("statusword")
+                await trio.sleep(0.05)
+            assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
+            assert node.drive.state is State.SWITCH_ON_DISABLED
+            nursery.cancel_scope.cancel()
+
+
+# ---- a master that lives, and leaves ----
+
+
+@pytest.mark.parametrize("shut_down", [False, True])
+@pytest.mark.parametrize("by_hand", [False, True])
+@virtual_time
+async def test_whoever_is_left_in_good_order_has_what_it_had_before(shut_down: bool, by_hand: bool) -> None:
+    async with one_drive() as (_, node):
+        cable = Link()
+        node.values.store[REACTION] = 1
+        async with open_master(cable) as master:
+            joint = master.node(NODE)
+            await joint.read("statusword")
+            await trio.sleep(1)
+            assert heartbeats(cable) == []
+            if by_hand:
+                for word in (0x06, 0x07, 0x0F):
+                    await joint.write("controlword", word)
+            else:
+                await master.run(drive.enable(master.device(joint).axis))
+            assert node.drive.state is State.OPERATION_ENABLED
+            assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)
+            await trio.sleep(10)
+            assert node.drive.state is State.OPERATION_ENABLED
+            if shut_down:
+                await master.run(drive.shut_down(master.device(joint).axis))
+                assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 1)
+                ended = len(heartbeats(cable))
+                await trio.sleep(1)
+                assert len(heartbeats(cable)) == ended
+        assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 1)
+        assert 90 <= len(heartbeats(cable)) <= 110
+        await trio.sleep(2)
+        assert not any(frame.can_id == 0x080 + NODE for _, _, frame in cable.log)
+
+
+def heartbeats(cable: Link) -> list[Frame]:
+    return [frame for _, is_sent, frame in cable.log if is_sent and frame.can_id == 0x77F]
+
+
+@virtual_time
+async def test_a_drive_that_does_not_confirm_its_halt_keeps_watching_and_stops_by_itself() -> None:
+    async with one_drive() as (host, node):
+        cable = Link()
+        with pytest.raises(HaltNotConfirmed):
+            async with open_master(cable) as master:
+                with trio.move_on_after(2):
+                    await MOTIONS["pv"](master, NODE)
+                cable.copies = lambda frame, is_sent: frame.can_id == 0x77F  # SDO is lost, heartbeats pass
+        assert value(node, CONSUMERS) == ENTRY
+        await trio.sleep(1)
+        node.drive.refresh(host.now())
+        assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
+
+
+@virtual_time
+async def test_a_drive_that_booted_is_taken_hold_of_again() -> None:
+    async with one_drive() as (_, node), open_master(BUS) as master:
+        device = master.device(master.node(NODE))
+        await master.run(drive.enable(device.axis))
+        await device.node.reset()
+        assert value(node, CONSUMERS) == 0
+        await master.run(drive.enable(device.axis))
+        assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)
+
+
+@virtual_time
+async def test_a_chain_holds_its_joints_and_lets_them_go() -> None:
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        arm = arm_of(master, 3, 4)
+        await arm.initialise()
+        assert [value(node, CONSUMERS) for node in drives(host)] == [ENTRY, ENTRY]
+        await arm.shut_down()
+        assert [value(node, CONSUMERS) for node in drives(host)] == [0, 0]
+        await arm.initialise()
+        assert [value(node, CONSUMERS) for node in drives(host)] == [ENTRY, ENTRY]
+
+
+@virtual_time
+async def test_without_a_grip_nothing_is_sent_or_written() -> None:
+    async with one_drive() as (_, node):
+        cable = Link()
+        async with open_master(cable, grip=None) as master:
+            await master.run(drive.enable(master.device(master.node(NODE)).axis))
+            assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 0)
+        assert heartbeats(cable) == []
+
+
+# ---- whose node-ID ----
+
+
+async def beat(node_id: int) -> None:
+    async with await open_transport(BUS) as transport:
+        while True:
+            await transport.send(Frame(0x700 + node_id, b"\x05"))
+            await trio.sleep(0.1)
+
+
+@virtual_time
+async def test_a_foreign_heartbeat_with_our_node_id_is_an_error_before_anything_is_enabled() -> None:
+    async with simulated(3, 4) as host, trio.open_nursery() as nursery:
+        nursery.start_soon(beat, 127)
+        async with open_master(BUS) as master:
+            with pytest.raises(NodeIdTaken, match="another node 127 was heard .* Try: .*--master-id"):
+                await master.run(drive.enable(master.device(master.node(3)).axis))
+            with pytest.raises(ChainError, match="node-ID"):
+                await arm_of(master, 3, 4).initialise()
+            assert {node.drive.state for node in drives(host)} == {State.SWITCH_ON_DISABLED}
+            assert {value(node, CONSUMERS) for node in drives(host)} == {0}
+        async with open_master(BUS, grip=Grip(node_id=126)) as master:
+            await arm_of(master, 3, 4).initialise()
+            assert {value(node, CONSUMERS) for node in drives(host)} == {126 << 16 | 500}
+        nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_two_masters_with_one_node_id_do_not_both_enable_drives() -> None:
+    async with simulated(3, 4), open_master(BUS) as first, open_master(BUS) as second:
+        await first.run(drive.enable(first.device(first.node(3)).axis))
+        with pytest.raises(NodeIdTaken):
+            await second.run(drive.enable(second.device(second.node(4)).axis))
+
+
+@virtual_time
+async def test_a_node_of_our_node_id_that_was_used_is_an_error() -> None:
+    async with simulated(3, 127), open_master(BUS) as master:
+        await master.node(127).read("statusword")
+        with pytest.raises(NodeIdTaken):
+            await master.run(drive.enable(master.device(master.node(3)).axis))
+
+
+@virtual_time
+async def test_a_foreign_heartbeat_that_comes_later_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    async with simulated(makers=standard_drives(3)), trio.open_nursery() as nursery, open_master(BUS) as master:
+        with master.events(ForeignHeartbeat) as foreign:
+            await master.run(drive.enable(master.device(master.node(3)).axis))
+            nursery.start_soon(beat, 127)
+            assert (await foreign.receive()).node_id == 127
+        await trio.sleep(1)
+        assert [each.getMessage() for each in caplog.records if each.name == LOGGER.name] == [
+            f"another node on {BUS} sends heartbeats as node 127 too: the drives there will not notice if this program ends"
+        ]
+        nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_each_bus_has_a_heartbeat_of_its_own() -> None:
+    one, other = Link("one"), Link("two")
+    async with trio.open_nursery() as nursery:
+        for name, node_id in (("one", 3), ("two", 4)):
+            await nursery.start(simulate, await open_transport(f"virtual:{name}"), standard_drives(node_id))
+        async with open_master(buses={"a": one, "b": other}) as master:
+            await master.run(drive.enable(master.device(master.node(3, bus="a")).axis))
+            await trio.sleep(1)
+            assert heartbeats(one)
+            assert heartbeats(other) == []
+            await master.run(drive.enable(master.device(master.node(4, bus="b")).axis))
+            assert heartbeats(other)
+        nursery.cancel_scope.cancel()
+
+
+# ---- what is told ----
+
+NO_REACTION = "no 0x6007 (abort connection option code)"
+
+
+@virtual_time
+async def test_drives_that_will_not_stop_by_themselves_are_told_once_by_name(caplog: pytest.LogCaptureFixture) -> None:
+    async with simulated(3, 4, makers=standard_drives(5)), open_master(BUS) as master:
+        with master.events(NotHeld) as told:
+            arm = arm_of(master, 3, 4, 5)
+            await arm.initialise()
+            await arm.recover()
+            await arm.shut_down()
+            await arm.initialise()
+            assert [await told.receive() for _ in range(2)] == [
+                NotHeld(3, "joint1", NO_REACTION),
+                NotHeld(4, "joint2", NO_REACTION),
+            ]
+            with trio.move_on_after(1):
+                pytest.fail(f"{await told.receive()} was told again")
+    messages = [each for each in caplog.records if each.name == LOGGER.name]
+    assert [each.getMessage() for each in messages] == [
+        f"joint1, joint2 will not stop by themselves if this program dies: {NO_REACTION}"
+    ]
+    assert messages[0].levelno == logging.WARNING
+
+
+@virtual_time
+async def test_a_master_may_insist_on_it() -> None:
+    async with simulated(makers=powerballs(3)) as host, open_master(BUS, grip=Grip(required=True)) as master:
+        for _ in range(2):
+            with pytest.raises(NotHeldError, match=r"drive 3 would not stop by itself .* no 0x6007"):
+                await master.run(drive.enable(master.device(master.node(3)).axis))
+        assert drives(host)[0].drive.state is State.SWITCH_ON_DISABLED
+
+
+@virtual_time
+async def test_what_cannot_be_put_back_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    async with one_drive() as (_, node), open_master(BUS) as master:
+        axis = master.device(master.node(NODE), "joint1").axis
+        await master.run(drive.enable(axis))
+        node.deferred.add(0x1016)  # nobody serves it: it is not answered in time
+        await master.run(drive.shut_down(axis))
+    messages = [each.getMessage() for each in caplog.records if each.name == LOGGER.name]
+    assert messages
+    assert messages[0].startswith("joint1: 0x1016:01 could not be put back as it was: ")
