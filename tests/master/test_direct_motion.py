@@ -203,7 +203,7 @@ def test_a_drive_whose_pdos_no_longer_come_is_silent(session: Session, arm: Devi
     ("frame", "reason"),
     [
         ("2F60600001000000", "drive 12 (no longer follows its set-points: bit 12|changed its mode of operation)"),  # 0x6060 = 1
-        ("237D6002E40C0000", "drive 12 is held by a limit of its own: bit 11"),  # 0x607D:02 = 3300
+        ("237D6002E40C0000", "drive 12 (is held by a limit of its own: bit 11|no longer follows)"),  # 0x607D:02 = 3300
     ],
 )
 def test_a_drive_that_does_not_follow_is_told_and_halted(session: Session, arm: Devices, frame: str, reason: str) -> None:
