@@ -54,7 +54,13 @@ def backup_file(
         commissioning = replace(commissioning, bit_rate=bit_rate)
     bare = replace(whole, dictionary=_without_others(whole.dictionary, backup))
     configured = with_configured(bare, backup.values, commissioning, file_info=file_info or whole.file_info)
-    data = encode_eds(write_eds(configured, FileKind.DCF), whole.encoding)
+    text = write_eds(configured, FileKind.DCF)
+    file = _encoded(backup, text, whole.encoding)
+    return _encoded(backup, text, "utf-8") if file.lost else file  # the description's encoding may be one that nobody guesses
+
+
+def _encoded(backup: Backup, text: str, encoding: str) -> BackupFile:
+    data = encode_eds(text, encoding)
     return BackupFile(data, _lost(backup, data))
 
 

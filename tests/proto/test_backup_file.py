@@ -112,6 +112,15 @@ def test_what_was_not_read_is_marked_and_inherited_from_nowhere() -> None:
     assert 0x2005_00 not in settings_of(with_defaults, 5, defaults=True)
 
 
+def test_a_backup_reads_well_whatever_the_encoding_of_the_devices_file_is() -> None:
+    """Nothing in a file says that it is Russian; its backup is UTF-8 then."""
+    bench = holding({0x2009: "Привод".encode()})
+    backup = bench.run(back_up(bench.remote, only=[DESCRIBED.variable(0x2009)]))
+    file = backup_file(backup, replace(describe(DESCRIBED), encoding="cp1251"))
+    assert file.lost == ()
+    assert "ParameterValue=Привод" in file.data.decode("utf-8")
+
+
 @pytest.mark.parametrize(
     ("data_type", "value", "lines"),
     [
