@@ -5,6 +5,8 @@
     python -m fuzz show crash-...
     python -m fuzz keep sdo_server
 
+`python -m fuzz.mutants` plants bugs and says whether the inputs below and the tests find them.
+
 A run begins with fuzz/corpus/TARGET, written by people, and fuzz/kept/TARGET.zip. What is new goes to fuzz/found/TARGET, which is
 not in the repository; `keep` makes it the archive.
 """

@@ -1,7 +1,8 @@
 """Bodies of the fuzz targets: ordinary functions of bytes, which the normal tests run too (tests/proto/test_fuzz_corpus.py).
 
 The oracle is one sentence of the core's contract: nothing but LocalProtocolError may be raised, and that only by a wrong call of
-our own side. Besides: each request has one outcome, served time does not want to be served again, memory is bounded.
+our own side. Besides: each request has one outcome, served time does not want to be served again, memory is bounded. Two targets
+know more than that, namely what is true: `sdo_pair` (two_ended.py) and `heartbeat`.
 """
 
 from __future__ import annotations
