@@ -1,7 +1,8 @@
 """`Supervision`: tells a chain which of its joints has failed, and why.
 
-From the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, or loses its heartbeat. While set-points are
-followed, besides, whatever `canopen_proto.cia402.following` sees of each drive, from what comes in each cycle.
+From the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, no longer sends its heartbeat, or no longer
+answers node guarding. While set-points are followed, also whatever `canopen_proto.cia402.following` sees of each drive, from what
+comes in each cycle.
 
 What a joint does not send at SYNCs by itself is read by SDO beside the cycle, one joint after the other: with the PDOs of the
 manual's arm the mode of operation (0x6061). So another mode that shows in nothing else is seen that much later: a cycle for each
@@ -20,6 +21,7 @@ from canopen_proto.cia402.following import FollowingLost
 from canopen_proto.cia402.limits import Limit
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
+from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
 from canopen_proto.procedures.following import read_unsent
@@ -51,7 +53,7 @@ class Supervision:
         self.is_on = False
         for device in devices:
             bus, node_id = master.bus(device.node.bus), device.node.node_id
-            kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeBooted)
+            kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeGuardingLost, NodeBooted)
             master.watch(kinds, partial(self._on_event, device), bus, node_id)
 
     def begin_following(self, limits: Sequence[Limit], silent_cycles: int) -> None:
@@ -68,7 +70,9 @@ class Supervision:
         if reading is not None:
             self._master.take_back(reading)
 
-    def _on_event(self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeBooted) -> None:
+    def _on_event(
+        self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeGuardingLost | NodeBooted
+    ) -> None:
         if not self.is_on:
             return
         cause = foreign_commands(self._master, device)
@@ -79,6 +83,8 @@ class Supervision:
                 self._failed(device, "fell into fault", cause)
             case HeartbeatLost(timeout=timeout):
                 self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause)
+            case NodeGuardingLost(life_time=life_time):
+                self._failed(device, f"was lost: no answer to node guarding for {life_time / SECOND:g} s", cause)
             case NodeBooted():
                 self._failed(device, "was reset, or lost its power: it has booted again", cause)
 

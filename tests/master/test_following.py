@@ -282,3 +282,19 @@ async def test_another_sync_is_named() -> None:
                 here.arm.set_positions([position + SPEED * cycle.time for position in start])
                 if cycle.number % 10 == 9:
                     await here.stranger.send(Frame(0x080))
+
+
+@virtual_time
+async def test_a_joint_that_no_longer_answers_guarding_is_lost_though_nothing_is_followed() -> None:
+    async with scene() as here:
+        await here.arm.halt()
+        joint = here.arm.devices[0]
+        await joint.node.write("producer_heartbeat_time", 0)
+        joint.node.start_guarding(0.05)
+        await trio.sleep(1)
+        here.links[VICTIM].copies = lambda frame, is_sent: 0
+        await trio.sleep(0.3)
+        assert here.arm.state is ChainState.FAULT
+        with pytest.raises(ChainFault, match="was lost: no answer to node guarding for 0.15 s"):
+            here.arm.hold()
+        here.links[VICTIM].copies = lambda frame, is_sent: 1
