@@ -23,7 +23,7 @@ from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError
 from tests.proto.rig import CYCLE, Rig
 
-REACTION = 200 * MILLISECOND
+REACTION = 100 * MILLISECOND
 HEARTBEAT = 50 * MILLISECOND
 AT_ONCE = 200 * MILLISECOND
 """The mode is read every 100 ms where no PDO carries it; a heartbeat is lost after 100 ms."""
@@ -57,23 +57,23 @@ def running(rig: Rig) -> None:
     rig.node.values.store[objects.PROFILE_DECELERATION] = 2_000
     enabled_in(Mode.PROFILE_VELOCITY)(rig)
     rig.run(write(rig.remote, "0x60FF", 10_000))
-    rig.bus.run(SECOND)
+    rig.bus.run(300 * MILLISECOND)
 
 
 def halted_in_csp(rig: Rig) -> None:
     """Bit 12 falls while it is halted, and rises when a command without bit 8 has taken effect."""
     enabled_in(Mode.CYCLIC_SYNCHRONOUS_POSITION)(rig)
     rig.run(drive.halt(rig.axis))
-    rig.bus.run(SECOND)
+    rig.bus.run(300 * MILLISECOND)
 
 
 WAITS = {
-    "home": Waiting(lambda rig: drive.home(rig.axis), homing, Mode.HOMING, wait=SECOND),
+    "home": Waiting(lambda rig: drive.home(rig.axis), homing, Mode.HOMING, wait=SECOND // 2),
     "move_to": Waiting(
         lambda rig: drive.move_to(rig.axis, 3.0, timeout=60 * SECOND),
         enabled_in(1),
         Mode.PROFILE_POSITION,
-        wait=1500 * MILLISECOND,
+        wait=SECOND,
     ),
     "start_interpolation": Waiting(
         lambda rig: drive.start_interpolation(rig.axis, CYCLE, sends_itself=True), enabled_in(7), Mode.INTERPOLATED_POSITION
