@@ -479,11 +479,10 @@ class Drive(Machine):
 
     def _schedule(self, step: Time = STEP) -> None:
         servo = self._servo
+        due = self._mode.due if self._acts else NEVER
         if self.state is State.NOT_READY_TO_SWITCH_ON:
             self._arm(self._ready_at)
-            return
-        due = self._mode.due if self._acts else NEVER
-        if servo.is_settled and not (self._acts and self._mode.is_waiting):
+        elif servo.is_settled and not (self._acts and self._mode.is_waiting):
             self._arm(due)
         else:
             wake, end = min(servo.time + step, due), servo.demand.end

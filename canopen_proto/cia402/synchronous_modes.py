@@ -8,7 +8,8 @@ too many is lost (a ring drives out the oldest) and reported. **Underrun**: a SY
 axis stops by the halt option code (605Dh), and the mode stops following, see below; `SetPointUnderrun` is reported. An axis that
 stands has nothing to run out of: it just keeps standing.
 
-csp: each SYNC takes 607Ah as it is then. One that was not written since the last SYNC is not taken while the axis moves.
+csp: each SYNC takes 607Ah as it is then. One that was not written since the last SYNC is not taken while the axis moves; and if
+the axis has then come to rest farther than 6067h from it, the mode stops following.
 
 **No axis stops dead.** An axis that passes a set-point brakes behind it by the quick stop ramp (6085h), until the next SYNC takes
 it along (`Servo.interpolate`). So it brakes from the first SYNC, or csp's first target, that stays away.
@@ -213,18 +214,22 @@ class CyclicPosition(SynchronousMode):
         servo = self.servo
         target = servo.parameter(objects.TARGET_POSITION) + servo.zero
         if not self._follows:
-            if not self._stands_at(target):
+            if not (servo.is_settled and self._is_near(target)):
                 return
             self._begin_following()
         self._await_sync()
-        if self._is_new or not servo.moving_at:
+        if self._is_new or (not servo.moving_at and self._is_near(target)):
             servo.interpolate(target)
+        elif not servo.moving_at:  # it has braked, far beyond a target that stayed the last one
+            self._stop_following()
         self._is_new = False
 
-    def _stands_at(self, target: float) -> bool:
+    def _is_near(self, target: float) -> bool:
+        """Whether the axis is where that target, or the software limit before it, has it."""
+        low, high = self.servo.limits()
         window = self.servo.parameter(objects.POSITION_WINDOW)
         nearness = 0 if window == UNLIMITED else window
-        return self.servo.is_settled and abs(target - self.servo.position) < nearness + 0.5  # positions are shown rounded
+        return abs(max(low, min(high, target)) - self.servo.demand_position) < nearness + 0.5  # positions are shown rounded
 
     @property
     def status(self) -> int:

@@ -31,6 +31,7 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed,
 
 if TYPE_CHECKING:
     from canopen_master.bus import Bus
+    from canopen_master.halting import Halt
     from canopen_master.master import Master
     from canopen_master.node import Node
 
@@ -114,6 +115,12 @@ class Grips:
         watching = {each for each, other in self._holds.items() if other.is_taken or other.before} | self._under_way
         if not any(self._master.bus(each.bus) is bus for each in watching):
             yield from act(self._heartbeats[bus].stop)
+
+    def let_go_after(self, node: Node, halt: Halt) -> Procedure[None]:
+        """Halt the drive on a node, and let it go if it is known to stand."""
+        yield from halt.run()
+        if not halt.problem:
+            yield from self.let_go(node)
 
     # ---- inside ----
 

@@ -477,7 +477,7 @@ class Master:
                 if self.buses[node.bus].failed:
                     halt.problem = halt.problem and "its bus has failed"
                 else:
-                    halts.append(self._leave(node, halt))
+                    halts.append(self.grips.let_go_after(node, halt))
         self.launch(all_of(*halts))
         while self._procedures:
             with trio.move_on_after(_LOOK):
@@ -485,11 +485,6 @@ class Master:
             asked = (self.runner.needs_until - self.now()) / SECOND
             scope.deadline = max(scope.deadline, trio.current_time() + asked)
         await self._pump.flush()
-
-    def _leave(self, node: Node, halt: Halt) -> Procedure[None]:
-        yield from halt.run()
-        if not halt.problem:
-            yield from self.grips.let_go(node)
 
     def _drive_on(self, node: Node) -> Device | None:
         """The drive on a node; also one that was enabled by hand, if its dictionary is that of a drive."""
