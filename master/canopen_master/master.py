@@ -154,13 +154,18 @@ class Master:
 
     @enable_ki_protection
     def node(
-        self, node_id: int, dictionary: ObjectDictionary | str | Path | None = None, *, bus: str | None = None, pdos: bool = True
+        self,
+        node_id: int,
+        dictionary: ObjectDictionary | str | Path | None = None,
+        *,
+        bus: str | None = None,
+        pdos: bool | None = None,
     ) -> Node:
         """The node of that ID on a bus; asked for again, the same object.
 
         dictionary: what the device is: its EDS, DCF, XDD or XDC file (or a sample's name); a dictionary; by default that of the
-        data files. pdos: for a file, exchange the node's PDOs: the device is asked how it has them set up, and PdoReceived
-        follows; see `Node.start` and node_pdos.py. Without a file, or with pdos=False, nothing is sent.
+        data files. pdos: exchange the node's PDOs, by default if it is a file: the device is asked how it has them set up, and
+        PdoReceived follows; see `Node.start` and node_pdos.py. Else nothing is sent.
 
         Raises LocalProtocolError for an ID outside 1..127, for a bus that is not said where there are several, and for another
         dictionary than the first time; DataError, DictionaryError for a file that cannot be read.
@@ -186,7 +191,7 @@ class Master:
         where.network.attach(remote)
         node = self._nodes[where, node_id] = Node(self, where, remote)
         where.renew_filters()
-        if has_file and pdos:
+        if has_file if pdos is None else pdos:
             node.keep_pdos()
         return node
 
