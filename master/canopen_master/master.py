@@ -463,11 +463,12 @@ class Master:
         return self._body
 
     @enable_ki_protection
-    async def halt_and_flush(self, scope: trio.CancelScope) -> None:
+    async def halt_and_flush(self, scope: trio.CancelScope, longest: float, in_a_hurry: Callable[[], bool]) -> None:
         """Take no new commands, end everything that runs, halt all drives that are enabled, and send what is queued.
 
-        scope: around this; its deadline is put off while procedures ask for time. `halts` then tells which drives did not confirm
-        that they stand. May be cancelled: what was sent is sent.
+        scope: around this; its deadline is put off while procedures ask for time, to `longest` (trio's clock) at most, and not
+        when somebody is in a hurry. `halts` then tells which drives did not confirm that they stand. May be cancelled: what was
+        sent is sent.
         """
         self.is_closed = True
         self._end_waiting(MasterClosed())
@@ -484,11 +485,12 @@ class Master:
                 else:
                     halts.append(self.grips.let_go_after(node, halt))
         self.launch(all_of(*halts))
+        usual = scope.deadline
         while self._procedures:
             with trio.move_on_after(_LOOK):
                 await self._procedure_ended.park()
-            asked = (self.runner.needs_until - self.now()) / SECOND
-            scope.deadline = max(scope.deadline, trio.current_time() + asked)
+            asked = trio.current_time() + (self.runner.needs_until - self.now()) / SECOND
+            scope.deadline = usual if in_a_hurry() else min(max(scope.deadline, asked), longest)
         await self._pump.flush()
 
     def _drive_on(self, node: Node) -> Device | None:

@@ -2,12 +2,12 @@
 
 **The way out.** However the `async with` block ends (its end, an error, a cancel, Ctrl-C, a bus that fails), the master takes no
 new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent: SHUTDOWN_TIME at
-most, or longer for a drive that answers and still slows down. Only then do its tasks end and its transports close. The tasks are
-shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. Drives that did not
-confirm that they stand are told by HaltNotConfirmed, or in a note on the exception that is under way.
+most, or up to BRAKING_TIME for a drive that answers and still slows down. Only then do its tasks end and its transports close.
+The tasks are shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. Drives
+that did not confirm that they stand are told by HaltNotConfirmed, or in a note on the exception that is under way.
 
-A further Ctrl-C on the way out shortens nothing. trio raises it in the main task, which only waits there; the halts go out in a
-task of their own. It comes out of the block when the drives stand.
+A further Ctrl-C on the way out shortens it to SHUTDOWN_TIME, and no more. trio raises it in the main task, which only waits
+there; the halts go out in a task of their own. It comes out of the block when the way out is over.
 
 The block's own exception comes out as it is, never wrapped in a group: the nursery of the master's tasks does not see it.
 
@@ -38,6 +38,9 @@ BusSource: TypeAlias = str | Transport
 SHUTDOWN_TIME: Final = 2.0
 """Seconds that the way out may take: a person who pressed Ctrl-C does not wait longer for a drive that is dead. A drive that is
 seen to brake is waited for (`procedures.steps.ask_for_time`)."""
+
+BRAKING_TIME: Final = 30.0
+"""Seconds that the way out may take if a drive brakes as long as that."""
 
 
 def open_master(
@@ -144,10 +147,15 @@ class MasterSession:
     async def _halt(self) -> None:
         """The way out: see this module's text."""
         try:
-            with trio.CancelScope(shield=True, deadline=trio.current_time() + SHUTDOWN_TIME) as scope:
-                await self._master.halt_and_flush(scope)
+            begun = trio.current_time()
+            with trio.CancelScope(shield=True, deadline=begun + SHUTDOWN_TIME) as scope:
+                await self._master.halt_and_flush(scope, begun + BRAKING_TIME, self._was_interrupted)
         finally:
             self._master.pump.stop()
+
+    def _was_interrupted(self) -> bool:
+        """Whether a Ctrl-C came on the way out: it cancels the nursery in whose end it is raised."""
+        return self._nursery.cancel_scope.cancel_called
 
     async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
         """Open the buses, each once: the transports by name, and the names beyond the first of each."""
@@ -199,6 +207,6 @@ def _not_confirmed(problems: str) -> HaltNotConfirmed:
         HALT_NOT_CONFIRMED,
         "the master was left, but not every drive confirmed that it stands",
         seen=problems,
-        cause=f"the drive is off, does not answer, or needs longer than {SHUTDOWN_TIME:g} s to stop",
+        cause="the drive is off, does not answer, or needs long to stop",
         tries=("look at the drive; press the emergency stop if it moves",),
     )

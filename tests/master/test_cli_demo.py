@@ -155,17 +155,16 @@ def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[Fleet], alarm: A
     assert_all_stand(fleets)
 
 
-@pytest.mark.parametrize("file", [False, True])
-def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: list[Fleet], alarm: Alarm, file: bool) -> None:
-    """Two joints need longer to stop than anybody waits."""
+def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    """Two joints hardly brake."""
 
     async def wear_out_the_brakes(fleet: Fleet) -> None:
         for node_id in (4, 7):
-            fleet.drives[node_id].values.store[PROFILE_DECELERATION] = 1_000
+            fleet.drives[node_id].values.store[PROFILE_DECELERATION] = 1
 
     alarm.task = wear_out_the_brakes
     alarm.set((1.3, signal.SIGINT), (0.005, signal.SIGINT))
-    outcome = run("demo", *(("--eds", "sample_drive.eds") if file else ()), "--seconds", "20")
+    outcome = run("demo", "--seconds", "20")
     assert outcome.status == ExitCode.INTERRUPTED
     told = [line.removeprefix("  also:  ").partition(": ") for line in outcome.err.splitlines()]
     fates = {what: set(joints.split(", ")) for what, _, joints in told if what in ("halted", "told to halt", "STILL MOVING")}

@@ -213,13 +213,17 @@ def test_every_way_out_stops_every_drive(way: str) -> None:
     assert "not confirmed" not in text
 
 
-@pytest.mark.parametrize("way", ["end", "exception", "cancel"])
+@pytest.mark.parametrize("way", ["end", "exception", "cancel", "two ctrl-c"])
 def test_a_drive_that_still_moves_is_told_however_the_master_is_left(way: str) -> None:
-    """Its ramp takes longer than anybody waits. What tells of it stands in the exception: none that a cancel scope swallows."""
-    rows = [row for row in ROWS if row.control == "sdo"]
+    """Its ramp takes long. That is waited for where the drive can be understood, and nobody presses Ctrl-C again.
+
+    What tells of it stands in the exception: none that a cancel scope swallows.
+    """
+    style = HomingStyle.STANDARD if way == "two ctrl-c" else HomingStyle.SCHUNK
+    rows = [row for row in ROWS if row.control == "sdo" and row.shape is Shape.STANDARD and row.style is style]
     velocities, came = after(way, rows, 5_000)
     kinds, text = kinds_and_notes(came)
     assert [str(row) for row, speed in velocities.items() if speed and f"(node {row.node_id} on" not in text] == []
-    assert len([speed for speed in velocities.values() if speed]) > 15
+    assert len([speed for speed in velocities.values() if speed]) > len(rows) / 3
     assert kinds == WAYS[way] or kinds == {HaltNotConfirmed}
     assert kinds
