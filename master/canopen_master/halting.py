@@ -6,7 +6,8 @@ So they are not all that counts here: its position has to stop running, too.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Final
 
 from canopen_master.device import Device
 from canopen_master.joint_procedures import awake, stop
@@ -14,9 +15,12 @@ from canopen_master.node import Node
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import Command, ControlBit, State, state_of
-from canopen_proto.machine import MILLISECOND
+from canopen_proto.machine import MILLISECOND, LocalProtocolError
 from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import Procedure, download, sleep, upload
+
+if TYPE_CHECKING:
+    from canopen_master.master import Master
 
 POWERED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 """The states in which a drive moves, or brakes by its ramps."""
@@ -27,14 +31,17 @@ LOOK: Final = 30 * MILLISECOND
 class Halt:
     """The halt of one drive. device: None for a node whose dictionary describes no drive, though somebody has enabled one there.
 
-    where: the drive, for people. problem: why it is not known that it stands; empty once it is, and for one that could not move.
+    bus_failed: nothing can be sent to it. where: the drive, for people. problem: why it is not known that it stands; empty once
+    it is, and for one that could not move.
     """
 
-    def __init__(self, node: Node, device: Device | None) -> None:
-        self._node = node
+    def __init__(self, node: Node, device: Device | None, bus_failed: bool) -> None:
+        self.node = node
         self.device = device
+        self.bus_failed = bus_failed
         self.where = node.where if device is None else device.where
-        self.problem = "it has not answered yet" if device is None or device.may_move else ""
+        may_move = device is None or device.may_move
+        self.problem = "" if not may_move else "its bus has failed" if bus_failed else "it has not answered yet"
 
     def run(self) -> Procedure[None]:
         """Halt it and wait until it stands. It never fails: no drive keeps another one from being halted."""
@@ -55,7 +62,7 @@ class Halt:
 
     def _by_number(self) -> Procedure[None]:
         """Its objects have the numbers of CiA 402, where it is a drive."""
-        client = self._node.remote.sdo
+        client = self.node.remote.sdo
         statusword = int.from_bytes((yield from upload(client, STATUSWORD >> 8)), "little")
         if state_of(statusword) is State.OPERATION_ENABLED:
             word = Command.ENABLE_OPERATION | ControlBit.HALT
@@ -63,6 +70,17 @@ class Halt:
             yield from download(client, CONTROLWORD >> 8, 0, word.to_bytes(2, "little"))
         else:
             self.problem = ""
+
+
+def halts_needed(master: Master, nodes: Iterable[Node]) -> Iterator[Halt]:
+    """The halts of all drives that move, or that a command under way may yet enable; those that were enabled by hand, too."""
+    for node in nodes:
+        try:
+            device = master.device(node) if node.was_enabled else master.devices.get(node)
+        except LocalProtocolError:  # its dictionary has none of what a drive has
+            device = None
+        if node.was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
+            yield Halt(node, device, master.bus(node.bus).failed)
 
 
 def see_it_stand(axis: Axis) -> Procedure[None]:

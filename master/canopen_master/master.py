@@ -33,7 +33,7 @@ from canopen_master.device import Device
 from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, UnknownChain
 from canopen_master.grip import Grips, NodeGrip
-from canopen_master.halting import Halt
+from canopen_master.halting import Halt, halts_needed
 from canopen_master.node import Node
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
@@ -474,17 +474,8 @@ class Master:
         self._end_waiting(MasterClosed())
         for request_id in tuple(self._procedures):
             self.take_back(request_id)
-        halts = []
-        for node in self._nodes.values():
-            device = self._drive_on(node)
-            if node.was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
-                halt = Halt(node, device)
-                self.halts.append(halt)
-                if self.buses[node.bus].failed:
-                    halt.problem = halt.problem and "its bus has failed"
-                else:
-                    halts.append(self.grips.let_go_after(node, halt))
-        self.launch(all_of(*halts))
+        self.halts.extend(halts_needed(self, self._nodes.values()))
+        self.launch(all_of(*(self.grips.let_go_after(halt.node, halt) for halt in self.halts if not halt.bus_failed)))
         usual = scope.deadline
         while self._procedures:
             with trio.move_on_after(_LOOK):
@@ -492,13 +483,6 @@ class Master:
             asked = trio.current_time() + (self.runner.needs_until - self.now()) / SECOND
             scope.deadline = usual if in_a_hurry() else min(max(scope.deadline, asked), longest)
         await self._pump.flush()
-
-    def _drive_on(self, node: Node) -> Device | None:
-        """The drive on a node; also one that was enabled by hand, if its dictionary is that of a drive."""
-        try:
-            return self.device(node) if node.was_enabled else self.devices.get(node)
-        except LocalProtocolError:
-            return None
 
 
 def nanoseconds(seconds: float) -> Time:

@@ -6,9 +6,11 @@ from collections.abc import Awaitable, Callable
 import pytest
 import trio
 
-from canopen_master import BusError, Chain, HaltNotConfirmed, Master, MasterClosed, open_master
+from canopen_master import BusError, Chain, HaltNotConfirmed, Master, MasterClosed, open_master, standard_drives
 from canopen_master.session import SHUTDOWN_TIME
 from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.standard import standard_object
 from canopen_transports import VirtualTransport
 from tests.master.world import (
     BUS,
@@ -309,6 +311,20 @@ async def test_a_drive_that_does_not_answer_is_told_and_holds_up_nobody() -> Non
         assert caught.value.code == "CO131"
         assert "emergency stop" in str(caught.value)
         assert drives(host)[1].values.store[0x6040_00] == 0x10F
+
+
+@virtual_time
+async def test_a_drive_that_its_dictionary_does_not_describe_is_halted_by_number_and_told() -> None:
+    async with simulated(makers=standard_drives(3)) as host:
+        with pytest.raises(HaltNotConfirmed, match="node 3 on virtual:test: its dictionary describes no drive"):
+            async with open_master(BUS) as master:
+                node = master.node(3, ObjectDictionary([standard_object(0x1000)]))
+                await node.write_bytes(0x6060, 0, b"\x03")
+                await node.write_bytes(0x60FF, 0, (20_000).to_bytes(4, "little"))
+                for word in (6, 7, 15):
+                    await node.write_bytes(0x6040, 0, word.to_bytes(2, "little"))
+                await trio.sleep(1)
+        assert_all_halted(host)
 
 
 @virtual_time
