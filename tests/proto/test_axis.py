@@ -86,6 +86,7 @@ def test_a_halt_of_a_moving_axis_in_csp_ends_when_it_stands() -> None:
         position += 0.002
         rig.axis.set_position(position)
         rig.node.values.store[0x607A00] = rig.axis.to_counts(position)  # as an RPDO of it would
+        rig.drive.written(0x607A, 0, rig.bus.now)
         rig.bus.run(CYCLE)
     assert abs(rig.drive._servo.velocity) > 10_000
     rig.run(drive.halt(rig.axis))
