@@ -1,8 +1,8 @@
 """Runs the async part of a command, so that Ctrl-C ends it in good order.
 
-The first Ctrl-C (or SIGTERM) cancels the command. The master then halts what moves before it lets go of the bus, in at most
-SHUTDOWN_TIME; a second Ctrl-C meanwhile changes nothing, since drives must not be left running. Then comes a `Problem` with exit
-status 130, which tells what was done.
+The first Ctrl-C (or SIGTERM) cancels the command. The master then halts what moves before it lets go of the bus; see session.py
+for how long that may take. A second Ctrl-C meanwhile changes nothing, since drives must not be left running. Then comes a
+`Problem` with exit status 130, which tells what was done.
 
 With --trace all that is said on the buses meanwhile is recorded, to the last frame of that way out.
 """
