@@ -143,7 +143,7 @@ def test_info_says_which_fields_do_not_fit(run: Run, tmp_path: Path) -> None:
     assert outcome.json["file"]["matches"] is False
     assert outcome.json["file"]["different"] == [
         {"field": "device type", "node": 0x20192, "file": 0x10192},
-        {"field": "vendor-ID", "node": 0, "file": 0x55},
+        {"field": "vendor-ID", "node": 0x332, "file": 0x55},
     ]
     text = " ".join(run("info", "3", "-e", path, *DEMO).out.split())
     assert "ANOTHER DEVICE by device type 0x00020192 (file: 0x00010192), vendor-ID 0x00000000 (file: 0x00000055)" in text

@@ -159,7 +159,7 @@ def test_an_mpdo_for_another_node_is_not_for_us() -> None:
 )
 def test_an_object_that_is_not_there_is_an_emcy(frame: str) -> None:
     bench = bench_with()
-    assert bench.tell(frame) == ["085#3082110000000000"]
+    assert bench.tell(frame) == ["085#3082110400000000"]
     (report,) = bench.seen(MpdoNotProcessed)
     assert (report.number, report.key, report.emcy_code) == (4, 0x1C1, 0x8230)
     assert bench.tell(frame) == []  # told once
@@ -173,7 +173,7 @@ def test_an_object_that_is_not_there_is_an_emcy(frame: str) -> None:
 @pytest.mark.parametrize("can_id", ["1C0", "1C1"])
 def test_a_short_mpdo_is_not_processed(can_id: str) -> None:
     bench = bench_with()
-    assert bench.tell(f"{can_id}#85012000070000") == ["085#1082110000000000"]
+    assert bench.tell(f"{can_id}#85012000070000") == [f"085#108211{3 if can_id == '1C0' else 4:02X}00000000"]
     (report,) = bench.seen(PdoLengthError)
     assert (report.expected, report.received, report.emcy_code) == (8, 7, 0x8210)
     assert bench.node.values.store[OUTPUT << 8] == 0
