@@ -146,7 +146,7 @@ def test_info_says_which_fields_do_not_fit(run: Run, tmp_path: Path) -> None:
         {"field": "vendor-ID", "node": 0x332, "file": 0x55},
     ]
     text = " ".join(run("info", "3", "-e", path, *DEMO).out.split())
-    assert "ANOTHER DEVICE by device type 0x00020192 (file: 0x00010192), vendor-ID 0x00000000 (file: 0x00000055)" in text
+    assert "ANOTHER DEVICE by device type 0x00020192 (file: 0x00010192), vendor-ID 0x00000332 (file: 0x00000055)" in text
 
 
 def test_info_compares_the_serial_number_with_a_file_of_one_device(run: Run, tmp_path: Path) -> None:
