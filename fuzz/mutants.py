@@ -406,7 +406,10 @@ def is_found(tree: Path, *command: str) -> bool:
 
 
 def main(names: list[str]) -> int:
-    """The exit status: 0, or 1 if the corpus misses a bug."""
+    """The exit status: 0; 1 if the corpus misses a bug; 2 for a name that none has."""
+    if unknown := set(names) - {mutant.name for mutant in MUTANTS}:
+        print(f"there is no bug {', '.join(sorted(unknown))}; there are {', '.join(mutant.name for mutant in MUTANTS)}")
+        return 2
     chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
     by_corpus = by_tests = 0
     with tempfile.TemporaryDirectory() as folder:

@@ -5,8 +5,16 @@ To search further: `pytest --hypothesis-profile=search tests/proto/test_group.py
 
 from __future__ import annotations
 
+import gc
+
 import hypothesis
 
 hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
 hypothesis.settings.register_profile("search", max_examples=2000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile("same")
+
+
+def pytest_collection_finish() -> None:
+    """What thousands of collected tests hold stays to the end: the garbage collector need not look at it again and again."""
+    gc.collect()
+    gc.freeze()

@@ -219,7 +219,7 @@ def test_cancelled_at_each_await_the_drives_stand(scenario: Scenario) -> None:
         return left[0] > 0
 
     while tested < 60:
-        tested += 1
+        tested += 3
         if all_steps_were_tested():
             break
     assert tested > 10

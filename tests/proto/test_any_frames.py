@@ -92,7 +92,7 @@ def run(subject: AnySubject, steps: list[Frame | tuple[str, int]]) -> Subject:
 
 
 @pytest.mark.parametrize("kind", [LocalSubject, DriveSubject, RemoteSubject])
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(steps=STEPS)
 def test_nothing_raises_and_equal_runs_are_equal(kind: type[AnySubject], steps: list[Frame | tuple[str, int]]) -> None:
     first, second = run(kind(), steps), run(kind(), steps)
@@ -100,7 +100,7 @@ def test_nothing_raises_and_equal_runs_are_equal(kind: type[AnySubject], steps: 
     assert [str(each) for each in first.trace] == [str(each) for each in second.trace]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(steps=STEPS)
 def test_every_request_of_a_master_has_its_outcome(steps: list[Frame | tuple[str, int]]) -> None:
     subject = RemoteSubject()

@@ -156,7 +156,7 @@ class Nest(RuleBasedStateMachine):
 
 
 TestNest = Nest.TestCase
-TestNest.settings = settings(max_examples=150, stateful_step_count=40, deadline=None, derandomize=True)
+TestNest.settings = settings(max_examples=60, stateful_step_count=40, deadline=None, derandomize=True)
 
 
 def test_a_machine_that_arms_itself_for_a_past_time_is_woken_once_a_turn() -> None:

@@ -299,7 +299,7 @@ STIMULI = [
 ]  # fmt: skip
 
 
-@settings(max_examples=80)
+@settings(max_examples=30)
 @given(dictionaries(), st.integers(1, 127))
 def test_any_description_makes_a_device_that_boots_and_answers(dictionary: ObjectDictionary, node_id: int) -> None:
     bench = DeviceBench(dictionary, make=lambda out, _, described: LocalNode(out, 5, described))
@@ -353,7 +353,7 @@ def eds_texts(draw: st.DrawFn) -> str:
     return "\n".join(lines)
 
 
-@settings(max_examples=40)
+@settings(max_examples=30)
 @given(eds_texts(), st.integers(1, 127))
 def test_whatever_a_reader_makes_of_a_file_is_a_device(text: str, node_id: int) -> None:
     dictionary = read_eds(text).dictionary

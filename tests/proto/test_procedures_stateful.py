@@ -227,4 +227,4 @@ class Desks(RuleBasedStateMachine):
 
 
 TestDesks = Desks.TestCase
-TestDesks.settings = settings(max_examples=300, stateful_step_count=25, deadline=None, derandomize=True)
+TestDesks.settings = settings(max_examples=120, stateful_step_count=25, deadline=None, derandomize=True)
