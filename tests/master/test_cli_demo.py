@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import builtins
+import importlib
+import math
 import os
 import re
 import signal
@@ -17,7 +19,9 @@ from trio.testing import MockClock
 
 from canopen_master.cli import demonstration
 from canopen_master.cli.fleet import Fleet, simulated_fleet
+from canopen_master.cli.plot import write_plot
 from canopen_master.cli.problem import ExitCode
+from canopen_master.cli.recording import Recording
 from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_proto.cia402 import axis
@@ -366,11 +370,28 @@ def test_the_plot(run: Run, tmp_path: Path) -> None:
     assert str(picture) in outcome.err.replace("\n", "")
 
 
-def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path) -> None:
+def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Recording] = []
+
+    def draw(path: Path, recording: Recording, *titles: str) -> None:
+        drawn.append(recording)
+        write_plot(path, recording, *titles)
+
+    command = importlib.import_module("canopen_master.cli.demo")  # the package has a command of that name
+    monkeypatch.setattr(command, "write_plot", draw)
     picture = tmp_path / "arm.png"
     outcome = run("demo", "--seconds", "3", "--fault", "5@1.0", "--plot", str(picture))
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert picture.read_bytes().startswith(b"\x89PNG")
+    (recording,) = drawn
+    assert recording.broken is not None
+    time, name = recording.broken
+    assert (round(time, 1), name) == (1.0, "joint3")
+    for joint in recording.joints:
+        count = sum(math.isnan(each) for each in joint.commanded)  # the joints brake
+        assert count > 3
+        assert joint.actual[-1] == pytest.approx(joint.actual[-2], abs=0.02)
+        assert joint.largest_error < 1
 
 
 def test_a_plot_that_cannot_be_written_is_told_before_anything_moves(run: Run, tmp_path: Path) -> None:

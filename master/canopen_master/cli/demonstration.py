@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import trio
 
-from canopen_master.chain import Chain, ChainSettings
+from canopen_master.chain import Chain, ChainSettings, ChainState
 from canopen_master.chain_file import ChainDescription, read_chains, same_nodes
 from canopen_master.cli.demo_view import DemoView, JointView
 from canopen_master.cli.drive_files import DriveFile
@@ -141,6 +141,7 @@ class Demonstration:
         self._has_begun = False  # to move
         self._fleet: Fleet | None = None
         self._devices: tuple[Device, ...] = ()
+        self._arm: Chain | None = None  # once it follows set-points
         self._halts: Sequence[Halt] = ()
         self._latest: list[tuple[float, float]] = []  # of each joint: actual and commanded position
 
@@ -290,6 +291,7 @@ class Demonstration:
         path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds, limits)
         fault = plan.fault
         refresh = max(1, round(REFRESH * SECOND / plan.cycle))
+        self._arm = arm
         async for cycle in arm.cycles():
             self._record(cycle.time)
             self._stage = f"the arm had been moving for {cycle.time:.1f} s"
@@ -325,6 +327,17 @@ class Demonstration:
         position = device.position
         if position is not None:
             self._latest[number] = position, position + device.following_error
+        if number == len(self._devices) - 1 and self._arm is not None and self._arm.state is ChainState.FAULT:
+            self._record_stopping()
+
+    def _record_stopping(self) -> None:
+        """A fault has stopped the chain, and its joints brake: nothing is commanded any more."""
+        recording = self.recording
+        if recording.broken is None:
+            faulty = next((device.name for device in self._devices if device.has_fault), "")
+            recording.broken = recording.times[-1], faulty
+        self._latest = [(actual, math.nan) for actual, _ in self._latest]
+        self._record(recording.times[-1] + self.plan.cycle / SECOND)
 
     async def _draw(self, view: DemoView) -> None:
         """Keep the picture up to date, while no cycles run; end it all when nobody reads the result any more."""

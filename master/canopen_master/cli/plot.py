@@ -16,6 +16,7 @@ COLUMNS = 2
 _COMMANDED = "#9aa5b1"
 _ACTUAL = "#0b6e99"
 _INK = "#243b53"
+_FAULT = "#ba2525"
 
 
 def check_plot(path: Path) -> None:
@@ -55,6 +56,11 @@ def write_plot(path: Path, recording: Recording, title: str, subtitle: str) -> N
     cells: list[Axes] = list(grid.flat)
     for axes, joint in zip(cells, recording.joints, strict=False):
         _draw(axes, recording.times, joint)
+        if recording.broken is not None:
+            time, name = recording.broken
+            axes.axvline(time, color=_FAULT, linewidth=1.2, linestyle="--" if name == joint.name else ":")
+            if name == joint.name:
+                axes.text(time, 0.06, " fault", color=_FAULT, fontsize=9, transform=axes.get_xaxis_transform())
     for axes in cells[len(recording.joints) :]:
         axes.set_axis_off()
     for axes in cells[max(0, len(recording.joints) - COLUMNS) : len(recording.joints)]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 
 @dataclass
 class JointTrack:
-    """One joint's course. commanded, actual: degrees, one value per cycle, both for the same instant."""
+    """One joint's course. commanded, actual: degrees, one value per cycle, both for the same instant. commanded: NaN where the
+    joint follows nothing any more."""
 
     name: str
     node_id: int
@@ -17,12 +19,15 @@ class JointTrack:
     @property
     def largest_error(self) -> float:
         """The largest following error, in degrees."""
-        return max((abs(a - b) for a, b in zip(self.commanded, self.actual, strict=False)), default=0.0)
+        errors = [abs(a - b) for a, b in zip(self.commanded, self.actual, strict=False)]
+        return max((each for each in errors if not math.isnan(each)), default=0.0)
 
 
 @dataclass
 class Recording:
-    """times: seconds since the first cycle, one for each value of the joints."""
+    """times: seconds since the first cycle, one for each value of the joints. broken: when the chain was stopped by a fault, and
+    whose it was: a name of the joints."""
 
     joints: list[JointTrack]
     times: list[float] = field(default_factory=list)
+    broken: tuple[float, str] | None = None
