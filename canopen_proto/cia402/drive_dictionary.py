@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import cache
 from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
@@ -124,8 +125,9 @@ ALLOWED_VALUES: Final[dict[int, Collection[int]]] = {
 """What may be written to objects of which the drive has not every value; else the write is refused with 06090030h."""
 
 
+@cache
 def drive_dictionary(shape: Shape = Shape.STANDARD) -> ObjectDictionary:
-    """The dictionary of a simulated drive. It is the same for each node-ID: COB-IDs are added up in `Values`."""
+    """The dictionary of a simulated drive, one for all of them: COB-IDs are added up in each one's `Values`."""
     return ObjectDictionary([*_communication(shape), *_profile(shape)], source=f"the simulated drive {shape.value!r}")
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -140,8 +141,14 @@ def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictiona
 
 def _load(files: list[DataFile]) -> tuple[ObjectDictionary, list[Finding]]:
     indices, constants, pdos = files
-    sources = (indices.source, constants.source, pdos.source)
-    return load_csv(indices.text, constants.text, pdos.text, sources=sources)
+    dictionary, warnings = _parsed(indices.text, constants.text, pdos.text, (indices.source, constants.source, pdos.source))
+    return dictionary, list(warnings)
+
+
+@lru_cache(maxsize=4)
+def _parsed(indices: str, constants: str, pdos: str, sources: tuple[str, str, str]) -> tuple[ObjectDictionary, list[Finding]]:
+    """One reading for all nodes of one description."""
+    return load_csv(indices, constants, pdos, sources=sources)
 
 
 def _without(file: DataFile, errors: Iterable[Finding], notices: list[Finding]) -> DataFile:
