@@ -2,8 +2,10 @@
 
     python -m fuzz.mutants [NAME ...]         each planted in a copy of the core; run it by hand, and once a week
 
-A bug is a piece of source that is replaced. The corpus has to find every one. The tests that it names are to find it as well:
-the two scores are printed. tests/proto/test_fuzz_mutants.py looks that each can still be planted.
+A bug is a piece of source that is replaced. The corpus has to find every one, and so have the tests that the bug names. Both
+run first in the copy without a bug, where both have to pass: else a failure would say nothing. The exit status is 0 if both
+find every bug; 1 if one of them misses a bug, or does not end; 2 for an unknown name; 3 if something fails without a bug.
+tests/proto/test_fuzz_mutants.py checks that each bug can still be planted.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
+from enum import Enum
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -21,8 +25,12 @@ ROOT: Final = Path(__file__).parent.parent
 SOURCE: Final = Path(canopen_proto.__file__).parent
 TARGETS: Final = ("heartbeat", "sdo_pair")
 """The fuzz targets that know the truth."""
-MOST_SECONDS: Final = 120
-"""For one bug and one way to find it: a bug may be one that never ends."""
+MOST_SECONDS: Final = 300
+"""For one run of the corpus, or of tests."""
+MOST_SECONDS_A_TEST: Final = 30
+"""A test that a bug keeps from ending fails after this time: it found the bug."""
+REPLAY: Final = ("fuzz.mutants", "--replay")
+PYTEST: Final = ("pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", f"--timeout={MOST_SECONDS_A_TEST}")
 CORE: Final = "canopen_proto"
 BLOCKS: Final = ("tests/proto/test_sdo_block_client.py", "tests/proto/test_sdo_block_server.py")
 PIECES: Final = ("tests/proto/test_sdo_block_server_pieces.py",)
@@ -396,40 +404,54 @@ def replay() -> int:
     return 0
 
 
-def is_found(tree: Path, *command: str) -> bool:
-    """Whether a command fails in a copy; one that does not end counts as well."""
+class Outcome(Enum):
+    """What a run says about a planted bug."""
+
+    PASSED = "MISSED"
+    FAILED = "found"
+    ENDLESS = "NO END"
+    """It says nothing: the run may have been slow only."""
+
+
+def outcome_of(tree: Path, *command: str) -> tuple[Outcome, str]:
+    """Run a Python module in a copy: how that ended, and the end of what it printed."""
     try:
-        ended = subprocess.run([sys.executable, "-m", *command], cwd=tree, capture_output=True, timeout=MOST_SECONDS, check=False)
+        ended = subprocess.run(
+            [sys.executable, "-m", *command], cwd=tree, capture_output=True, text=True, timeout=MOST_SECONDS, check=False
+        )
     except subprocess.TimeoutExpired:
-        return True
-    return ended.returncode != 0
+        return Outcome.ENDLESS, f"it did not end within {MOST_SECONDS} s"
+    return Outcome.FAILED if ended.returncode else Outcome.PASSED, (ended.stdout + ended.stderr)[-2000:]
 
 
 def main(names: list[str]) -> int:
-    """The exit status: 0; 1 if the corpus misses a bug; 2 for a name that none has."""
+    """Plant the bugs of these names, or all, and print who finds them; the exit status is that of the module's docstring."""
     if unknown := set(names) - {mutant.name for mutant in MUTANTS}:
         print(f"there is no bug {', '.join(sorted(unknown))}; there are {', '.join(mutant.name for mutant in MUTANTS)}")
         return 2
     chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
-    by_corpus = by_tests = 0
+    ended: Counter[tuple[str, Outcome]] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
         copy_of_the_project(tree)
+        for command in (REPLAY, (*PYTEST, *sorted({test for mutant in chosen for test in mutant.tests}))):
+            outcome, printed = outcome_of(tree, *command)
+            if outcome is not Outcome.PASSED:
+                print(f"No bug was planted, and this failed: python -m {' '.join(command)}\n{printed}")
+                return 3
         for mutant in chosen:
             original = (tree / CORE / mutant.file).read_bytes()
             plant(mutant, tree)
-            in_corpus = is_found(tree, "fuzz.mutants", "--replay")
-            in_tests = is_found(tree, "pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", *mutant.tests)
+            in_corpus, _ = outcome_of(tree, *REPLAY)
+            in_tests, _ = outcome_of(tree, *PYTEST, *mutant.tests)
             (tree / CORE / mutant.file).write_bytes(original)
-            by_corpus += in_corpus
-            by_tests += in_tests
-            words = ("MISSED", "found")
-            print(f"{mutant.name:28} corpus {words[in_corpus]:7} tests {words[in_tests]:7} {mutant.why}", flush=True)
-        if is_found(tree, "fuzz.mutants", "--replay"):
-            print("and the corpus finds something where no bug was planted")
-            return 1
-    print(f"{len(chosen)} bugs: the corpus finds {by_corpus}, the tests {by_tests}")
-    return 0 if by_corpus == len(chosen) else 1
+            ended["corpus", in_corpus] += 1
+            ended["tests", in_tests] += 1
+            print(f"{mutant.name:28} corpus {in_corpus.value:7} tests {in_tests.value:7} {mutant.why}", flush=True)
+    for who in ("corpus", "tests"):
+        found, missed, endless = (ended[who, outcome] for outcome in (Outcome.FAILED, Outcome.PASSED, Outcome.ENDLESS))
+        print(f"{len(chosen)} bugs: the {who} found {found}, missed {missed}, and did not end with {endless}")
+    return int(any(count and outcome is not Outcome.FAILED for (_, outcome), count in ended.items()))
 
 
 if __name__ == "__main__":

@@ -1,13 +1,15 @@
-"""The planted bugs of fuzz/mutants.py can still be planted. Whether they are found is looked at by hand, and once a week."""
+"""The planted bugs of fuzz/mutants.py can still be planted, and its score is honest. It runs by hand, and once a week."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from fuzz.mutants import CORE, MUTANTS, ROOT, SOURCE, Mutant, plant
+from fuzz import mutants
+from fuzz.mutants import CORE, MUTANTS, REPLAY, ROOT, SOURCE, Mutant, Outcome, main, outcome_of, plant
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
@@ -30,3 +32,62 @@ def test_a_bug_can_be_planted(mutant: Mutant, tmp_path: Path) -> None:
 def test_there_are_forty_at_least_each_with_a_name() -> None:
     assert len(MUTANTS) >= 40
     assert max(Counter(mutant.name for mutant in MUTANTS).values()) == 1
+
+
+F, M, E = Outcome.FAILED, Outcome.PASSED, Outcome.ENDLESS
+
+
+@pytest.mark.parametrize(
+    ("clean", "planted", "status", "told"),
+    [
+        ((M, M), (F, F), 0, ["the corpus found 1, missed 0", "the tests found 1, missed 0, and did not end with 0"]),
+        ((M, M), (M, F), 1, ["the corpus found 0, missed 1", "the tests found 1, missed 0"]),
+        ((M, M), (F, M), 1, ["the corpus found 1, missed 0", "the tests found 0, missed 1"]),
+        ((M, M), (E, F), 1, ["the corpus found 0, missed 0, and did not end with 1"]),
+        ((M, M), (F, E), 1, ["the tests found 0, missed 0, and did not end with 1"]),
+        ((F, M), (), 3, ["No bug was planted, and this failed: python -m fuzz.mutants --replay", "what was printed"]),
+        ((M, F), (), 3, [f"No bug was planted, and this failed: python -m pytest .* {MUTANTS[0].tests[0]}"]),
+        ((M, E), (), 3, ["No bug was planted"]),
+    ],
+)
+def test_the_score(
+    clean: tuple[Outcome, ...],
+    planted: tuple[Outcome, ...],
+    status: int,
+    told: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Who fails without a bug finds nothing; who does not end may be slow only."""
+    mutant, outcomes = MUTANTS[0], [*clean, *planted]
+
+    def copy(tree: Path) -> None:
+        (tree / CORE / mutant.file).parent.mkdir(parents=True)
+        (tree / CORE / mutant.file).write_bytes((SOURCE / mutant.file).read_bytes())
+
+    def outcome(tree: Path, *command: str) -> tuple[Outcome, str]:
+        is_planted = mutant.old not in (tree / CORE / mutant.file).read_text(encoding="utf-8")
+        assert is_planted == (len(outcomes) <= len(planted))
+        assert (command == REPLAY) == (len(outcomes) % 2 == (len(clean) + len(planted)) % 2)
+        return outcomes.pop(0), "what was printed"
+
+    monkeypatch.setattr(mutants, "copy_of_the_project", copy)
+    monkeypatch.setattr(mutants, "outcome_of", outcome)
+    assert main([mutant.name]) == status
+    printed = capsys.readouterr().out
+    for words in told:
+        assert re.search(words, printed), printed
+
+
+def test_a_name_that_no_bug_has(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["no_such_bug"]) == 2
+    assert "there is no bug no_such_bug; there are paused_unnoticed, " in capsys.readouterr().out
+
+
+def test_how_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "ends.py").write_text("import sys\nprint('seen')\nsys.exit(int(sys.argv[1]))\n", encoding="utf-8")
+    (tmp_path / "endless.py").write_text("while True:\n    pass\n", encoding="utf-8")
+    assert outcome_of(tmp_path, "ends", "0") == (Outcome.PASSED, "seen\n")
+    assert outcome_of(tmp_path, "ends", "1") == (Outcome.FAILED, "seen\n")
+    monkeypatch.setattr(mutants, "MOST_SECONDS", 0.05)
+    assert outcome_of(tmp_path, "endless")[0] is Outcome.ENDLESS
