@@ -1,6 +1,7 @@
 """For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
-To search further: `pytest --hypothesis-profile=search tests/proto/test_group.py`.
+To search further: `pytest --hypothesis-profile=search --timeout=0 tests/proto/test_group.py`. The number of examples is then
+that of the profile, in every test (tests/examples.py).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Any
 
 import canopen
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 
 import canopen_data
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
@@ -18,6 +18,7 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectTyp
 from canopen_proto.dictionary.describing import describe
 from canopen_proto.dictionary.description import DeviceDescription, DeviceInfo, FileKind
 from canopen_proto.dictionary.eds.writer import write_eds
+from tests.examples import examples
 from tests.proto.generated_dictionaries import descriptions
 
 NODE_ID = 5
@@ -76,7 +77,7 @@ def test_the_product_s_csv_files() -> None:
 
 
 @given(descriptions())
-@settings(max_examples=15)
+@examples(15)
 def test_generated_descriptions(described: DeviceDescription) -> None:
     described = DeviceDescription(
         described.dictionary,

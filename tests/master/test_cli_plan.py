@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_master.planning import Background, Exchange, bounds, plan, simulate, streams_of
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError
 from canopen_transports.wire import QueueOrder
+from tests.examples import examples
 from tests.master.cli_support import Run, runner
 
 MBIT = 1_000_000
@@ -222,7 +223,7 @@ def test_the_shortest_cycle_fits_and_the_next_shorter_one_does_not() -> None:
     assert plan("can0", joints(12), MILLISECOND, 5_000).shortest_cycle is None
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(
     st.integers(1, 8),
     st.sampled_from([2, 3, 4, 10]),

@@ -8,12 +8,13 @@ from itertools import pairwise
 
 import pytest
 import trio
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from canopen_master import Cycle
 from canopen_transports import open_transport
+from tests.examples import examples
 from tests.master.world import BUS, following_arm, virtual_time
 
 CYCLE = 0.01
@@ -83,7 +84,7 @@ async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[
 @pytest.mark.parametrize("path", PATHS)
 @example([((False, 0.0), (False, 0.0)), ((False, 0.095), (False, 0.0)), ((False, 0.0), (False, 0.0))])
 @example([((True, 0.095), (False, 0.0)), ((False, 0.0), (True, 0.095)), ((False, 0.0), (False, 0.0))])
-@settings(max_examples=6)
+@examples(6)
 @given(turns)
 def test_whatever_is_late_never_a_step_larger_than_the_paths_own(path: str, turns: list[tuple[Delay, Delay]]) -> None:
     @virtual_time

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 import trio
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_master import Chain, Host, Master, SetPointRefused, open_master, standard_drives
@@ -20,6 +20,7 @@ from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.limits import DEFAULT_SPEED
 from canopen_proto.cia402.states import State
 from canopen_transports import open_transport
+from tests.examples import examples
 from tests.master.world import BUS, arm_of, drives, following_arm, simulated, virtual_time
 
 DEGREES = AxisSettings(counts_per_unit=1000)
@@ -128,7 +129,7 @@ Try = tuple[float, int]
 tries = st.lists(st.tuples(st.floats(-2, 2), st.integers(1, 5)), min_size=1, max_size=15)
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(tries, st.sampled_from([1, -1]))
 def test_whatever_is_asked_no_set_point_leaves_that_is_too_far_from_the_last(tries: list[Try], direction: int) -> None:
     @virtual_time
@@ -174,7 +175,7 @@ async def directly_driven() -> AsyncIterator[tuple[Master, DirectDrive]]:
 steps = st.lists(st.sampled_from([-400, -300, 50, 100, 290, 300, 300, 301]), min_size=1, max_size=2 * STEPS)
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(steps, st.sampled_from([0.001, 0.003, 0.008, 0.01, 0.03]))
 def test_send_pos_lets_no_set_point_through_that_is_too_fast(steps: list[int], period: float) -> None:
     """Neither for the interval that the drive was told, nor by the clock, for SYNCs that come sooner; and staying is allowed."""

@@ -6,13 +6,14 @@ import random
 from typing import TypeAlias
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, SECOND
+from tests.examples import examples
 from tests.proto.subjects import DriveSubject, LocalSubject, RemoteSubject, Subject, held
 
 YEAR = 365 * 24 * 3600 * SECOND
@@ -92,7 +93,7 @@ def run(subject: AnySubject, steps: list[Frame | tuple[str, int]]) -> Subject:
 
 
 @pytest.mark.parametrize("kind", [LocalSubject, DriveSubject, RemoteSubject])
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(steps=STEPS)
 def test_nothing_raises_and_equal_runs_are_equal(kind: type[AnySubject], steps: list[Frame | tuple[str, int]]) -> None:
     first, second = run(kind(), steps), run(kind(), steps)
@@ -100,7 +101,7 @@ def test_nothing_raises_and_equal_runs_are_equal(kind: type[AnySubject], steps: 
     assert [str(each) for each in first.trace] == [str(each) for each in second.trace]
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(steps=STEPS)
 def test_every_request_of_a_master_has_its_outcome(steps: list[Frame | tuple[str, int]]) -> None:
     subject = RemoteSubject()

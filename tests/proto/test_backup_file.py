@@ -6,7 +6,7 @@ import struct
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, Value, size_of
@@ -23,6 +23,7 @@ from canopen_proto.procedures.backup import back_up, same_value
 from canopen_proto.procedures.backup_file import backup_file
 from canopen_proto.procedures.restore import plan_restore, restore
 from canopen_proto.sdo.abort import AbortCode
+from tests.examples import examples
 from tests.proto.restore_bench import Bench
 
 TYPES = {0x2000 + each: each for each in DataType}
@@ -73,7 +74,7 @@ def holding(held: dict[int, bytes]) -> Bench:
     return bench
 
 
-@settings(max_examples=30, derandomize=True, deadline=None)
+@examples(30)
 @given(st.fixed_dictionaries({index: any_bytes(each) for index, each in TYPES.items()}))
 def test_a_backup_restores_every_byte_or_names_the_object(held: dict[int, bytes]) -> None:
     source = holding(dict(held))

@@ -4,7 +4,7 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402.motion import Profile, follow, hold, line, move, run, stop
@@ -109,7 +109,6 @@ def test_a_motion_that_outlives_the_clock_never_ends() -> None:
     assert move(0, -(2.0**31), 0.0, 2.0**31, 0.5, 1.0, 1.0).end == NEVER
 
 
-@settings(deadline=None)
 @given(positions, velocities, positions, limits, limits, limits)
 def test_a_move_ends_at_its_target_within_its_limits(
     position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float
@@ -129,7 +128,6 @@ def test_a_move_ends_at_its_target_within_its_limits(
     assert_continuous(profile)
 
 
-@settings(deadline=None)
 @given(positions, positions, limits, limits, limits)
 def test_a_move_from_rest_never_turns_back(
     position: float, target: float, max_velocity: float, acceleration: float, deceleration: float
@@ -141,7 +139,6 @@ def test_a_move_from_rest_never_turns_back(
         assert (after - before) * math.copysign(1.0, target - position) >= -slack
 
 
-@settings(deadline=None)
 @given(positions, velocities, positions, st.floats(10.0, 1e5), st.floats(10.0, 1e6), st.floats(10.0, 1e6), st.floats(0.0, 1.0))
 def test_planning_anew_on_the_way_changes_nothing(
     position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float, share: float
@@ -156,7 +153,6 @@ def test_planning_anew_on_the_way_changes_nothing(
     assert (second.end - first.end) * 1e-9 == pytest.approx(0.0, abs=slack)
 
 
-@settings(deadline=None)
 @given(positions, velocities, velocities, limits, limits)
 def test_run_reaches_its_speed_and_keeps_it(
     position: float, velocity: float, to_velocity: float, acceleration: float, deceleration: float
@@ -166,7 +162,6 @@ def test_run_reaches_its_speed_and_keeps_it(
     assert_continuous(profile)
 
 
-@settings(deadline=None)
 @given(positions, velocities, limits)
 def test_stop_brakes_over_the_shortest_distance(position: float, velocity: float, deceleration: float) -> None:
     profile = stop(0, position, velocity, deceleration)
@@ -175,7 +170,6 @@ def test_stop_brakes_over_the_shortest_distance(position: float, velocity: float
     assert_continuous(profile)
 
 
-@settings(deadline=None)
 @given(positions, velocities, positions, st.floats(10.0, 1e5), st.floats(10.0, 1e6), st.floats(1e-4, 0.1), st.floats(0.0, 1.0))
 def test_following_does_not_depend_on_when_one_looks(
     position: float, velocity: float, target: float, max_velocity: float, rate: float, lag: float, share: float

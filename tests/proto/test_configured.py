@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, ValueRangeError
@@ -19,6 +19,7 @@ from canopen_proto.dictionary.description import Commissioning, DeviceDescriptio
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, EMCY
 from canopen_proto.machine import LocalProtocolError
+from tests.examples import examples
 
 COB_ID = Variable(0x1800, 1, "COB-ID", DataType.UNSIGNED32, default=0x180, adds_node_id=True)
 TYPE = Variable(0x1800, 2, "transmission type", DataType.UNSIGNED8, default=255)
@@ -85,7 +86,7 @@ def test_callers_faults() -> None:
         with_configured(EDS, {mux(0x1017): 0x10000}, NODE_5)
 
 
-@settings(max_examples=100, derandomize=True, deadline=None)
+@examples(100)
 @given(
     old=st.integers(1, 127),
     new=st.integers(1, 127),

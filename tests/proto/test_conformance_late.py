@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.conformance.case import Result, Verdict
@@ -13,6 +13,7 @@ from canopen_proto.conformance.catalogue import BY_NUMBER
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.network import Network
+from tests.examples import examples
 from tests.proto.conformance_rig import Fault, Site
 
 BY_TIME = ["3.5", "6.2", "6.7", "7.6", "7.102", "7.103", "7.105", "7.106", "7.107", "7.204", "7.207", "9.3"]
@@ -77,7 +78,7 @@ def verdict_with(pauses: Pauses, number: str, fault: Fault | None = None) -> Ver
     return site.run(BY_NUMBER[number])
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     number=st.sampled_from(BY_TIME),
     pauses=st.lists(st.tuples(st.integers(1, 3000), st.integers(1, 700)), min_size=1, max_size=6),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType
@@ -14,6 +14,7 @@ from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictiona
 from canopen_proto.dictionary.objects import Object, ObjectType
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.sdo.overheard import MAX_KEPT, OverheardChannel, bytes_text
+from tests.examples import examples
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 
@@ -313,7 +314,7 @@ any_frames = st.one_of(
 
 
 @given(st.lists(any_frames, max_size=40))
-@settings(max_examples=150)
+@examples(150)
 def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
     decoder = Decoder(lambda node_id: DICTIONARY if node_id == 5 else None)
     for frame in frames:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, Value
@@ -11,6 +11,7 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectNot
 from canopen_proto.dictionary.concise import from_concise, to_concise, values_of_concise
 from canopen_proto.dictionary.download_order import DownloadOrder, download_order, settings_of
 from canopen_proto.dictionary.objects import Object as Node
+from tests.examples import examples
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 NODE_ID = 5
@@ -235,7 +236,7 @@ BITS = st.integers(0, 0xFFFF_FFFF)
 
 
 @given(st.dictionaries(st.sampled_from([each.mux for each in WHOLE]), BITS), st.dictionaries(st.just(mux(0x1400, 1)), BITS))
-@settings(max_examples=60)
+@examples(60)
 def test_after_all_writes_the_device_holds_the_values(wanted: dict[int, int], standing: dict[int, Value]) -> None:
     values: dict[int, Value] = {
         key: value & ((1 << 8 * (WHOLE.variable((key >> 8, key & 0xFF)).size or 1)) - 1) for key, value in wanted.items()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402.homing_run import METHODS, HomingFinished, Seek, Switch
@@ -13,6 +13,7 @@ from canopen_proto.cia402.modes import HomingStatus, homing_status
 from canopen_proto.cia402.servo import DriveSettings, Shape, Track
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER
+from tests.examples import examples
 from tests.proto.drive_bench import NODE_ID, Bench
 
 TRACK = Track(negative_limit=-50_000, positive_limit=60_000, home_switch=(-7_000, 9_000), index_offset=123, index_distance=5_000)
@@ -197,7 +198,7 @@ def test_power_on_forgets_the_reference_but_moves_nothing() -> None:
     assert bench.state is State.SWITCH_ON_DISABLED
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(
     method=st.sampled_from(sorted(METHODS)),
     start=st.integers(-49_000, 59_000),

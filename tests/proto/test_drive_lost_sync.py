@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402 import objects
@@ -11,6 +11,7 @@ from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.cia402.synchronous_modes import SYNC_TOLERANCE, SyncOverdue
 from canopen_proto.machine import MILLISECOND, SECOND
+from tests.examples import examples
 from tests.proto.drive_bench import NODE_ID, Bench
 from tests.proto.rig import Rig
 
@@ -42,7 +43,7 @@ def give(bench: Bench, mode: int, set_point: int) -> None:
 
 
 @pytest.mark.parametrize("mode", [IP, CSP])
-@settings(max_examples=25, deadline=None, derandomize=True)
+@examples(25)
 @given(speed=SPEEDS, quick_stop=st.integers(200_000, 4_000_000), cycles=st.integers(2, 20))
 def test_an_axis_whose_sync_is_lost_brakes_by_its_quick_stop_ramp(mode: int, speed: int, quick_stop: int, cycles: int) -> None:
     bench = moving(mode, speed, cycles, quick_stop)
@@ -97,7 +98,7 @@ def test_how_long_sync_may_stay_away(mode: int, cycle_us: int, milliseconds: int
 
 
 @pytest.mark.parametrize("mode", [IP, CSP])
-@settings(max_examples=25, deadline=None, derandomize=True)
+@examples(25)
 @given(late=st.integers(1, 89), speed=SPEEDS)
 def test_a_late_sync_takes_the_axis_along_again(mode: int, late: int, speed: int) -> None:
     bench = moving(mode, speed)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from canopen_proto.cia402.drive import STEP, DriveStateChanged
 from canopen_proto.cia402.states import TRANSITIONS, Command, State, command_of, state_of
 from canopen_proto.machine import NEVER, SECOND
+from tests.examples import examples
 from tests.proto.drive_bench import Bench
 
 # ---- time ----
@@ -158,4 +158,4 @@ class AnyOrder(RuleBasedStateMachine):
 
 
 TestAnyOrder = AnyOrder.TestCase
-TestAnyOrder.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestAnyOrder.settings = examples(60, steps=30)

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import Value
@@ -17,6 +17,7 @@ from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.eds.writer import encode_eds, text_of, write_eds
 from canopen_proto.dictionary.eds.writer_sections import sections_of
 from canopen_proto.dictionary.xdd.reader import read_xdd
+from tests.examples import examples
 from tests.proto.generated_dictionaries import descriptions, values_of
 from tests.proto.test_eds_writer import SAMPLE
 from tests.vendor_files import INI_NAMES, XDD_NAMES, load
@@ -29,7 +30,7 @@ def facts(description: DeviceDescription) -> dict[str, Any]:
 
 
 @given(descriptions())
-@settings(max_examples=25)
+@examples(25)
 def test_a_generated_description(described: DeviceDescription) -> None:
     written = write_eds(described)
     again = read_eds(written)
@@ -38,7 +39,7 @@ def test_a_generated_description(described: DeviceDescription) -> None:
 
 
 @given(descriptions(FileKind.DCF), descriptions(FileKind.DCF))
-@settings(max_examples=15)
+@examples(15)
 def test_one_description_in_the_form_of_another(described: DeviceDescription, other: DeviceDescription) -> None:
     """A file that has nothing to do with what it is to say: then everything changes, and nothing is lost."""
     form = read_eds(write_eds(other)).document
@@ -55,7 +56,7 @@ def _settings_of(draw: st.DrawFn, dictionary: ObjectDictionary) -> dict[int, Val
 
 
 @given(st.data())
-@settings(max_examples=15)
+@examples(15)
 def test_a_dcf_of_a_generated_eds(data: st.DataObject) -> None:
     eds = read_eds(write_eds(data.draw(descriptions(FileKind.EDS))))
     dcf = with_configured(eds, data.draw(_settings_of(eds.dictionary)), Commissioning(node_id=7))
@@ -83,7 +84,7 @@ def _damaged(draw: st.DrawFn) -> str:
 
 
 @given(_damaged(), st.data())
-@settings(max_examples=40)
+@examples(40)
 def test_a_damaged_file(text: str, data: st.DataObject) -> None:
     """Faults that nobody touched stay; what is set besides is read again."""
     read = read_eds(text)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import tracemalloc
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.eds.numbers import NOTHING, read_value
 from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.findings import Severity
+from tests.examples import examples
 
 OBJECT = "ParameterName=x\nObjectType=7\nDataType=5\nAccessType=rw\nDefaultValue=3\n"
 HEAD = f"[1000]\n{OBJECT}"
 
 
-@settings(max_examples=150, derandomize=True, deadline=None)
+@examples(150)
 @given(st.text(st.characters(codec="ascii", exclude_characters="[]\r\n;#", exclude_categories=["Cc"]), min_size=1, max_size=12))
 @example("0x2002")
 @example("2002sub1")

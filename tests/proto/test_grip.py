@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_data.descriptions import load_description
@@ -27,6 +27,7 @@ from canopen_proto.procedures.steps import Procedure, SdoFailed
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import Pending
+from tests.examples import examples
 from tests.proto.bus import Bus
 from tests.vendor_files import path_of
 
@@ -138,7 +139,7 @@ def test_a_drive_whose_master_lives_goes_on() -> None:
     assert world.speed() == 20_000
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@examples(20)
 @given(
     entries=st.lists(st.sampled_from([0, 9 << 16 | 100, 10 << 16 | 100, 11 << 16, 127 << 16 | 700, 127 << 16]), max_size=4),
     reaction=st.integers(0, 3),
@@ -231,7 +232,7 @@ def test_a_drive_that_does_not_answer_guarding_has_its_heartbeat_again() -> None
     assert world.remote.guarding.guard_time == 0
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@examples(20)
 @given(period=st.integers(1, 5_000), more=st.integers(0, 60_000))
 def test_a_life_time_is_never_longer_than_the_timeout_nor_its_factor_below_3(period: int, more: int) -> None:
     timeout = min(2 * period + more, 65_535)

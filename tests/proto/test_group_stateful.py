@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import cast
 
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, precondition, rule
 
 from canopen_proto.frame import Frame
 from canopen_proto.group import SPARE_WAKES, Members
 from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time
+from tests.examples import examples
 from tests.proto.machines import Alarm, Box, Heard, Rang
 
 
@@ -156,7 +156,7 @@ class Nest(RuleBasedStateMachine):
 
 
 TestNest = Nest.TestCase
-TestNest.settings = settings(max_examples=60, stateful_step_count=40, deadline=None, derandomize=True)
+TestNest.settings = examples(60, steps=40)
 
 
 def test_a_machine_that_arms_itself_for_a_past_time_is_woken_once_a_turn() -> None:

@@ -6,7 +6,7 @@ import datetime
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, Value, encode, is_integer, range_of
@@ -20,6 +20,7 @@ from canopen_proto.machine import MILLISECOND, Outbox
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
+from tests.examples import examples
 from tests.proto.device_bench import RESET_NODE, START, SYNC, DeviceBench
 
 
@@ -299,7 +300,7 @@ STIMULI = [
 ]  # fmt: skip
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(dictionaries(), st.integers(1, 127))
 def test_any_description_makes_a_device_that_boots_and_answers(dictionary: ObjectDictionary, node_id: int) -> None:
     bench = DeviceBench(dictionary, make=lambda out, _, described: LocalNode(out, 5, described))
@@ -353,7 +354,7 @@ def eds_texts(draw: st.DrawFn) -> str:
     return "\n".join(lines)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(eds_texts(), st.integers(1, 127))
 def test_whatever_a_reader_makes_of_a_file_is_a_device(text: str, node_id: int) -> None:
     dictionary = read_eds(text).dictionary

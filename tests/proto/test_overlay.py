@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
@@ -15,6 +15,7 @@ from canopen_proto.dictionary import Constant, Object, ObjectDictionary, Variabl
 from canopen_proto.dictionary.findings import DictionaryError, Severity
 from canopen_proto.dictionary.overlay import MAX_TEXT, lay_over, lay_tables_over
 from canopen_proto.dictionary.standard import standard_object
+from tests.examples import examples
 
 DICTIONARY = ObjectDictionary(
     [
@@ -178,7 +179,7 @@ ENTRIES = st.dictionaries(
 OBJECTS = st.dictionaries(st.one_of(st.sampled_from(["6041", "6064", "2001:01", "text"]), st.text(max_size=9)), ENTRIES)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.one_of(OBJECTS.map(lambda objects: {"objects": objects}), st.dictionaries(st.text(max_size=5), VALUES)))
 def test_any_tables_are_a_dictionary_or_findings(tables: dict[str, Any]) -> None:
     try:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Outcome, Time
@@ -19,6 +19,7 @@ from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sdo.server import SdoServer
+from tests.examples import examples
 from tests.proto.block_pair import INDEX, Store, pattern
 from tests.proto.bus import Bus, Fate
 from tests.proto.desk import Desk, cancel, cancelled
@@ -65,7 +66,7 @@ def test_upload_and_download_take_the_kind_of_transfer(block: Any, size: int) ->
     assert bool(kinds & {"A", "C"}) == (block is True or (block == "auto"))
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(size=st.integers(0, 3000), piece=st.integers(1, 1500), known=st.booleans(), block=st.sampled_from([True, False, "auto"]))
 def test_what_goes_in_pieces_of_any_size_arrives(size: int, piece: int, known: bool, block: Any) -> None:
     pair = Pair(pattern(size, 2))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, multiple, rule
 
 from canopen_proto.machine import NEVER, LocalProtocolError, RequestId, Time
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Cancelled, Procedure, Request, Wait, act, all_of, sleep
+from tests.examples import examples
 from tests.proto.desk import Desk
 from tests.proto.machines import Heard, Rang
 
@@ -227,4 +227,4 @@ class Desks(RuleBasedStateMachine):
 
 
 TestDesks = Desks.TestCase
-TestDesks.settings = settings(max_examples=120, stateful_step_count=25, deadline=None, derandomize=True)
+TestDesks.settings = examples(120, steps=25)

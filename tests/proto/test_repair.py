@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.dictionary.checks import check
@@ -13,6 +13,7 @@ from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.dictionary.repair import repair
 from canopen_proto.machine import LocalProtocolError
+from tests.examples import examples
 from tests.proto.checked_device import clean
 
 TEXT = write_eds(clean())
@@ -124,7 +125,7 @@ def test_only_eds_and_dcf_are_repaired() -> None:
 LINES = TEXT.split("\n")
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(
     st.lists(
         st.tuples(

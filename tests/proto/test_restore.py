@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import Value
@@ -21,6 +21,7 @@ from canopen_proto.procedures.restore import (
 )
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.sdo.abort import AbortCode
+from tests.examples import examples
 from tests.proto.bus import CAN_FATES
 from tests.proto.devices import LIMITED, TEXT
 from tests.proto.restore_bench import CHANGES, GAIN, Bench, changed, device, nmt_commands
@@ -319,7 +320,7 @@ def test_an_empty_plan_is_nothing_to_do() -> None:
 # ---- whatever the bus does ----
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(
     values=st.fixed_dictionaries({}, optional={key: st.just(value) for key, value in CHANGES.items()}),
     fates=st.lists(st.sampled_from(CAN_FATES), max_size=60),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.dictionary import ObjectNotFound
@@ -16,6 +16,7 @@ from canopen_proto.procedures.backup import back_up
 from canopen_proto.procedures.restore import plan_restore
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.sdo.abort import AbortCode
+from tests.examples import examples
 from tests.proto.devices import LIMITED, OUTPUT
 from tests.proto.restore_bench import CHANGES, FACTORY, GAIN, HIDDEN, SECRET, Bench, changed, device, nmt_commands
 
@@ -85,7 +86,7 @@ def test_what_a_restore_leaves_out() -> None:
 FAILURES = st.sampled_from([None, AbortCode.GENERAL_ERROR, AbortCode.DEVICE_STATE, AbortCode.CRC_ERROR])
 
 
-@settings(max_examples=25, derandomize=True, deadline=None)
+@examples(25)
 @given(st.dictionaries(st.sampled_from([*sorted(CHANGES), 0x1017_00, 0x2100_01]), FAILURES, max_size=6))
 def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, AbortCode | None]) -> None:
     """Without failures, the plan has the writes that are needed; with them, some of these, and no other."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
+from tests.examples import examples
 from tests.proto.block_bench import Bench, ClientBench, ServerBench, segments
 from tests.proto.block_pair import pattern
 
@@ -66,7 +67,7 @@ def play(bench: Bench, step: str | tuple[str, int]) -> list[Event]:
     return bench.events()
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(steps=STEPS, crc=st.booleans(), block_size=st.integers(1, 127), max_burst=st.integers(1, 127))
 def test_a_client(steps: list[str | tuple[str, int]], crc: bool, block_size: int, max_burst: int) -> None:
     bench = ClientBench(max_upload=LARGEST, max_queue=3, crc=crc, block_size=block_size, max_burst=max_burst)
@@ -107,7 +108,7 @@ def test_a_client(steps: list[str | tuple[str, int]], crc: bool, block_size: int
     assert not client.busy
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(steps=STEPS, crc=st.booleans(), block_size=st.integers(1, 127), max_burst=st.integers(1, 127))
 def test_a_server(steps: list[str | tuple[str, int]], crc: bool, block_size: int, max_burst: int) -> None:
     bench = ServerBench(pattern(50), max_download=LARGEST, crc=crc, block_size=block_size, max_burst=max_burst)

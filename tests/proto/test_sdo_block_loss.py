@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import SECOND
 from canopen_proto.sdo.client import SdoAborted
+from tests.examples import examples
 from tests.proto.block_pair import MAX_DELAY, BlockPair, pattern
 from tests.proto.bus import CAN_FATES, Bus, Fate
 
@@ -86,7 +87,7 @@ CONTENTS = st.one_of(st.integers(0, 120).map(pattern), st.binary(max_size=120), 
 OPTIONS = st.fixed_dictionaries({"block_size": st.integers(1, 6), "max_burst": st.integers(1, 9)})
 
 
-@settings(max_examples=400)
+@examples(400)
 @given(
     kind=st.sampled_from(KINDS),
     content=CONTENTS,
@@ -128,7 +129,7 @@ def test_twenty_percent_loss(kind: str, crc: bool) -> None:
     assert ended_well >= 8
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(
     kind=st.sampled_from(KINDS),
     content=st.integers(0, 300).map(pattern),

@@ -8,12 +8,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEQUENCE, silence_limit
 from canopen_proto.sdo.client import SdoAborted
+from tests.examples import examples
 from tests.proto.block_pair import BY_HOST, INDEX, BlockPair, pattern
 from tests.proto.bus import Bus, Fate
 
@@ -63,7 +64,7 @@ PLACES = st.integers(2, 12) | st.integers(2, 400)
 """The first two frames, the initiation, have the time-out of any request."""
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(transfer=TRANSFERS, place=PLACES, percent=st.integers(1, 99))
 def test_pauses_below_the_time_out_cost_nothing(transfer: Transfer, place: int, percent: int) -> None:
     pair = transfer.run(place, silence_limit(transfer.timeout) * percent // 100)
@@ -71,7 +72,7 @@ def test_pauses_below_the_time_out_cost_nothing(transfer: Transfer, place: int, 
     assert pair.bus.trace() == transfer.run(place, 0).bus.trace(), "and no frame is sent that would not have been"
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(transfer=TRANSFERS, place=PLACES, percent=st.integers(101, 1000))
 def test_longer_ones_end_in_an_abort_never_in_wrong_bytes(transfer: Transfer, place: int, percent: int) -> None:
     pair = transfer.run(place, silence_limit(transfer.timeout) * percent // 100)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from binascii import crc_hqx
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
@@ -13,6 +13,7 @@ from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.block import MAX_BURST, STREAM_TIMEOUT, least_frames
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
+from tests.examples import examples
 from tests.proto.block_bench import ClientBench, frames, segments
 from tests.proto.block_pair import BY_HOST, INDEX, BlockPair, pattern
 from tests.proto.bus import Bus
@@ -99,7 +100,7 @@ def test_a_burst_waits_for_its_interval() -> None:
 # ---- streams, client ----
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     size=st.integers(0, 5000),
     feed_size=st.sampled_from([1, 7, 100, 889, 1024, 5000]),
@@ -119,7 +120,7 @@ def test_a_download_stream_of_pieces_of_any_size(size: int, feed_size: int, know
     assert pair.is_right(content)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(size=st.integers(0, 5000), piece=st.sampled_from([1, 7, 100, 1024, 5000]), announced=st.booleans(), plain=st.booleans())
 def test_an_upload_of_what_the_host_gives_in_pieces(size: int, piece: int, announced: bool, plain: bool) -> None:
     content = pattern(size)

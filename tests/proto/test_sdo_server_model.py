@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
@@ -24,6 +23,7 @@ from canopen_proto.sdo.server import (
     SdoServer,
     SdoServerAborted,
 )
+from tests.examples import examples
 from tests.proto.bus import take_events, take_frames
 
 BLOB, SHORT, READ_ONLY, BY_HOST, MISSING = 0x2000, 0x2001, 0x2002, 0x2003, 0x2004
@@ -366,4 +366,4 @@ class ServerAgainstModel(RuleBasedStateMachine):
 
 
 TestServerAgainstModel = ServerAgainstModel.TestCase
-TestServerAgainstModel.settings = settings(max_examples=150, stateful_step_count=40)
+TestServerAgainstModel.settings = examples(150, steps=40)

@@ -10,13 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, FrameIgnored, Outbox, Outcome, Time
 from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending, SdoServer
+from tests.examples import examples
 from tests.proto.bus import CAN_FATES, Bus, Fate
 
 MAX_DELAY = 5 * MILLISECOND
@@ -147,7 +148,7 @@ def play(pair: Pair, steps: list[Step]) -> None:
     pair.bus.settle()
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(
     steps=st.lists(st.one_of(REQUESTS, REQUESTS, POKES, WAITS, CANCEL), max_size=12),
     fates=st.lists(st.sampled_from(CAN_FATES), max_size=60),
@@ -161,7 +162,7 @@ def test_under_the_faults_of_can_bytes_are_right_or_there_is_an_abort(steps: lis
     pair.check_bytes()
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(
     requests=st.lists(REQUESTS, max_size=12),
     fates=st.lists(st.sampled_from(CAN_FATES), max_size=80),
@@ -181,7 +182,7 @@ def test_without_the_guard_too_if_no_two_answers_in_a_row_look_alike(
     pair.check_bytes()
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(steps=st.lists(st.one_of(REQUESTS, POKES, WAITS), max_size=12), seed=st.integers(0, 1000))
 def test_copies_alone_cost_no_transfer(steps: list[Step], seed: int) -> None:
     pair = Pair(Bus(seed, delay=(0, MAX_DELAY), copies=0.3), copy_guard=2 * MAX_DELAY + 1)
@@ -193,7 +194,7 @@ def test_copies_alone_cost_no_transfer(steps: list[Step], seed: int) -> None:
     assert changed or not any(isinstance(end, SdoAborted) for end in pair.finished)
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(
     steps=st.lists(st.one_of(REQUESTS, POKES, WAITS, CANCEL), max_size=12),
     fates=st.lists(st.sampled_from(list(Fate)), max_size=60),

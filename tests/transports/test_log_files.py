@@ -8,13 +8,14 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import REMOTE, Frame
 from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.record import Record
+from tests.examples import examples
 from tests.interop.recorded import FOLDER, VARIABLE
 from tests.transports.test_tcp_framing import frames
 
@@ -123,7 +124,7 @@ def test_a_name_that_is_no_text_does_not_disturb(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 4 * 10**18), st.sampled_from(["", "can0", "tcp0"]), frames, st.booleans()), max_size=9))
-@settings(max_examples=40)
+@examples(40)
 def test_a_log_of_ours_keeps_all(entries: list[tuple[int, str, Frame, bool]]) -> None:
     path = Path(os.environ["PYTEST_LOG_FILE"])
     records = [Record(time // 1000 * 1000, channel, frame, sent) for time, channel, frame, sent in entries]

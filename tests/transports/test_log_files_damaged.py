@@ -6,12 +6,13 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, log_writer
 from canopen_transports.record import Record
+from tests.examples import examples
 
 NOW = 1_795_225_377_712_000_000
 ASC = """\
@@ -109,7 +110,7 @@ def test_files_that_are_none(name: str, content: bytes, seen: str, line: int, tm
 
 
 @given(st.binary(max_size=300), st.sampled_from([b"", b"LOGG", ASC[:180].encode(), TRC[:180].encode(), b"\xff\xfe"]))
-@settings(max_examples=60)
+@examples(60)
 def test_any_bytes_are_a_log_or_a_clear_error(tmp_path_factory: pytest.TempPathFactory, content: bytes, begin: bytes) -> None:
     for kind in LOSSES:
         read(tmp_path_factory.getbasetemp() / f"any{kind}", begin + content)

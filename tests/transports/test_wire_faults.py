@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
@@ -21,6 +21,7 @@ from canopen_transports.wire import (
     WireEvent,
     WireSettings,
 )
+from tests.examples import examples
 from tests.transports.test_wire_arbitration import BIT, PDO, SYNC, made, order, play, play_length
 
 
@@ -205,13 +206,13 @@ LOAD = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 3), st.integers(0,
 SOME = FaultRates(loss=0.1, repetition=0.1, corruption=0.2, delay=0.1)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 100), LOAD)
 def test_one_seed_gives_one_trace(seed: int, load: list[tuple[int, int, int]]) -> None:
     assert trace(seed, SOME, load) == trace(seed, SOME, load)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 100), LOAD)
 def test_every_frame_that_does_not_arrive_once_everywhere_is_told_of(seed: int, load: list[tuple[int, int, int]]) -> None:
     wire = Wire(WireSettings(rates=SOME, seed=seed))

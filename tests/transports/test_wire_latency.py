@@ -7,7 +7,7 @@ import itertools
 from dataclasses import dataclass
 from random import Random
 
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
@@ -23,6 +23,7 @@ from canopen_transports.wire import (
     frame_bits,
     response_times,
 )
+from tests.examples import examples
 from tests.transports.test_wire_response_time import EXAMPLE
 
 MAX_ERRORS = 5
@@ -148,7 +149,7 @@ def networks(draw: st.DrawFn) -> Network:
     return Network(messages, draw(st.sampled_from(QueueOrder)), interval, draw(st.integers(0, 1_000)))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(networks())
 def test_no_latency_is_above_the_analysis(network: Network) -> None:
     wire = Wire(WireSettings(bitrate=500_000, seed=network.seed))

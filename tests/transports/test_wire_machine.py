@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -10,6 +9,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_transports.errors import BusState
 from canopen_transports.wire import FaultHappened, FaultKind, FaultRates, QueueOrder, Wire, WireMember, WireSettings
+from tests.examples import examples
 
 SOME = FaultRates(loss=0.1, repetition=0.1, corruption=0.3, delay=0.1)
 CALM = FaultRates()
@@ -157,4 +157,4 @@ class AnyBus(RuleBasedStateMachine):
 
 
 TestAnyBus = AnyBus.TestCase
-TestAnyBus.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestAnyBus.settings = examples(60, steps=40)

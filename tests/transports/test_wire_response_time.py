@@ -16,12 +16,13 @@ import math
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError
 from canopen_transports.wire import Message, duration, response_times, worst_bits
 from canopen_transports.wire.response_time import utilisation
+from tests.examples import examples
 
 BITRATE = 125_000
 
@@ -100,7 +101,7 @@ def test_the_example_in_every_phasing() -> None:
     assert worst_of_all_schedules(ticks) == [2 * 8 - 1, 3 * 8 - 1, 3.5 * 8]
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.lists(st.tuples(st.integers(1, 4), st.integers(2, 12)), min_size=1, max_size=3))
 def test_every_phasing_of_small_sets(messages: list[tuple[int, int]]) -> None:
     """Never above the bound, which is reached where nothing blocks. (A blocking frame begins a tick early.)"""

@@ -1,0 +1,36 @@
+"""Every property can be searched further: none sets its number of examples in a way that a profile cannot change."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from tests.examples import SAME, examples
+
+
+@pytest.fixture
+def profile() -> Iterator[None]:
+    name = settings.get_current_profile_name()
+    yield
+    settings.load_profile(name)
+
+
+@pytest.mark.usefixtures("profile")
+def test_the_number_is_that_of_the_test_or_of_the_profile() -> None:
+    settings.load_profile(SAME)
+    assert (examples(7).max_examples, examples(7).derandomize) == (7, True)
+    settings.load_profile("search")
+    assert (examples(7).max_examples, examples(7).derandomize) == (2000, False)
+    assert examples(7, steps=20).stateful_step_count == 20
+
+
+def test_no_test_sets_another_number() -> None:
+    here = Path(__file__).parent
+    files = {path.relative_to(here).as_posix(): path.read_text(encoding="utf-8") for path in here.rglob("*.py")}
+    assert len(files) > 200
+    own = re.compile(r"max_examples|from hypothesis import .*\bsettings\b|derandomize")
+    assert {name for name, text in files.items() if own.search(text)} == {"conftest.py", "examples.py", "test_examples.py"}
