@@ -5,7 +5,8 @@ us. It holds
 
 - `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
   by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read). What we
-  command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`;
+  command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`. What was written by
+  bytes, past `write`, is not known there: `written_by_bytes` has it;
 - `nmt_state`: what its heartbeat says, and where it has none, what we commanded. A heartbeat right behind a command may have been
   sent before it: until NMT_REACTION_TIME is over, the command counts. A node whose heartbeat is lost keeps the state last known.
 
@@ -75,6 +76,7 @@ class RemoteNode(Group):
         "sdo_channels",
         "tpdos",
         "values",
+        "written_by_bytes",
     )
 
     def __init__(
@@ -104,6 +106,7 @@ class RemoteNode(Group):
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
         self.commanded: set[int] = set()
+        self.written_by_bytes: set[int] = set()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
         self._listeners: list[Callable[[Collection[int], Time], None]] = []
@@ -325,7 +328,7 @@ class RemoteNode(Group):
 
     def add_listener(
         self,
-        listener: Callable[[Collection[int], Time], None],
+        listener: Callable[[Collection[int], Time], None] | None = None,
         on_boot: Callable[[], None] | None = None,
         on_sync: Callable[[Time], None] | None = None,
     ) -> None:
@@ -334,7 +337,8 @@ class RemoteNode(Group):
         on_boot: called when the node boots, which makes everything old that it said before. on_sync: called at each SYNC, ours or
         another's, when the RPDOs that it releases are built.
         """
-        self._listeners.append(listener)
+        if listener is not None:
+            self._listeners.append(listener)
         if on_boot is not None:
             self._boot_listeners.append(on_boot)
         if on_sync is not None:
@@ -377,6 +381,7 @@ class RemoteNode(Group):
 
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
         self.heard_at.clear()
+        self.written_by_bytes.clear()
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
         for on_boot in self._boot_listeners:
@@ -418,7 +423,10 @@ class RemoteNode(Group):
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)
-        if written is not None:
+        if written is None:
+            self.written_by_bytes.add(report.index << 8 | report.subindex)
+        else:
+            self.written_by_bytes.discard(written[0].mux)
             self.values.store[written[0].mux] = written[1]
 
     def _on_aborted(self, report: SdoAborted, now: Time) -> None:

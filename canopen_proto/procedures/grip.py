@@ -13,9 +13,12 @@ dictionary of the node says; each is read first, and read back after it was writ
 
 The master's heartbeat has to run before that (`OwnHeartbeat`): a drive watches from the first heartbeat that it hears.
 
-What was there before is kept in `Hold.before`; `release` writes it back, when the drive stands. One thing is not put back: an
-entry that is just the one that `take_hold` would write. A master that died has left it, and it becomes free. A drive that boots
-has what it has at power-on, and is held no more.
+What was there before is kept in `Hold.before`; `release` writes it back, when the drive stands. `release` frees an entry that
+`take_hold` found as it would write it: a master that died has left it. A drive that boots has what it has at power-on, and is
+held no more. Its boot-up may be lost: so whoever enables a drive that is held takes hold of it again, which writes only what the
+drive has no longer.
+
+Guarding that runs already is somebody else's: the drive is then told those times, and the guarding stays as it is.
 
 `Hold.gap` says why a drive will not stop by itself: it has none of these objects, or refuses what is written, or shows something
 else when it is read back. That is no failure here; `Grip.required` makes it one.
@@ -95,14 +98,15 @@ class NotHeldError(ProcedureError):
 
 class Hold:
     """What was done with one drive. before: the bytes of what was changed, by (index, subindex), in the order of the changes.
-    gap: why it will not stop by itself; "" if it will. is_taken: `take_hold` came to its end."""
+    gap: why it will not stop by itself; "" if it will. is_taken: `take_hold` came to its end. guards: the guarding is ours."""
 
-    __slots__ = ("before", "gap", "is_taken", "node")
+    __slots__ = ("before", "gap", "guards", "is_taken", "node")
 
     def __init__(self, node: RemoteNode) -> None:
         self.node = node
         self.before: dict[tuple[int, int], bytes] = {}
         self.gap = ""
+        self.guards = False
         self.is_taken = False
 
     def forget(self) -> None:
@@ -110,7 +114,12 @@ class Hold:
         self.before.clear()
         self.gap = ""
         self.is_taken = False
-        if self.node.guarding.guard_time:
+        self.stop_guarding()
+
+    def stop_guarding(self) -> None:
+        """End the guarding, if it is ours."""
+        if self.guards:
+            self.guards = False
             self.node.stop_guarding()
 
 
@@ -186,22 +195,27 @@ def _consume_heartbeat(hold: Hold, grip: Grip) -> Procedure[None]:
 
 def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
     """Life guarding: the drive watches over the master's requests. What was changed for it is put back where it fails."""
+    node, kept = hold.node, len(hold.before)
     factor = min(max(MIN_LIFE_TIME_FACTOR, -(-grip.timeout // grip.period)), MAX_LIFE_TIME_FACTOR)
     guard_time = max(1, grip.timeout // factor // MILLISECOND)
-    node, kept = hold.node, len(hold.before)
+    is_guarded = bool(node.guarding.guard_time) and not hold.guards
+    if is_guarded:  # by somebody else
+        guard_time, factor = -(-node.guarding.guard_time // MILLISECOND), MIN_LIFE_TIME_FACTOR
     try:
         yield from _read(hold, LIFE_TIME_FACTOR, 0)
         if (yield from _read_if_present(hold, PRODUCER_HEARTBEAT, 0)):  # else it has none, or none runs
             yield from _set(hold, PRODUCER_HEARTBEAT, 0, 0, 2)
         yield from _set(hold, GUARD_TIME, 0, guard_time, 2)
         yield from _set(hold, LIFE_TIME_FACTOR, 0, factor, 1)
-        yield from act(lambda now: node.start_guarding(guard_time * MILLISECOND, factor, now))
-        answer = yield Wait(grip.timeout, node, lambda each: isinstance(each, GuardingAnswered) and each.node_id == node.node_id)
+        if not (hold.guards or is_guarded):
+            yield from act(lambda now: node.start_guarding(guard_time * MILLISECOND, factor, now))
+            hold.guards = True
+        patience = max(grip.timeout, 2 * node.guarding.guard_time)
+        answer = yield Wait(patience, node, lambda each: isinstance(each, GuardingAnswered) and each.node_id == node.node_id)
         if answer is None:
             raise _Gap("it does not answer guarding (some adapters send no remote frames)")
     except _Gap:
-        if node.guarding.guard_time:
-            yield from act(lambda now: node.stop_guarding())
+        yield from act(lambda now: hold.stop_guarding())
         yield from _put_back(hold, kept)
         raise
 

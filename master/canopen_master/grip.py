@@ -2,16 +2,18 @@
 
 Theory of operation
 -------------------
-Whatever enables a drive goes through `hold`: a chain, a procedure of the core with a Device's axis (`Axis.grip`), the blocking
-API, a controlword that is written by hand (`Node.write`). On the bus of that drive the master then
+Whatever enables a drive goes through `hold` first: a chain, a procedure of the core with a Device's axis (`Axis.grip`), the
+blocking API, a controlword that is written by hand (`Node.write`, `write_bytes`, `write_stream`). An RPDO or an MPDO that can
+enable a drive (`Node.enable_rpdo`, `Node.send_mpdo`), and a write of the core (`node.remote.write`), cannot wait: the drive is
+taken hold of beside them. On the bus of that drive the master then
 
 - looks whether its node-ID is nobody else's: it has listened for two periods at least, and has heard no such node;
 - sends its heartbeat from then on (`OwnHeartbeat`), and only then: who merely reads must not keep a dead master's drives alive;
 - has the drive watch it (procedures/grip.py). A drive that boots has lost that, and is taken hold of again when it is enabled.
 
-`let_go` puts back what was there, when the drive is shut down or the master is left and the drive stands. The heartbeat ends with
-the last drive of its bus. A drive that did not confirm that it stands keeps watching: the heartbeat ends with the master, and the
-drive stops by itself.
+`let_go` puts back what was there, when the drive is shut down, or when the master is left and the drive stands or was disabled
+by hand. The heartbeat ends with the last drive of its bus. A drive that did not confirm that it stands keeps watching: the
+heartbeat ends with the master, and the drive stops by itself.
 
 **What is told.** A drive that will not stop by itself is an event `NotHeld`, once, and a warning of the logger `canopen_master`:
 Python shows it on stderr where nobody has configured logging, and so does the command line. `Grip.required` makes it an error.
@@ -24,7 +26,8 @@ import logging
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
-from canopen_proto.heartbeat import ForeignHeartbeat, NodeBooted, OwnHeartbeat
+from canopen_master.plain_text import clean
+from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import SECOND, Event, event
 from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
@@ -73,7 +76,7 @@ class Grips:
     # ---- procedures ----
 
     def hold(self, node: Node) -> Procedure[None]:
-        """Have the drive on a node watch over this master; does nothing where it does already.
+        """Have the drive on a node watch over this master. What it does already is only read: its boot-up may have been lost.
 
         A drive that does not answer counts as one that cannot. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
         """
@@ -81,8 +84,6 @@ class Grips:
         if settings is None:
             return
         hold = self._hold_of(node)
-        if hold.is_taken:
-            return
         bus = self._master.bus(node.bus)
         heartbeat = self._heartbeats[bus]
         if not heartbeat.period:
@@ -100,6 +101,25 @@ class Grips:
             self._under_way.discard(node)
             self._tell(node, hold)
 
+    def hold_beside(self, node: Node) -> None:
+        """Take hold of a drive that may be enabled at any moment; what goes wrong is told."""
+        if self.settings is not None and not self.holds(node) and node not in self._under_way:
+            self._master.launch(self._hold_or_tell(node))
+
+    def _hold_or_tell(self, node: Node) -> Procedure[None]:
+        try:
+            yield from self.hold(node)
+        except ProcedureError as error:
+            LOGGER.warning("%s", clean(str(error)))
+
+    def holds(self, node: Node) -> bool:
+        """Whether the drive on a node was taken hold of, and has not booted since as far as we know."""
+        return node in self._holds and self._holds[node].is_taken
+
+    def drives_held(self) -> list[Node]:
+        """The nodes in which something is left to put back."""
+        return [node for node, hold in self._holds.items() if hold.before]
+
     def let_go(self, node: Node) -> Procedure[None]:
         """Put back what was there before `hold`, as far as the drive lets us; does nothing for a drive that is not held."""
         hold = self._holds.get(node)
@@ -109,7 +129,7 @@ class Grips:
             yield from release(hold)
         except ProcedureError as error:
             left = ", ".join(f"0x{index:04X}:{subindex:02X}" for index, subindex in hold.before)
-            LOGGER.warning("%s: %s could not be put back as it was: %s", self._name(node), left, error)
+            LOGGER.warning("%s: %s could not be put back as it was: %s", self._name(node), left, clean(str(error)))
             return
         bus = self._master.bus(node.bus)
         watching = {each for each, other in self._holds.items() if other.is_taken or other.before} | self._under_way
@@ -119,7 +139,7 @@ class Grips:
     def let_go_after(self, node: Node, halt: Halt) -> Procedure[None]:
         """Halt the drive on a node, and let it go if it is known to stand."""
         yield from halt.run()
-        if not halt.problem:
+        if halt.is_confirmed:
             yield from self.let_go(node)
 
     # ---- inside ----
@@ -128,7 +148,7 @@ class Grips:
         hold = self._holds.get(node)
         if hold is None:
             hold = self._holds[node] = Hold(node.remote)
-            self._master.watch((NodeBooted,), lambda _: hold.forget(), self._master.bus(node.bus), node.node_id)
+            node.remote.add_listener(on_boot=hold.forget)  # before a procedure can enable it again
         return hold
 
     def _check_node_id(self, bus: Bus, settings: Grip) -> Procedure[None]:
@@ -148,7 +168,7 @@ class Grips:
         assert self.settings is not None  # its heartbeat heard it
         LOGGER.warning(
             "another node on %s sends heartbeats as node %d too: the drives there will not notice if this program ends",
-            bus.name,
+            clean(bus.name),
             self.settings.node_id,
         )
 
@@ -162,12 +182,12 @@ class Grips:
         if not self._under_way:
             for gap, names in self._untold.items():
                 who = "itself" if len(names) == 1 else "themselves"
-                LOGGER.warning("%s will not stop by %s if this program dies: %s", ", ".join(names), who, gap)
+                LOGGER.warning("%s will not stop by %s if this program dies: %s", ", ".join(names), who, clean(gap))
             self._untold.clear()
 
     def _name(self, node: Node) -> str:
         device = self._master.devices.get(node)
-        return device.name if device is not None else f"node {node.node_id}"
+        return clean(device.name) if device is not None else f"node {node.node_id}"
 
 
 class NodeGrip:

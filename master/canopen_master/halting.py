@@ -32,7 +32,7 @@ class Halt:
     """The halt of one drive. device: None for a node whose dictionary describes no drive, though somebody has enabled one there.
 
     bus_failed: nothing can be sent to it. where: the drive, for people. problem: why it is not known that it stands; empty once
-    it is, and for one that could not move.
+    it is, and for one that could not move. is_confirmed: it was asked, and it stands.
     """
 
     def __init__(self, node: Node, device: Device | None, bus_failed: bool) -> None:
@@ -40,15 +40,17 @@ class Halt:
         self.device = device
         self.bus_failed = bus_failed
         self.where = node.where if device is None else device.where
-        may_move = device is None or device.may_move
+        self.is_confirmed = False
+        may_move = device is None or device.may_move or device.state in POWERED
         self.problem = "" if not may_move else "its bus has failed" if bus_failed else "it has not answered yet"
 
     def run(self) -> Procedure[None]:
         """Halt it and wait until it stands. It never fails: no drive keeps another one from being halted."""
         try:
             yield from (self._by_number() if self.device is None else self._by_axis(self.device))
+            self.is_confirmed = not self.problem
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told as this drive's
-            self.problem = self.problem and str(error)
+            self.problem = self.problem and (str(error) or repr(error))
 
     def _by_axis(self, device: Device) -> Procedure[None]:
         # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.

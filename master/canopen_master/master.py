@@ -475,7 +475,10 @@ class Master:
         for request_id in tuple(self._procedures):
             self.take_back(request_id)
         self.halts.extend(halts_needed(self, self._nodes.values()))
-        self.launch(all_of(*(self.grips.let_go_after(halt.node, halt) for halt in self.halts if not halt.bus_failed)))
+        halted = {halt.node for halt in self.halts}
+        disabled = [node for node in self.grips.drives_held() if node not in halted and not self.bus(node.bus).failed]
+        halts = (self.grips.let_go_after(halt.node, halt) for halt in self.halts if not halt.bus_failed)
+        self.launch(all_of(*halts, *map(self.grips.let_go, disabled)))
         usual = scope.deadline
         while self._procedures:
             with trio.move_on_after(_LOOK):

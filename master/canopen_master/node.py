@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -25,6 +25,7 @@ from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.device_pdos import PdoDifference
+from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
@@ -57,6 +58,7 @@ class Node:
         remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
         self._pdos: NodePdos | None = None
+        master.watch((SdoDownloaded, SdoAborted), self._on_written, bus, remote.node_id)
 
     def __repr__(self) -> str:
         return f"<Node {self.node_id} on {self.bus}>"
@@ -87,7 +89,8 @@ class Node:
     @property
     def was_enabled(self) -> bool:
         """Whether the last controlword that we know of, or that was written here, enables operation: a drive that may move."""
-        return self._enabled_by_hand or _enables(self.remote.values.store.get(CONTROLWORD))
+        may_be = self._enabled_by_hand or CONTROLWORD in self.remote.written_by_bytes
+        return may_be or _enables(self.remote.values.store.get(CONTROLWORD))
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for that long (seconds), from its first one on; 0 ends that."""
@@ -125,11 +128,12 @@ class Node:
         """Write a value, or a constant by its name; returns when the device has confirmed it.
 
         ValueRangeError, ConstantNotFound, LocalProtocolError (read-only) for what the dictionary forbids; nothing is sent then.
-        After SdoNotConfirmed, or cancelled, it may have been executed nevertheless. It is never sent twice by itself.
+        After SdoNotConfirmed, or cancelled, it may have been executed nevertheless. It is never sent twice by itself. Before a
+        controlword that enables operation the drive is taken hold of (grip.py): NodeIdTaken, NotHeldError; nothing is sent then.
         """
         variable, meant, _ = self.remote.encode(key, value)
-        await self._note(variable.mux, meant)
-        await self._download(lambda now: self.remote.write(variable, meant, now, block=block), f"writing {meant!r} to")
+        async with self._commanding(variable.mux, meant):
+            await self._download(lambda now: self.remote.write(variable, meant, now, block=block), f"writing {meant!r} to")
 
     async def matches(self, key: Key, constant: str) -> bool:
         """Whether an object, read now, bears a constant: `(value & mask) == constant`."""
@@ -168,10 +172,12 @@ class Node:
         return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block))).data
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
-        """Write bytes to any object, whether the dictionary has it or not."""
-        await self._note(index << 8 | subindex, int.from_bytes(data[:4], "little"))
+        """Write bytes to any object, whether the dictionary has it or not. Of controlwords: see `write`."""
         shown = data.hex() if len(data) <= MAX_SHOWN else f"{len(data)} bytes"
-        await self._download(lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to")
+        async with self._commanding(index << 8 | subindex, int.from_bytes(data[:2], "little")):
+            await self._download(
+                lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to"
+            )
 
     def read_stream(self, index: int, subindex: int = 0, *, block: Block = "auto") -> ReadStream:
         """The bytes of any object, piece by piece: `async for piece in node.read_stream(0x1F50, 1)`. See streams.py.
@@ -187,9 +193,10 @@ class Node:
 
         pieces: an iterable or an async iterable. It is asked for more only when there is room; what it raises aborts the transfer
         on the bus, and is raised as it is. size: in bytes, if it is known; some devices insist on it. Raises LocalProtocolError
-        where the pieces are more or less than that. See streams.py.
+        where the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
         """
-        await write_stream(self, index, subindex, pieces, size, block)
+        async with self._commanding(index << 8 | subindex, Command.ENABLE_OPERATION):
+            await write_stream(self, index, subindex, pieces, size, block)
 
     # ---- PDOs ----
 
@@ -218,19 +225,37 @@ class Node:
     def enable_rpdo(self, number: int, enabled: bool = True) -> None:
         """Send an RPDO of the node's (1..512) while it is Operational, or stop that. What it holds is `remote.values`.
 
-        Raises LocalProtocolError where that RPDO is not exchanged. It ends when the node boots.
+        Raises LocalProtocolError where that RPDO is not exchanged. It ends when the node boots. One with a controlword may enable
+        a drive: the master takes hold of that beside it (`hold` does so before it), and raises NotHeldError where it has to be
+        held first (`Grip.required`).
         """
+        if enabled and number in self.remote.rpdos and CONTROLWORD in self.remote.rpdos[number].mapping.muxes:
+            self._may_enable()
         self.remote.enable_rpdo(number, self.now(), enabled)
         self._master.pump.pump()
 
     @enable_ki_protection
     def send_mpdo(self, number: int, key: Key, value: Value) -> bool:
-        """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo."""
+        """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo.
+
+        Of controlwords: see `enable_rpdo`.
+        """
+        variable, meant, _ = self.remote.encode(key, value)
+        if variable.mux == CONTROLWORD and _enables(meant):
+            self._may_enable()
+            self._enabled_by_hand = True
         is_sent = self.remote.send_mpdo(number, key, value, self.now())
         self._master.pump.pump()
         return is_sent
 
     # ---- network management ----
+
+    async def hold(self) -> None:
+        """Have the drive on this node watch over this master, and stop by itself when the master falls silent; see grip.py.
+
+        What enables a drive does so by itself; this is for who sends controlwords by RPDO. Raises NodeIdTaken, NotHeldError.
+        """
+        await self._master.run(self._master.grips.hold(self))
 
     async def start(self) -> None:
         """Start the node (NMT, to Operational), once its PDOs are exchanged, if its file is known: so that none is missed.
@@ -319,11 +344,35 @@ class Node:
             return int.from_bytes(data, "little", signed=True)
         return None
 
-    async def _note(self, mux: int, value: Value) -> None:
-        if mux == CONTROLWORD:
-            if _enables(value):
-                await self._master.run(self._master.grips.hold(self))
-            self._enabled_by_hand = _enables(value)
+    @asynccontextmanager
+    async def _commanding(self, mux: int, value: Value) -> AsyncIterator[None]:
+        """Around a write. A drive counts as enabled before it is told to be, and as disabled once it has confirmed that."""
+        if mux != CONTROLWORD:
+            yield
+            return
+        enables = _enables(value)
+        if enables and not self.was_enabled:
+            await self.hold()
+        self._enabled_by_hand = self._enabled_by_hand or enables
+        yield
+        self._enabled_by_hand = enables
+        self.remote.written_by_bytes.discard(CONTROLWORD)
+
+    def _may_enable(self) -> None:
+        """What is sent next may enable the drive, and waits for nothing."""
+        grips = self._master.grips
+        if grips.settings is not None and grips.settings.required and not grips.holds(self):
+            raise NotHeldError(f"{self.where} is not held, and Grip.required says that it must; try `await node.hold()` before")
+        grips.hold_beside(self)
+
+    def _on_written(self, report: SdoDownloaded | SdoAborted) -> None:
+        """Somebody wrote a controlword, perhaps past `write`: by `remote.write`, or a procedure of the core."""
+        if report.index << 8 | report.subindex != CONTROLWORD:
+            return
+        if isinstance(report, SdoAborted):
+            self._enabled_by_hand = self._enabled_by_hand or report.not_confirmed  # the word is not known here
+        elif self.was_enabled:
+            self._master.grips.hold_beside(self)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:
         outcome = await self._master.request(self._bus, self.remote, submit)

@@ -23,7 +23,7 @@ BUS = "pythoncan:virtual:script"
 def listen(bus=can.Bus("script", interface="virtual")):
     while True:
         message = bus.recv()
-        print(f"{message.arbitration_id:03X}#{message.data.hex().upper()}", flush=True)
+        sys.stdout.write(f"{message.arbitration_id:03X}#{message.data.hex().upper()}\\n")
 
 threading.Thread(target=listen, daemon=True).start()
 drives = canopen.simulated([12], bus=BUS)
@@ -34,7 +34,7 @@ assert canopen.init_device(12) and canopen.enable_ip_mode(12)
 for step in range(5):
     canopen.send_pos(12, 3000 + 100 * step)
     canopen.send_sync(10)
-print("moving", flush=True)
+sys.stdout.write("moving\\n")  # print() writes the line and its end apart: the other thread's lines would come between
 """
 
 
