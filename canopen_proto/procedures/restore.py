@@ -194,7 +194,7 @@ def plan_restore(
 ) -> Procedure[RestorePlan]:
     """What has to be written to the node so that it has these values, by mux of the dictionary. Nothing is written.
 
-    everything: also what it has already, or what could not be read. process_data: also set-points and outputs (see
+    everything: also what it has already, but not what could not be read. process_data: also set-points and outputs (see
     dictionary/roles.py). skip: muxes that are left out. Sends reads only; an ObjectRead event follows for each. Raises SdoFailed
     where the device is gone, and before anything is sent ObjectNotFound and ValueRangeError where a value is none of the
     dictionary.
@@ -212,7 +212,7 @@ def plan_restore(
         del wanted[key]
         left_out[key] = "the device does not have it"
     unread = {each.variable.mux for each in backup.readings if _says_nothing(each)}
-    for key in [] if everything else _blind(wanted, unread):
+    for key in _blind(wanted, unread):
         del wanted[key]
         left_out[key] = NOT_READ if key in unread else "what it depends on could not be read"
 

@@ -301,6 +301,19 @@ def test_a_restore_has_to_be_confirmed(run: Run, world: Lasting) -> None:
     assert "the same with --yes" in outcome.err
 
 
+def test_to_overwrite_a_trace_allows_no_other_device(run: Run, world: Lasting) -> None:
+    change(run, world)
+    text = Path("before.dcf").read_text()
+    Path("other.dcf").write_text(text.replace("ParameterValue=0x0000029C", "ParameterValue=0x000000AB"))
+    for node, file, code in (("6", "before.dcf", "CO128"), ("5", "other.dcf", "CO207")):
+        Path("run.log").write_text("of yesterday")
+        world.writes = []
+        outcome = run("restore", node, file, "--yes", "--trace", "run.log", "--force", "-b", "demo")
+        assert (f"error {code}" in outcome.err, world.writes) == (True, [])
+        assert "--any-device" in outcome.err
+        assert "--force" not in outcome.err
+
+
 def test_files_that_do_not_suit(run: Run, world: Lasting) -> None:
     change(run, world)
     assert "is of node 5 (0x05), not of node 6 (0x06)" in run("restore", "6", "before.dcf", "--yes", "-b", "demo").err
@@ -315,7 +328,7 @@ def test_files_that_do_not_suit(run: Run, world: Lasting) -> None:
     assert outcome.status == ExitCode.DIFFERENT
     assert "vendor-ID 0x0000029C, in the file 0x000000AB" in outcome.err
     assert world.writes == []
-    assert run("restore", *NODE, "other.dcf", "--yes", "--force").status == 0
+    assert run("restore", *NODE, "other.dcf", "--yes", "--any-device").status == 0
 
     world.prepare = lambda node: answering(node, {0x1018: AbortCode.NO_SUCH_OBJECT})
     assert run("restore", *NODE, "other.dcf", "--yes").status == 0  # what a device does not tell is no difference

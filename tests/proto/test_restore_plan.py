@@ -87,12 +87,12 @@ FAILURES = st.sampled_from([None, AbortCode.GENERAL_ERROR, AbortCode.DEVICE_STAT
 
 
 @examples(25)
-@given(st.dictionaries(st.sampled_from([*sorted(CHANGES), 0x1017_00, 0x2100_01]), FAILURES, max_size=6))
-def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, AbortCode | None]) -> None:
-    """Without failures, the plan has the writes that are needed; with them, some of these, and no other."""
+@given(st.dictionaries(st.sampled_from([*sorted(CHANGES), 0x1017_00, 0x2100_01]), FAILURES, max_size=6), st.booleans())
+def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, AbortCode | None], everything: bool) -> None:
+    """Without failures, the plan has the writes that are needed, or asked for; with them, some of these, and no other."""
     bench, before = changed()
     values = bench.run(back_up(bench.remote)).values | before
-    whole = bench.plan(values)
+    whole = bench.plan(values, everything=everything)
     reads, receive = bench.device.read, bench.device.receive
     silent = {key for key, code in failing.items() if code is None}
 
@@ -106,7 +106,7 @@ def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, Abor
     bench.device.read = read  # type: ignore[method-assign]
     bench.device.receive = take  # type: ignore[method-assign]
     try:
-        plan = bench.plan(values)
+        plan = bench.plan(values, everything=everything)
     except SdoFailed:
         assert len(silent) >= 3  # in a row: the device counts as gone
         return
@@ -121,9 +121,10 @@ def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, Abor
 
 
 def related(one: int, other: int) -> bool:
-    """Whether two objects are one, or of one PDO."""
+    """Whether two objects are one, or of one PDO, or the one may be written only while the other is 0."""
     pdo = range(0x1400, 0x1C00)
-    return one == other or (one >> 8 in pdo and other >> 8 in pdo and (one >> 8 | 0x200) == (other >> 8 | 0x200))
+    same_pdo = one >> 8 in pdo and other >> 8 in pdo and (one >> 8 | 0x200) == (other >> 8 | 0x200)
+    return one == other or same_pdo or (one, other) == (0x1019_00, 0x1006_00)
 
 
 def test_everything_is_planned_on_request() -> None:

@@ -44,8 +44,8 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     """Read all that a node holds into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
-    those of the data files are read; with --walk, what answers at its indices. Exit status: 0 complete, 7 something that should
-    be there could not be read, or not be kept in the file as it was read.
+    those of the data files are read; with --walk, what answers at its indices. Exit status 7: an object could not be read, or
+    the file cannot hold its exact bytes.
 
     \b
     canopen backup 5 -o before.dcf -e drive.eds

@@ -39,7 +39,7 @@ DEMO: Final = "demo"
 class Settings:
     """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
     overlays.py. trace: where all that is said on the bus is recorded. encoding: of device files, "" = to be found out. force:
-    overwrite files; some commands do more with it. clock: a test's virtual one. late: what is to be said when the command has
+    overwrite files, and nothing else. clock: a test's virtual one. late: what is to be said when the command has
     told its results. master_id: under which the drives that we enable hear us."""
 
     bus: str | None = None

@@ -51,10 +51,11 @@ class Wanted:
 @click.option("--dry-run", is_flag=True, help="Only read, and show what would be written, in its order.")
 @click.option("--verify", is_flag=True, help="Read each object back; exit status 13 where it is not what was written.")
 @click.option("--store", is_flag=True, help="Have the device keep its parameters over power-off (1010:01), at the end.")
-@click.option("--all", "everything", is_flag=True, help="Write also what the device has already.")
+@click.option("--all", "everything", is_flag=True, help="Write also what the device has already, if it could be read.")
 @click.option("--process-data", is_flag=True, help="Write set-points and outputs too: OUTPUTS SWITCH.")
 @click.option("--skip", metavar="OBJECT", multiple=True, help="Leave this object out; may be repeated.")
 @click.option("--to", metavar="NODE", type=NodeId(), help="Write another node than the file's; its COB-IDs move along.")
+@click.option("--any-device", is_flag=True, help="Also to a node, or a type of device, that the file is not of.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @common
 @click.pass_obj
@@ -69,14 +70,15 @@ def restore(
     process_data: bool,
     skip: tuple[str, ...],
     to: int | None,
+    any_device: bool,
     yes: bool,
 ) -> int:
     """Write the settings of a DCF or XDC to a node: what differs from what it has.
 
     The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
     is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
-    Set-points, outputs, commands and what is read-only are not written, nor what could not be read before. --force: though the
-    file is of another node-ID, or of another type of device. Exit status: 7 if something was left out that could not be read.
+    Set-points, outputs, commands and what is read-only are not written, nor what could not be read before. A file of another
+    node-ID, or of another type of device, is refused. Exit status: 7 if something was left out that could not be read.
 
     \b
     canopen restore 5 before.dcf --dry-run
@@ -84,12 +86,12 @@ def restore(
     canopen restore 5 before.dcf --to 6
     """
     screen = settings.screen()
-    dictionary = settings_in(path, node_id, settings.force, settings.encoding)
+    dictionary = settings_in(path, node_id, any_device, settings.encoding)
     if to is not None:
         dictionary, node_id = moved_to(dictionary, node_id, to), to
     values = settings_of(dictionary, node_id)
     options = {"everything": everything, "process_data": process_data, "skip": {dictionary.variable(key).mux for key in skip}}
-    wanted = Wanted(node_id, path, dictionary, values, options, settings.force, verify, store, dry_run)
+    wanted = Wanted(node_id, path, dictionary, values, options, any_device, verify, store, dry_run)
     question = f"restore {node_text(node_id)} from {path}: it becomes Pre-operational (a drive stops, or coasts), and is written"
     confirm(screen, question, yes, needed=not dry_run)
     so_far: list[Restoration] = []
@@ -119,7 +121,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> Objec
             tries=(
                 f"canopen restore {named} {path}",
                 f"canopen restore {named} {path} --to {node_id}    (its COB-IDs become those of node {node_id})",
-                "--force, to write it as it is",
+                "--any-device, to write it as it is",
             ),
         )
     if not any(each.configured is not None for each in description.dictionary):
@@ -171,7 +173,7 @@ async def _check_identity(session: Session, wanted: Wanted) -> None:
                 "CO207",
                 f"{node_text(wanted.node_id)} is not the type of device that {wanted.path} is of; nothing was written",
                 seen=f"{name} 0x{found:08X}, in the file 0x{expected:08X}",
-                tries=(f"canopen info {wanted.node_id}", "--force, if that is what you want"),
+                tries=(f"canopen info {wanted.node_id}", "--any-device, if that is what you want"),
                 node=wanted.node_id,
                 index=0x1018,
                 subindex=subindex,

@@ -54,10 +54,8 @@ def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> No
 
 
 def tell_unread(screen: Screen, dictionary: ObjectDictionary, so_far: Restoration) -> bool:
-    """Name what was left alone since nobody knows what the device, or the one that the file is of, holds there.
-
-    Whether the device has something of that.
-    """
+    """Name the objects that could not be read: in this device now, or in the file's device then. Returns whether there are any in
+    this device."""
     plan = so_far.plan
     unread = [dictionary.variable((key >> 8, key & 0xFF)) for key in sorted(plan.unread) if key in plan.left_out]
     if unread:
