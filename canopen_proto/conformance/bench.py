@@ -19,9 +19,9 @@ measure that (`lateness`), and a case that fails by its timing meanwhile has not
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, TypeVar
 
-from canopen_proto.conformance.case import LateOrEarly, Notes, Violation, does_not_apply, expect, expect_equal
+from canopen_proto.conformance.case import LateOrEarly, Notes, NotInTime, Violation, does_not_apply, expect, expect_equal
 from canopen_proto.conformance.probe import FrameHeard, RawProbe
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -62,14 +62,14 @@ PERIOD_TOLERANCE: Final = 0.1
 
 SLICE: Final = 50 * MILLISECOND
 """Waiting is cut into slices of this length, to see how late our process is."""
-LATE: Final = 20 * MILLISECOND
-"""A process that is later than this has no right to call others late: a fifth of the shortest period that is measured."""
 
 SYNC_PRODUCER: Final = 1 << 30
 """Of 0x1005: the device sends SYNC."""
 
 SUPERVISION_PERIOD: Final = 100 * MILLISECOND
 """The heartbeat by which the bench sees the device's NMT state."""
+
+T = TypeVar("T")
 
 Stimulus: TypeAlias = Callable[[Variable, Time], None]
 """Makes the device change the value of an object of its process, now."""
@@ -113,11 +113,6 @@ class Bench:
     def strict(self) -> bool:
         """Whether more is asked than CiA's own tool asks."""
         return self.notes.strict
-
-    @property
-    def was_late(self) -> bool:
-        """Whether our own process was late while the case ran."""
-        return self.lateness > LATE
 
     # ---- what is where ----
 
@@ -260,7 +255,7 @@ class Bench:
         self.lateness = max(self.lateness, now - due)
 
     def next_frame(self, key: int, timeout: Time, what: str) -> Procedure[FrameHeard]:
-        """The next frame with a key that the probe listens to. Raises StepTimeout that names `what`; timeout: ns."""
+        """The next frame with a key that the probe listens to. Raises NotInTime that names `what`; timeout: ns."""
         begin = yield from current_time()
         while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
             left = begin + timeout - (yield from current_time())
@@ -271,7 +266,7 @@ class Bench:
                 late = self.probe.take(key)  # it came while we were late
                 if late is not None:
                     return late
-                raise StepTimeout(f"{what} did not come within {timeout / SECOND:g} s") from None
+                raise NotInTime(f"{what} did not come within {timeout / SECOND:g} s", timeout) from None
         return heard
 
     def frames_within(self, key: int, duration: Time) -> Procedure[list[FrameHeard]]:
@@ -328,17 +323,26 @@ class Bench:
 
     # ---- objects by SDO ----
 
+    def transfer(self, procedure: Procedure[T]) -> Procedure[T]:
+        """Carry out an SDO transfer. Raises SdoFailed; NotInTime if there is no answer."""
+        try:
+            return (yield from procedure)
+        except SdoFailed as failed:
+            if failed.origin is AbortOrigin.TIMEOUT:
+                raise NotInTime(str(failed), self.sdo.timeout) from failed
+            raise
+
     def read(self, index: int, subindex: int = 0) -> Procedure[bytes]:
-        """An object's bytes. Raises SdoFailed."""
-        return (yield from upload(self.sdo, index, subindex))
+        """An object's bytes. Raises as `transfer` does."""
+        return (yield from self.transfer(upload(self.sdo, index, subindex)))
 
     def number(self, index: int, subindex: int = 0) -> Procedure[int]:
-        """An object as an unsigned number. Raises SdoFailed."""
+        """An object as an unsigned number. Raises as `transfer` does."""
         return int.from_bytes((yield from self.read(index, subindex)), "little")
 
     def write(self, index: int, subindex: int, value: int) -> Procedure[None]:
-        """Write an unsigned number, as wide as the dictionary says. Raises SdoFailed."""
-        yield from download(self.sdo, index, subindex, self.encode(index, subindex, value))
+        """Write an unsigned number, as wide as the dictionary says. Raises as `transfer` does."""
+        yield from self.transfer(download(self.sdo, index, subindex, self.encode(index, subindex, value)))
 
     def encode(self, index: int, subindex: int, value: int) -> bytes:
         """An unsigned number as wide as the dictionary says of that object."""
@@ -348,21 +352,21 @@ class Bench:
         return value.to_bytes(variable.size, "little")
 
     def refusal_of_read(self, index: int, subindex: int) -> Procedure[int | None]:
-        """The abort code with which the device refuses a read; None if it does not. No answer at all raises SdoFailed."""
+        """The abort code with which the device refuses a read; None if it does not. No answer at all raises NotInTime."""
         try:
-            yield from upload(self.sdo, index, subindex)
+            yield from self.transfer(upload(self.sdo, index, subindex))
         except SdoFailed as failed:
             return _code_of_peer(failed)
         return None
 
     def refusal_of_write(self, index: int, subindex: int, value: int | bytes) -> Procedure[int | None]:
-        """The abort code with which the device refuses a write; None if it does not. No answer at all raises SdoFailed.
+        """The abort code with which the device refuses a write; None if it does not. No answer at all raises NotInTime.
 
         value: bytes as they are, or a number as wide as the dictionary says.
         """
         data = value if isinstance(value, bytes) else self.encode(index, subindex, value)
         try:
-            yield from download(self.sdo, index, subindex, data)
+            yield from self.transfer(download(self.sdo, index, subindex, data))
         except SdoFailed as failed:
             return _code_of_peer(failed)
         return None

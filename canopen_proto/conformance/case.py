@@ -14,6 +14,9 @@ what is wrong with one of them and goes on with the next, so that all offenders 
 Three degrees, noted in `Bench.notes`: a failure; a remark, where the standard leaves open what the device may do; and what the
 standard demands and CiA's own tool does not look at (`Notes.beyond`), which is a remark unless the test is strict.
 
+Two failures depend on time: `LateOrEarly` and `NotInTime`. They are remarks if our own process was late enough to look like that.
+All others are certain.
+
 A body begins with a device that has just been reset and was then commanded to be pre-operational (`Bench.reset`): one that
 starts by itself is Operational after its boot-up. It may leave the device in any state. What it changes, a reset of the node puts
 back, unless the case `stores`.
@@ -26,7 +29,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NoReturn, TypeAlias, TypeVar
 
-from canopen_proto.machine import MILLISECOND
+from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 
@@ -35,6 +38,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+LATE: Final = 20 * MILLISECOND
+"""A process that is later than this has no right to call others late: a fifth of the shortest period that is measured."""
+LATE_PART: Final = 5
+"""Of a wait: a process that is late by less than this part of it does not explain why nothing came."""
 MAX_ATTEMPTS: Final = 3
 """How many times a case is run whose failure may be due to our own lateness. One that stores is run once."""
 
@@ -69,15 +76,26 @@ class Violation(ProcedureError):
 class LateOrEarly(Violation):
     """The device did something at the wrong time, or too often, or not often enough. Our own lateness may look like that."""
 
+    excuse: Time = LATE
+
+
+class NotInTime(StepTimeout):
+    """What was waited for did not come. excuse: the lateness of our own, in ns, beyond which that says nothing of the device."""
+
+    def __init__(self, message: str, waited: Time) -> None:
+        """waited: for how long, in ns."""
+        super().__init__(message)
+        self.excuse = max(waited // LATE_PART, LATE)
+
 
 class NotApplicable(ProcedureError):
     """The device does not have what the case is about."""
 
 
 class Notes:
-    """What a body has found so far. is_late: a failure among them could also be due to our own lateness."""
+    """What a body has found so far. failures: each with the lateness of our own that excuses it, in ns; NEVER: it is certain."""
 
-    __slots__ = ("failures", "is_late", "remarks", "strict")
+    __slots__ = ("failures", "remarks", "strict")
 
     def __init__(self, *, strict: bool = False) -> None:
         """strict: what goes beyond CiA's tool is a failure."""
@@ -86,15 +104,12 @@ class Notes:
 
     def clear(self) -> None:
         """Begin with another case."""
-        self.failures: list[str] = []
+        self.failures: list[tuple[str, Time]] = []
         self.remarks: list[str] = []
-        self.is_late = False
 
     def fail(self, failure: ProcedureError) -> None:
         """Note a failure and go on."""
-        self.failures.append(str(failure))
-        unanswered = isinstance(failure, SdoFailed) and failure.origin is AbortOrigin.TIMEOUT
-        self.is_late |= unanswered or isinstance(failure, LateOrEarly | StepTimeout)
+        self.failures.append((str(failure), failure.excuse if isinstance(failure, LateOrEarly | NotInTime) else NEVER))
 
     def remark(self, text: str) -> None:
         """Note what the standard leaves open."""
@@ -104,15 +119,25 @@ class Notes:
     def beyond(self, condition: bool, otherwise: str) -> None:
         """If the condition does not hold, note what the standard forbids and CiA's tool accepts."""
         if not condition and self.strict:
-            self.failures.append(otherwise)
+            self.fail(Violation(otherwise))
         elif not condition:
             self.remark(otherwise)
 
-    def verdict(self, seen: str = "") -> Verdict:
-        """What they come to. seen: what the body returned."""
-        failures, remarks = tuple(self.failures), tuple(self.remarks)
-        if failures:
-            return Verdict(Result.FAILED, _summary(failures), failures, remarks)
+    def excused(self, lateness: Time) -> tuple[str, ...]:
+        """The failures that may be due to our own process, which was late by so much."""
+        return tuple(text for text, excuse in self.failures if lateness > excuse)
+
+    def verdict(self, lateness: Time, seen: str = "") -> Verdict:
+        """What they come to. lateness: of our own process, in ns. seen: what the body returned."""
+        certain = tuple(text for text, excuse in self.failures if lateness <= excuse)
+        excused, remarks = self.excused(lateness), tuple(self.remarks)
+        late = f"this computer was late by {lateness / MILLISECOND:.0f} ms, so that the timing cannot be judged"
+        if excused:
+            remarks = (late, *excused, *remarks)
+        if certain:
+            return Verdict(Result.FAILED, _summary(certain), certain, remarks)
+        if excused:
+            return Verdict(Result.REMARK, f"{late}: {_summary(excused)}", (), remarks)
         if remarks:
             return Verdict(Result.REMARK, _summary(remarks), (), remarks)
         return Verdict(Result.PASSED, seen)
@@ -143,17 +168,16 @@ class Case:
         """Reset the device, then ask it. Never raises a ProcedureError.
 
         "Too late" counts only if our own process was on time: else the case is run again, and if that does not help, its verdict
-        is a remark.
+        is a remark. A certain failure counts in any case.
         """
         missing = [index for index in self.needs if not bench.dictionary.has_index(index)]
         if missing:
             return Verdict(Result.NOT_APPLICABLE, f"the dictionary has no object 0x{missing[0]:04X}")
         for _ in range(1 if self.stores else MAX_ATTEMPTS):
             verdict = yield from self._run_once(bench)
-            if not (bench.notes.is_late and bench.was_late):
-                return verdict
-        late = f"this computer was late by {bench.lateness / MILLISECOND:.0f} ms, so that the timing cannot be judged"
-        return Verdict(Result.REMARK, f"{late}: {verdict.reason}", (), (late, *verdict.failures, *verdict.remarks))
+            if verdict.result is Result.FAILED or not bench.notes.excused(bench.lateness):
+                break
+        return verdict
 
     def _run_once(self, bench: Bench) -> Procedure[Verdict]:
         notes = bench.notes
@@ -169,7 +193,7 @@ class Case:
                 return Verdict(Result.NOT_APPLICABLE, str(reason), (), tuple(notes.remarks))
         except ProcedureError as failure:
             notes.fail(failure)
-        return notes.verdict(seen or "")
+        return notes.verdict(bench.lateness, seen or "")
 
 
 def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]]) -> Procedure[int]:

@@ -23,7 +23,7 @@ def errors_told(bench: Bench) -> list[FrameHeard]:
 
 
 def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
-    """The next message about an error. Raises StepTimeout that names `what`; timeout: ns."""
+    """The next message about an error. Raises NotInTime that names `what`; timeout: ns."""
     end = (yield from current_time()) + timeout
     while True:
         left = max(end - (yield from current_time()), 0)

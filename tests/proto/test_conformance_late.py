@@ -8,11 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.conformance.case import Result, Verdict
+from canopen_proto.conformance.bench import Bench
+from canopen_proto.conformance.case import Case, Result, Verdict, Violation
 from canopen_proto.conformance.catalogue import BY_NUMBER
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.network import Network
+from canopen_proto.procedures.steps import Procedure
 from tests.examples import examples
 from tests.proto.conformance_rig import Fault, Site
 
@@ -119,6 +121,50 @@ def test_a_faulty_device_fails_though_we_pause_a_little(number: str, fault: Faul
 def test_a_case_that_stores_is_run_once() -> None:
     """It may have left other values than it found: a second run would put those back."""
     deaf = Fault("no SYNC", sent=[("080#..", None)])
-    verdict = verdict_with([(400, 60)], "6.8", deaf)
+    verdict = verdict_with([(400, 600)], "6.8", deaf)
     assert verdict.result is Result.REMARK
     assert "a SYNC did not come within 1 s" in verdict.reason
+
+
+NO_ANSWER = Fault("no answer about 0x1008", sent=[("585#..081000.*", None)])
+SOUND = Fault("none")
+
+
+def wrong_and(look: str) -> Case:
+    """A case that notes a certain failure, then waits for what the fault keeps away, or measures a period of 10 ms."""
+
+    def body(bench: Bench) -> Procedure[None]:
+        if look.startswith("wrong, "):
+            bench.notes.fail(Violation("0x2000:00 was not refused"))
+        if look.endswith("boot-up"):
+            yield from bench.await_boot_up()
+        elif look.endswith("answer"):
+            yield from bench.read(0x1008)
+        else:
+            yield from bench.write(0x1017, 0, 110)
+            yield from bench.expect_period(bench.error_control_key, 1000 * MILLISECOND, 10 * MILLISECOND, "the heartbeat")
+
+    return Case("0.1", "Test 01", look, body)
+
+
+@pytest.mark.parametrize("stands", [0, 15, 25, 150, 600, 3000])
+@pytest.mark.parametrize("certain", [False, True])
+@pytest.mark.parametrize(
+    ("look", "fault", "said", "excuse"),
+    [
+        ("boot-up", SOUND, "the boot-up frame did not come within 5 s", 1000),
+        ("answer", NO_ANSWER, "node 5 did not answer reading 0x1008:00", 200),
+        ("period", SOUND, "the period is 10 ms", 20),
+    ],
+)
+def test_two_failures_at_once(look: str, fault: Fault, said: str, excuse: int, certain: bool, stands: int) -> None:
+    """Our lateness never takes away what is certain, and excuses a wait only if it is of the order of that wait."""
+    site = Site(fault, master=Halting())
+    assert isinstance(site.master, Halting)
+    site.master.pauses = [(50, stands)] if stands else []
+    verdict = site.run(wrong_and(f"wrong, {look}" if certain else look))
+    is_excused = stands > excuse
+    assert ("0x2000:00 was not refused" in verdict.failures) is certain
+    assert any(said in each for each in verdict.failures) is not is_excused
+    assert any(said in each for each in verdict.remarks) is is_excused
+    assert verdict.result is (Result.REMARK if is_excused and not certain else Result.FAILED)
