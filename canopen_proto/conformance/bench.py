@@ -311,15 +311,17 @@ class Bench:
         yield from self.sleep(REACTION_TIME)
 
     def silence_sync(self) -> Procedure[None]:
-        """Stop the SYNC of a device that produces it by default: ours is to be the only one. A reset puts that back.
+        """Set the SYNC period to 0, producer or not. A reset puts that back.
 
-        By a period of 0, which any producer takes; else by bit 30 of 0x1005, as after a reset a consumer has it.
+        A producer is silent then: our SYNC is to be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). A
+        producer that refuses becomes a consumer by bit 30 of 0x1005.
         """
-        cob_id = yield from self.number(0x1005)
-        if not cob_id & SYNC_PRODUCER or not self.dictionary.has_index(0x1006) or not (yield from self.number(0x1006)):
+        if not self.dictionary.has_index(0x1006) or not (yield from self.number(0x1006)):
             return
-        if (yield from self.refusal_of_write(0x1006, 0, 0)) is not None:
-            yield from self.write(0x1005, 0, cob_id & ~SYNC_PRODUCER)
+        if (yield from self.refusal_of_write(0x1006, 0, 0)) is not None and self.dictionary.has_index(0x1005):
+            cob_id = yield from self.number(0x1005)
+            if cob_id & SYNC_PRODUCER:
+                yield from self.write(0x1005, 0, cob_id & ~SYNC_PRODUCER)
 
     # ---- objects by SDO ----
 

@@ -27,15 +27,13 @@ from canopen_proto.conformance.sdo_cases import (
     takes_any_time,
 )
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
+from canopen_proto.dictionary.download_order import NO_DOWNLOAD
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 from canopen_proto.sdo.abort import AbortCode
 
 FIRST_OF_MAKER: Final = 0x2000
 """Where the communication area ends."""
-
-NO_DOWNLOAD: Final = 1
-"""ObjFlags: not to be written by a download of the whole dictionary (CiA 306-1)"""
 
 STRUCTURE: Final = 0xFF
 """The subindex that tells data type and object type."""
@@ -185,7 +183,7 @@ def write_back(bench: Bench) -> Procedure[str]:
         and variable.access.writable
         and variable.index not in NEVER_WRITTEN
         and (bench.strict or variable.index >= FIRST_OF_MAKER)
-        and not variable.object_flags & NO_DOWNLOAD
+        and not (variable.object_flags | bench.dictionary.objects[variable.index].object_flags) & NO_DOWNLOAD
     ]
     count = yield from for_each(bench, found, look)
     return f"{count} objects"

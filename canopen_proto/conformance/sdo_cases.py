@@ -138,8 +138,8 @@ def read_and_write(bench: Bench) -> Procedure[str]:
 def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Procedure[None]:
     """Look whether an object takes the value that it has.
 
-    A mapping need not while it is enabled or its PDO valid, nor what belongs to a valid PDO, nor 0x1019 while 0x1006 is not 0: it
-    cannot change then, and whether the same value is a change nobody says.
+    Three kinds may refuse: a mapping that is enabled, anything of a valid PDO, and 0x1019 while 0x1006 is not 0. They cannot
+    change then, and the standard does not say whether the same value is a change.
     """
     refusal = yield from bench.refusal_of_write(variable.index, variable.subindex, content)
     if refusal is None:

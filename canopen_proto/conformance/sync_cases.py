@@ -1,7 +1,7 @@
 """Chapter 6 of the conformance test: SYNC (CiA 301 v4.2.0, 7.2.5, 7.5.2.5, 7.5.2.6, 7.5.2.22).
 
-Most cases are about a device that produces SYNC; they do not apply to one that cannot. One that does so by default is silenced
-first. A reset undoes that, and a case that stores puts it back itself.
+Most cases are about a device that produces SYNC; they do not apply to one that cannot. A period (0x1006) that is not 0 by default
+is set to 0 first. A reset undoes that, and a case that stores puts it back itself.
 """
 
 from __future__ import annotations
@@ -105,8 +105,7 @@ def invalid_overflow(bench: Bench) -> Procedure[None]:
         expect_refusal(refusal, RESERVED_VALUE, f"writing {value} to 0x1019:00")
         yield from bench.expect_number(OVERFLOW, 0, bench.default(OVERFLOW), f"after the refusal of {value}")
 
-    if bench.dictionary.has_index(COB_ID_SYNC):
-        yield from bench.silence_sync()
+    yield from bench.silence_sync()
     yield from for_each(bench, (1, 241, 255), look)
 
 

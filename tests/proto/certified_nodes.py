@@ -18,6 +18,8 @@ from tests.proto.full_device import full_device
 SYNC_PERIOD_US = 100_000
 PRODUCES_SYNC = full_device(standard_object(0x1005, 0x4000_0080), standard_object(0x1006, SYNC_PERIOD_US))
 """A device that sends SYNC by default."""
+EXPECTS_SYNC = full_device(standard_object(0x1006, 10_000))
+"""A SYNC consumer that knows the period. 0x1019 may change only while that is 0 (CiA 301 v4.2.0, 7.5.2.22)."""
 
 
 class FirmSettings(LocalNode):

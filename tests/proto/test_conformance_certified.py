@@ -16,7 +16,7 @@ from canopen_proto.conformance.catalogue import BY_NUMBER, CASES, run_all
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.nmt import NmtState
 from tests.proto import certified_nodes as nodes
-from tests.proto.certified_nodes import PRODUCES_SYNC, SYNC_PERIOD_US
+from tests.proto.certified_nodes import EXPECTS_SYNC, PRODUCES_SYNC, SYNC_PERIOD_US
 from tests.proto.conformance_rig import Fault, Site, verdict_of
 from tests.proto.faulty_nodes import SelfStarting
 
@@ -28,6 +28,7 @@ PASSED: Sequence[tuple[Fault, ObjectDictionary | None, Sequence[str]]] = [
     (Fault("starts by itself", node=SelfStarting), None,
      ["3.16", "3.17", "3.18", "3.19", "3.20", "7.102", "7.2", "7.203", "7.204", "7.205", "7.206", "7.207", "9.3", "10.2"]),
     (Fault("produces SYNC by default"), PRODUCES_SYNC, WITH_SYNC),
+    (Fault("knows the period of SYNC by default"), EXPECTS_SYNC, WITH_SYNC),
     (Fault("holds on to its settings", node=nodes.FirmSettings), None, ["2.2", "3.22", "3.23", "3.24", "4.7", "4.9", "9.1"]),
     (Fault("one transfer at a time", node=nodes.OneAtATime), None, ["2.18"]),
     (Fault("counts SYNCs from the middle", node=nodes.from_the_middle), None, ["3.6", "3.8", "6.3"]),
@@ -58,6 +59,14 @@ def test_what_the_tool_does_not_look_at_is_a_remark(device: Fault, number: str, 
     assert verdict.result is Result.REMARK, verdict
     assert verdict.failures == ()
     assert re.search(said, verdict.reason), verdict
+
+
+@pytest.mark.parametrize("number", ["6.8", "6.10"])
+def test_the_period_of_sync_is_put_back(number: str) -> None:
+    site = Site(truth=EXPECTS_SYNC)
+    assert site.run(BY_NUMBER[number]).result is Result.PASSED
+    assert site.result_of(lambda bench: bench.reset()) is None
+    assert [site.node.values.store[key] for key in (0x1005_00, 0x1006_00, 0x1019_00)] == [0x80, 10_000, 0]
 
 
 def certified_site(**more: Any) -> Site:

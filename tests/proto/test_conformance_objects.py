@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from canopen_proto.conformance import dictionary_cases, emergency_cases
 from canopen_proto.conformance.case import Result
+from canopen_proto.conformance.catalogue import BY_NUMBER
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.sdo.abort import AbortCode
-from tests.proto.conformance_rig import Fault, check_caught, refused, verdict_of
+from tests.proto.conformance_rig import Fault, Site, check_caught, refused, verdict_of
 from tests.proto.faulty_nodes import BusyWhenOperational, Inverting, KeepsCommunication
 from tests.proto.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device
 
@@ -94,6 +97,17 @@ def test_one_limit_is_enough() -> None:
     high = full_device(own(LIMITED, "limited", U8, default=15, high_limit=20))
     assert verdict_of("4.6", truth=high).result is Result.PASSED
     assert verdict_of("2.11", truth=high).result is Result.NOT_APPLICABLE
+
+
+@pytest.mark.parametrize("of_the_array", [False, True])
+@pytest.mark.parametrize("number", ["4.7", "4.9"])
+def test_what_a_download_leaves_alone_is_not_written_back(number: str, of_the_array: bool) -> None:
+    """ObjFlags stand at the array, or at each of its entries."""
+    array = typed(0x0608)
+    entries = {key: replace(each, object_flags=not of_the_array) for key, each in array.variables.items()}
+    site = Site(truth=full_device(replace(array, variables=entries, object_flags=of_the_array)))
+    assert site.run(BY_NUMBER[number]).result is Result.PASSED
+    assert [str(frame) for _, frame in site.bus.sent if re.match("605#2.042001", str(frame))] == []
 
 
 def test_structure_of_a_record() -> None:
