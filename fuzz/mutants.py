@@ -66,7 +66,7 @@ MUTANTS: Final = (
     Mutant(
         "paused_unnoticed",
         _RECEIVER,
-        " or 0 < self._paused_behind < sequence",
+        " or (not self._received and 0 < self._paused_behind < sequence)",
         "",
         "a sender that paused too long goes on, and its segments are taken for others",
         BLOCKS[:1],

@@ -76,8 +76,8 @@ MAX_BURST: Final = 8
 """Segments that go out in one turn: a SocketCAN interface queues ten frames by default, and others want to send too."""
 LEAST_SILENCE: Final = 1 * SECOND
 """The shortest silence inside a block transfer that is not taken for a pause. A well-known C stack repairs a loss after 0.7 s."""
-STRAGGLER_TIME: Final = 100 * MILLISECOND
-"""How long segments may still be on the way after the receiver has ended a transfer."""
+COPY_TIME: Final = 100 * MILLISECOND
+"""How long after an initiate request the same bytes are its second copy, and not a client that asks again."""
 STREAM_TIMEOUT: Final = 5 * SECOND
 """How long whoever feeds or takes a stream may need for each piece: reading and writing files takes less."""
 MAX_STALLS: Final = 10

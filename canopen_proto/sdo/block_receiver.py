@@ -5,14 +5,16 @@ byte might mean: the sequence number decides. Segments are taken in order only. 
 
     the last segment of the sub-block came          those in order, at once; behind a gap too, but not before
     silence, and some segment came                  those in order: the end of the sub-block was lost, or the sender pauses
-    silence, and none came                          our last frame again, if CRC and size guard the whole: it was lost. Where
-                                                    a single segment is due that may have been lost instead, and is asked for
+    silence, and none came                          our last frame again, if CRC and size guard the transfer. If only one
+                                                    segment is due, we ask for that segment
     a second silence                                the transfer is aborted
 
 A silence lasts `silence_limit`; it is a second one if no segment came in order since the first. A sender that only paused goes
-on with the numbers of its sub-block; one whose last segments were lost begins with 1. So after an early acknowledgement a number
-that is higher than all before it ends the transfer: the bytes can't be wrong, even without CRC. If nothing came, such a sign is
-missing, and a sender that only pauses may take our repetition for the next acknowledgement: CRC and size have to guard it.
+on with the numbers of its sub-block; one whose last segments were lost begins with 1. So if the next number is higher than all
+before the early acknowledgement, the transfer ends: the bytes can't be wrong, even without CRC. That holds too while the
+acknowledgement waits for a piece to be taken. Once number 1 has come, nothing of the old sub-block can follow. If nothing came
+before the silence, such a sign is missing, and a sender that only pauses may take our repetition for the next acknowledgement:
+CRC and size have to guard it.
 
 On CAN the numbers of a sub-block only rise. A number that was received already, with other data, shows a frame out of its order;
 without a CRC that is an abort. A segment of less than eight bytes counts as lost.
@@ -40,10 +42,10 @@ from canopen_proto.sdo.block import (
     END,
     FINAL,
     KIND,
+    MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
     SEQUENCE,
-    STRAGGLER_TIME,
     Party,
     chosen_block_size,
     silence_limit,
@@ -94,12 +96,16 @@ class BlockReceiver:
         """Whether the initiation is over."""
         return self._state != STARTING
 
-    def stragglers(self) -> tuple[int, Time]:
-        """If the transfer ends now: the number of the segment that may come nevertheless (0: none), and until when it may."""
-        heard = max(self._received, self._heard)
-        if self._state != _RECEIVING or heard >= self._block_size:
-            return 0, 0
-        return heard + 1, self._party.deadline - self._silence + STRAGGLER_TIME
+    @property
+    def straggler(self) -> int:
+        """If the transfer ends now: the number of the segment that may be next in the sender's queue.
+
+        0: the queue is empty. Above MAX_BLOCK_SIZE: the sub-block is over, but the sender may have begun another.
+        """
+        if self._state == _ENDING:
+            return 0
+        heard = max(self._received, self._heard) or self._paused_behind
+        return heard + 1 if heard < self._block_size else MAX_BLOCK_SIZE + 1
 
     # ---- inputs ----
 
@@ -109,6 +115,8 @@ class BlockReceiver:
                 return
             if self._state != STARTING and data == self._party._last:
                 self._party._ignore(frame, "second copy of the last frame")
+            elif self._state == HELD and 0 < self._paused_behind < command & SEQUENCE <= self._block_size:
+                self._refuse_number(command & SEQUENCE, now)
             else:
                 self._on_other(command, data, frame, now)
             return
@@ -177,10 +185,8 @@ class BlockReceiver:
             self.receive(command, data, Frame(frame.can_id, data, frame.flags), now)  # more than eight bytes: the first count
         elif 1 <= sequence <= self._received and (self.with_crc or self._is_known(sequence, data)):
             party._ignore(frame, "late copy of a segment")
-        elif not self._received < sequence <= self._block_size or 0 < self._paused_behind < sequence:
-            self._heard = sequence
-            party.deadline = now + self._silence
-            party._fail(AbortCode.INVALID_SEQUENCE_NUMBER, AbortOrigin.LOCAL, now)
+        elif not self._received < sequence <= self._block_size or (not self._received and 0 < self._paused_behind < sequence):
+            self._refuse_number(sequence, now)
         elif sequence <= self._heard:
             party._ignore(frame, "segment out of its order")
         else:
@@ -192,6 +198,11 @@ class BlockReceiver:
                 self._end_sub_block(0, now)
             else:
                 party._arm(now + self._silence)
+
+    def _refuse_number(self, sequence: int, now: Time) -> None:
+        """It cannot be, or the sender only paused and goes on with its queue."""
+        self._heard = sequence
+        self._party._fail(AbortCode.INVALID_SEQUENCE_NUMBER, AbortOrigin.LOCAL, now)
 
     def _is_known(self, sequence: int, data: bytes) -> bool:
         """Whether the segment was received with these data, in this sub-block."""

@@ -19,12 +19,12 @@ from canopen_proto.machine import Time
 from canopen_proto.sdo.block import (
     ACKNOWLEDGEMENT,
     BLOCK_SIZE_BIT,
+    COPY_TIME,
     CRC_BIT,
     END_RESPONSE,
     KIND,
     MAX_SIZE,
     START_UPLOAD,
-    STRAGGLER_TIME,
     is_initiate,
     receiver_initiate,
     sender_initiate,
@@ -111,7 +111,7 @@ class BlockServerDownload(BlockReceiver):
         """
         server = self._server
         has_heard = self._last_said or self._received or self._heard
-        is_copy = data == server._last and now < server.deadline - self._silence + STRAGGLER_TIME
+        is_copy = data == server._last and now < server.deadline - self._silence + COPY_TIME
         if has_heard or is_copy or not is_initiate(command):
             super()._on_gap(command, sequence, data, frame, now)
         else:

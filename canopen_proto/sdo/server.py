@@ -20,9 +20,9 @@ host gives the first one with `more=True`; it is then asked for the others in tu
 
 A new initiate request takes the place of a running transfer; an abort ends it, whatever object it names (field clients send
 0x0000:00). A segment request without a transfer is answered by an abort for 0x0000:00. Block transfer: see block.py.
-Where a block download ends before its time (our abort, an NMT reset), segments may still be on the way. The one with number 0x23
-would be taken for an expedited download of whatever object its data name: those that go on where the last one stopped are ignored
-for a moment.
+Where a block download ends before its time (our abort, an NMT reset), segments may still be in the client's queue, and come much
+later. The one with number 0x23 would be taken for an expedited download of whatever object its data name. So segments that go on
+where the last one stopped are ignored until something else comes.
 
 CAN can deliver a frame twice. The second copy of a segment is told by its toggle and ignored, once; any other wrong toggle, or a
 third, is an abort. The second copy of an initiate is served once more (a client that repeats its request after a lost answer
@@ -40,7 +40,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, Outbox, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, SEQUENCE, SUB_BLOCK_SIZE, is_initiate
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, SUB_BLOCK_SIZE, is_initiate
 from canopen_proto.sdo.block_server import (
     BlockServerDownload,
     BlockServerUpload,
@@ -152,7 +152,7 @@ class SdoServer(ServerBase):
         command = data[0]
         state = self._state
         if state == _IDLE:
-            if self._straggler and self._is_straggler(command & SEQUENCE, frame, now):
+            if self._straggler and self._is_straggler(command, frame):
                 return
         elif state == _UPLOADING:
             if command & ~0x0F == self._command:
@@ -445,6 +445,7 @@ class SdoServer(ServerBase):
             self._ignore(frame, "second copy of a request that the host is serving")
             return False
         self._become_idle()
+        self._straggler = 0  # a request comes behind all segments
         return True
 
     def _await_host(self, content: bytes, answer: Frame, now: Time, offset: int) -> None:
@@ -458,7 +459,7 @@ class SdoServer(ServerBase):
 
     def _become_idle(self) -> None:
         if isinstance(self._transfer, BlockServerDownload):
-            self._straggler, self._straggler_until = self._transfer.stragglers()
+            self._straggler = self._transfer.straggler
         super()._become_idle()
         self._transfer = None
         self._content = b""

@@ -12,7 +12,7 @@ from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Fram
 from canopen_proto.machine import NEVER, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import ObjectStore
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE
+from canopen_proto.sdo.block import FINAL, MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE
 from canopen_proto.sdo.codec import ABORT, DOWNLOAD_SEGMENT_RESPONSE, INITIATE, TOGGLE
 from canopen_proto.sdo.events import ObjectAccessPending, SdoServerAborted
 
@@ -22,6 +22,11 @@ ACCESS_TIMEOUT: Final = 5 * SECOND
 """How long the host may take for an access: storing parameters in flash takes seconds."""
 MAX_DOWNLOAD: Final = 16 << 20
 """Largest value that is accepted: a firmware image fits, and a client gone mad does not fill the memory."""
+
+MOST_LOST: Final = 2
+"""Segments that may be missing among those of a block download that has ended: the one behind them is still known."""
+LEAST_INITIATE: Final = 0x20
+"""The lowest sequence number that the first byte of an initiate request looks like."""
 
 IDLE: Final = 0
 """The state in which no transfer is under way."""
@@ -34,9 +39,8 @@ class ServerBase(Machine):
 
     __slots__ = (
         "_access_id", "_acknowledgements", "_answer", "_channel", "_handed", "_in_pieces", "_index", "_is_reading", "_last",
-        "_more", "_send_can_id", "_send_flags", "_state", "_store", "_straggler", "_straggler_until", "_subindex",
-        "access_timeout", "block_size", "burst_interval",
-        "copy_guard", "crc", "enabled", "max_burst", "max_download", "node_id", "timeout",
+        "_more", "_send_can_id", "_send_flags", "_state", "_store", "_straggler", "_subindex", "access_timeout", "block_size",
+        "burst_interval", "copy_guard", "crc", "enabled", "max_burst", "max_download", "node_id", "timeout",
     )  # fmt: skip
 
     def __init__(
@@ -72,7 +76,6 @@ class ServerBase(Machine):
         self._is_reading = False
         self._answer = _NO_FRAME  # what confirms a download
         self._straggler = 0  # the number of a segment that may come though its block download has ended; 0: none
-        self._straggler_until: Time = 0
         self._in_pieces = False  # a download that the host takes piece by piece
         self._more = False  # an upload of which the host has given but a part
         self._handed = 0  # bytes that the host has taken, or given
@@ -209,14 +212,18 @@ class ServerBase(Machine):
         """The same, for a block transfer."""
         self._abort(abort_code, origin)
 
-    def _is_straggler(self, sequence: int, frame: Frame, now: Time) -> bool:
-        """Whether it is the next segment of a block download that has ended. One or two before it may be lost."""
-        if now >= self._straggler_until:
-            self._straggler = 0
-        elif self._straggler <= sequence < self._straggler + 3:
-            self._straggler = (sequence + 1) & SEQUENCE
+    def _is_straggler(self, command: int, frame: Frame) -> bool:
+        """Whether it is a segment of a block download that has ended: the next one, or of the beginning of a sub-block.
+
+        The sender may have all of it in a queue that stands still, so time tells nothing. Its order does: a request comes behind
+        all segments. A request that looks like the next segment is lost, and heard when it comes again.
+        """
+        sequence = command & SEQUENCE
+        if 0 < sequence < LEAST_INITIATE or self._straggler <= sequence <= self._straggler + MOST_LOST:
+            self._straggler = MAX_BLOCK_SIZE + 1 if command & FINAL else sequence + 1
             self._ignore(frame, "segment of a block download that has ended")
             return True
+        self._straggler = 0
         return False
 
     def _become_idle(self) -> None:

@@ -65,9 +65,11 @@ class Bus:
         late: tuple[Time, Time] = (0, SECOND),
         pause: Time = 0,
         fates: Iterable[Fate] = (),
+        frame_time: Time = 0,
         now: Time = 0,
     ) -> None:
-        """delay: least and largest; late: how much later than that COPIED_LATE and LATE frames come; pause: PAUSED ones."""
+        """delay: least and largest; late: how much later than that COPIED_LATE and LATE frames come; pause: PAUSED ones;
+        frame_time: between two frames of one CAN-ID, at least."""
         self.now = now
         self.machines: list[Machine | Network] = []
         self.sent: list[tuple[Time, Frame]] = []  # every frame that was put on the bus, lost ones too
@@ -77,6 +79,7 @@ class Bus:
         self._delay = delay
         self._late = late
         self._pause = pause
+        self._frame_time = frame_time
         self._odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
         self._fates: Iterator[Fate] = iter(fates)
         self._on_the_way: list[tuple[Time, int, Outbox, Frame]] = []
@@ -201,7 +204,7 @@ class Bus:
         if fate is Fate.PAUSED:
             arrival += self._pause
         last = (id(receiver), frame.key)
-        arrival = max(arrival, self._last_arrival.get(last, 0))
+        arrival = max(arrival, self._last_arrival.get(last, -NEVER) + self._frame_time)
         self._enter(arrival, receiver, frame)
         if fate is Fate.COPIED:
             self._enter(arrival, receiver, frame)

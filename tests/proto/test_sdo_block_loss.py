@@ -83,6 +83,20 @@ def test_each_pair_of_losses(kind: str) -> None:
                 run(kind, content, fates, crc=crc).is_right(content)
 
 
+@pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_loss_at_the_end_of_a_sub_block_and_another_in_its_repetition(kind: str, crc: bool) -> None:
+    """The numbers of the repetition begin with 1: behind that a gap is a loss, whatever number follows."""
+    content, first = pattern(70), 2 if "download" in kind else 3
+    for received in range(1, 9):
+        for lost in range(10 - received):
+            fates = [Fate.DELIVERED] * (first + received) + [Fate.LOST] * (10 - received)
+            fates += [Fate.DELIVERED] * (1 + lost) + [Fate.LOST]
+            pair = run(kind, content, fates, crc=crc, block_size=127)
+            could_be_a_pause = (received, lost) == (1, 0)  # number 2 comes next, as it would then
+            assert pair.is_right(content) == (not could_be_a_pause), (received, lost)
+
+
 CONTENTS = st.one_of(st.integers(0, 120).map(pattern), st.binary(max_size=120), st.integers(0, 120).map(bytes))
 OPTIONS = st.fixed_dictionaries({"block_size": st.integers(1, 6), "max_burst": st.integers(1, 9)})
 

@@ -11,11 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Machine, Time
+from canopen_proto.sdo.abort import AbortCode
+from canopen_proto.sdo.access import Pending
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEQUENCE, silence_limit
-from canopen_proto.sdo.client import SdoAborted
+from canopen_proto.sdo.client import SdoAborted, SdoDownloaded
+from canopen_proto.sdo.codec import EXPEDITED
+from canopen_proto.sdo.server import ObjectAccessPending
 from tests.examples import examples
-from tests.proto.block_pair import BY_HOST, INDEX, BlockPair, pattern
+from tests.proto.block_pair import BY_HOST, INDEX, BlockPair, Store, pattern
 from tests.proto.bus import Bus, Fate
 
 
@@ -92,3 +96,86 @@ def test_longer_ones_end_in_an_abort_never_in_wrong_bytes(transfer: Transfer, pl
 def test_the_default_inside_a_block_is_a_second_at_least_and_follows_the_time_out(kind: str, timeout: int, pause: int) -> None:
     pair = Transfer(kind, timeout=timeout * MILLISECOND).run(6, pause * MILLISECOND)
     assert pair.is_right(pattern(100))
+
+
+# ---- the rest of the sender's queue, when the transfer is over ----
+
+OTHER = 0x1017
+SPELLS = b"".join(EXPEDITED.pack(0, OTHER, 0, number.to_bytes(4, "little"))[1:] for number in range(600))
+"""Content of which each segment names another object, as an expedited download does."""
+
+
+class Device(Store):
+    """Every object of it may be written."""
+
+    def __init__(self) -> None:
+        super().__init__(b"\x01")
+        self.others: list[int] = []
+
+    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
+        return super().check_write(index, subindex, size) if index in (INDEX, BY_HOST) else None
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        if index in (INDEX, BY_HOST):
+            return super().write(index, subindex, data, now)
+        self.others.append(index)
+        return None
+
+
+class Host(Machine):
+    """It takes each piece `time` after it was asked to."""
+
+    def __init__(self, pair: BlockPair, time: Time) -> None:
+        super().__init__(pair.server.out)
+        self.pair = pair
+        self.time = time
+        self.asked: ObjectAccessPending | None = None
+        pair.serve = self.serve  # type: ignore[method-assign]
+
+    def can_ids(self) -> tuple[int, ...]:
+        return ()
+
+    def serve(self, report: ObjectAccessPending, now: Time) -> None:
+        self.asked = report
+        self.deadline = now + self.time
+
+    def handle_timeout(self, now: Time) -> None:
+        self.deadline = NEVER
+        assert self.asked is not None
+        BlockPair.serve(self.pair, self.asked, now)
+
+
+@examples(150)
+@given(
+    size=st.integers(1, len(SPELLS)),
+    crc=st.booleans(),
+    index=st.sampled_from([INDEX, BY_HOST]),
+    block_size=st.integers(30, 70) | st.just(MAX_BLOCK_SIZE),
+    pauses=st.lists(st.integers(2, 70), min_size=1, max_size=2, unique=True),
+    pause=st.sampled_from([0.05, 0.9, 1.2, 1.9, 2.1, 3.5, 9]),
+    frame_time=st.sampled_from([100_000, 4 * MILLISECOND]),
+    host_time=st.sampled_from([0, 20 * MILLISECOND, 400 * MILLISECOND, 3 * SECOND]),
+)
+def test_a_download_writes_its_object_and_no_other_whatever_pause_and_however_full_the_queue(
+    size: int, crc: bool, index: int, block_size: int, pauses: list[int], pause: float, frame_time: Time, host_time: Time
+) -> None:
+    """Number 0x23 of the queue looks like an expedited download."""
+    content = SPELLS[:size]
+    fates = iter([Fate.PAUSED if place in pauses else Fate.DELIVERED for place in range(72)])
+    bus = Bus(fates=fates, pause=round(pause * SECOND), frame_time=frame_time)
+    server = {"block_size": block_size, "max_download": len(SPELLS)}
+    pair = BlockPair(bus, client={"crc": crc, "max_burst": MAX_BLOCK_SIZE}, server=server)
+    pair.store = pair.server._store = device = Device()
+    bus.attach(Host(pair, host_time))
+    pair.download(content, index=index)
+    pair.settle()
+    assert device.others == []
+    assert set(device.written) <= {content}
+    said = [str(frame) for _, frame in bus.sent if frame.can_id == 0x58C]
+    assert sum(frame.startswith("58C#80") for frame in said) <= 2, "one for the transfer, one for an end frame behind it"
+    list(fates)  # no more of them
+    pair.download(b"next", False)
+    if isinstance(pair.settle(), SdoAborted):  # it looked like the next segment; who asks again is heard
+        pair.download(b"next", False)
+        assert isinstance(pair.settle(), SdoDownloaded)
+    assert device.written[-1] == b"next"

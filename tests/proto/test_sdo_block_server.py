@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, FrameIgnored
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
-from canopen_proto.sdo.block import LEAST_SILENCE, STRAGGLER_TIME
-from canopen_proto.sdo.server import ObjectWritten, SdoServerAborted
+from canopen_proto.sdo.block import COPY_TIME, LEAST_SILENCE, MAX_BLOCK_SIZE
+from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten, SdoServerAborted
 from tests.proto.block_bench import ServerBench, crc_bytes, frames, segments
 from tests.proto.block_pair import pattern
 
@@ -322,7 +322,7 @@ def test_a_client_that_did_not_get_the_answer_begins_anew(request_: str) -> None
     """Before the first segment an initiate is none, though it bears the number of one; its immediate copy is a copy."""
     bench = ServerBench()
     assert bench.tell_at_once(DOWNLOAD, DOWNLOAD) == frames("A4 00 20 00 7F")
-    bench.now += STRAGGLER_TIME
+    bench.now += COPY_TIME
     assert bench.tell(request_)[0][2:] != "80"
     assert request_ == DOWNLOAD or isinstance(bench.events()[1], SdoServerAborted)
     bench = ServerBench()
@@ -340,17 +340,55 @@ def test_behind_the_clients_own_abort_nothing_is_on_the_way() -> None:
 
 
 def test_segments_still_on_the_way_are_no_requests() -> None:
-    """Number 0x23 looks like an expedited download of whatever object its data name."""
+    """Number 0x23 looks like an expedited download of whatever object its data name. A queue may stand still for any time."""
     bench = ServerBench(bytes(4), block_size=60)
     content = bytes.fromhex("00 20 00 01 02 03 04") * 60
     bench.tell("C6 00 20 00" + len(content).to_bytes(4, "little").hex(), *segments(content, 0x21, final=False))
     bench.server.reset()  # by NMT
     on_the_way = segments(content, 60, final=False)
-    assert bench.tell(*on_the_way[0x21:0x24], *on_the_way[0x26:0x30]) == []  # two of them are lost, too
+    bench.now += 60 * SECOND
+    assert bench.tell(*on_the_way[0x21:0x24], *on_the_way[0x26:0x2A]) == []  # two of them are lost, too
+    bench.now += 60 * SECOND
+    assert bench.tell(*on_the_way[0x2A:0x30], *on_the_way) == []  # and another sub-block
     assert bench.store.written == []
     assert bench.tell("40 00 20 00") == frames("43 00 20 00")  # whatever does not go on where it stopped is a request
-    bench.now += STRAGGLER_TIME
     assert bench.tell("23 00 20 00 01 02 03 04") == frames("60 00 20 00")
+
+
+def test_a_request_that_looks_like_a_segment_is_heard_when_it_comes_again() -> None:
+    bench = ServerBench(bytes(4))
+    bench.tell("C6 00 20 00 00 02", *segments(pattern(512), 0x3F, final=False))
+    bench.server.reset()
+    assert bench.tell("40 00 20 00") == []  # number 64 is due
+    assert bench.tell("40 00 20 00") == frames("43 00 20 00")
+    assert bench.tell("40 00 20 00") == frames("43 00 20 00")
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+def test_a_piece_that_the_host_refuses_while_the_client_goes_on(is_full: bool) -> None:
+    """is_full: all of the sub-block came. Else it ended by a silence, and the rest of it comes when the transfer is over."""
+    bench, content = ServerBench(bytes(4), block_size=0x21), bytes.fromhex("00 20 00 01 02 03 04") * MAX_BLOCK_SIZE
+    bench.tell("C4 01 20 00", *segments(content, 0x21 if is_full else 0x1F, final=False))
+    if not is_full:
+        assert bench.wait() == []
+    (access,) = bench.events()
+    assert isinstance(access, ObjectAccessPending)
+    bench.server.complete(access.access_id, AbortCode.HARDWARE_ERROR, bench.now)
+    assert bench.said() == frames("80 01 20 00 00 00 06 06")
+    if is_full:  # nothing more of it is on the way: this is a request, though the next number is 0x22
+        assert bench.tell("23 00 20 00 01 02 03 04") == frames("60 00 20 00")
+    else:
+        assert bench.tell(*segments(content, 0x21, final=False)[0x1F:]) == []
+        assert bench.store.written == []
+
+
+def test_a_client_that_goes_on_while_the_host_takes_a_piece_has_paused() -> None:
+    bench, content = ServerBench(bytes(4)), bytes.fromhex("00 20 00 01 02 03 04") * MAX_BLOCK_SIZE
+    bench.tell("C4 01 20 00", *segments(content, 0x22, final=False))
+    bench.wait()
+    bench.events()
+    assert bench.tell(*segments(content)[0x22:]) == frames("80 01 20 00 03 00 04 05")
+    assert bench.store.written == []
 
 
 def test_short_segments_are_lost() -> None:
