@@ -4,18 +4,19 @@ The file is JSON, by node-ID and object, bytes as SDO carries them:
 
     {"format": "canopen-sim-state 1", "devices": {"5": {"1017:00": "E803", "607F:00": "102700000"}}}
 
-It is read once and written anew whenever a device stores or restores: beside its place first, so that a power cut leaves the old
-one. A device that is not simulated this time keeps its entry.
+It is read once, and written again as a whole whenever a device stores or restores. A device that is not simulated this time keeps
+its entry.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
+
+from canopen_master.whole_file import whole_file
 
 FORMAT: Final = "canopen-sim-state 1"
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
@@ -53,9 +54,8 @@ class ParameterKeeper:
         """A device stores all this, and nothing else. Raises OSError where it cannot be written; then nothing has changed."""
         after = {**self._kept, node_id: dict(parameters)}
         if self._path is not None:
-            beside = self._path.with_name(self._path.name + ".new")
-            beside.write_text(_text(after), encoding="utf-8")
-            os.replace(beside, self._path)
+            with whole_file(self._path) as file:
+                file.write(_text(after).encode())
         self._kept = after
 
 

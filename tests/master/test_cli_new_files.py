@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import io
+import os
+import stat
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from canopen_data.descriptions import load_description
 from canopen_master.cli.problem import ExitCode
+from canopen_master.whole_file import whole_file
 from canopen_proto.sdo.abort import AbortCode
 from tests.master.backup_world import Lasting, answering, change, lasting_device
 from tests.master.cli_support import Run, runner_in_folder
@@ -48,7 +52,7 @@ def test_what_is_there_is_not_overwritten_without_asking(
     run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     command = COMMANDS[name]
-    target = Path(next(each for each in command if each.startswith("OUT.")))
+    target = output_of(name)
     target.write_text(OLD)
     outcome = run(*command)
     assert outcome.status == ExitCode.USAGE
@@ -75,10 +79,87 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_what_is_no_file_is_written_to(run: Run, world: Lasting) -> None:
-    assert run("read", "5", "1000", *DEMO, "--trace", "/dev/null/x.log").status == ExitCode.BAD_FILE
+def output_of(name: str) -> Path:
+    return Path(next(each for each in COMMANDS[name] if each.startswith("OUT.")))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a pipe that holds a whole file is Linux's alone")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_pipe_is_written_to(run: Run, world: Lasting, name: str) -> None:
+    """Nobody is asked, and the pipe is a pipe afterwards."""
+    import fcntl
+
+    target = output_of(name)
+    os.mkfifo(target)
+    reader = os.open(target, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        fcntl.fcntl(reader, fcntl.F_SETPIPE_SZ, 1 << 20)  # the whole file has room in it
+        assert run(*COMMANDS[name]).status in (0, 1)
+        assert len(os.read(reader, 1 << 20)) > 3
+    finally:
+        os.close(reader)
+    assert target.is_fifo()
+    assert names() == {"device.eds", "in.log", target.name}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_link_leads_to_what_is_written(run: Run, world: Lasting, name: str) -> None:
+    """What it leads to keeps its permissions. A file that is called like a part of it is somebody's own."""
+    target = output_of(name)
+    Path("kept").mkdir()
+    kept, own = Path("kept", target.name), Path("kept", f"{target.name}.part")
+    target.symlink_to(kept)
+    Path(f"{target.name}.part").write_text(OLD)
+    own.write_text(OLD)
+    kept.write_text(OLD)
+    kept.chmod(0o640)
+    assert run(*COMMANDS[name], "--force").status in (0, 1)
+    assert target.is_symlink()
+    assert kept.read_bytes() != OLD.encode()
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o640
+    assert (own.read_text(), Path(f"{target.name}.part").read_text()) == (OLD, OLD)
+    assert names() == {"device.eds", "in.log", "kept", target.name, f"{target.name}.part"}
+    assert names("kept") == {kept.name, own.name}
+
+
+def names(folder: str = ".") -> set[str]:
+    return {each.name for each in Path(folder).iterdir()}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege")
+def test_a_link_to_nothing_yet_makes_its_file(run: Run, world: Lasting) -> None:
+    Path("link.dcf").symlink_to("new.dcf")
+    assert run("backup", "5", "-e", "device.eds", *DEMO, "-o", "link.dcf").status == 0
+    assert Path("link.dcf").is_symlink()
+    assert Path("new.dcf").read_text().startswith("[FileInfo]")
+    umask = os.umask(0)
+    os.umask(umask)
+    assert stat.S_IMODE(Path("new.dcf").stat().st_mode) == 0o666 & ~umask
+
+
+def test_a_file_that_is_not_written_to_the_end_is_as_it_was(run: Run) -> None:
+    """Whatever keeps it from that, Ctrl-C too."""
+    for content in (None, OLD):
+        target = Path("OUT.bin")
+        if content is not None:
+            target.write_text(content)
+        with suppress(KeyboardInterrupt), whole_file(target) as file:
+            file.write(b"half of")
+            raise KeyboardInterrupt
+        assert names() == ({target.name} if content else set())
+        assert not content or target.read_text() == content
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege")
+def test_what_cannot_be_written(run: Run, world: Lasting) -> None:
     Path("folder").mkdir()
-    assert run("eds", "doc", "device.eds", "-o", "folder").status == ExitCode.BAD_FILE
+    Path("folder", "loop").symlink_to("loop")
+    for output in ("folder", "folder/loop", "in.log/x.html"):
+        assert run("eds", "doc", "device.eds", "-o", output).status == ExitCode.BAD_FILE
+        assert run("read", "5", "1000", *DEMO, "-o", output).status == ExitCode.BAD_FILE
+    assert run("read", "5", "1000", *DEMO, "--trace", "in.log/x.log").status == ExitCode.BAD_FILE
+    assert names("folder") == {"loop"}
 
 
 # ---- what a backup and a restore keep ----

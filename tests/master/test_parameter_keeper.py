@@ -28,7 +28,11 @@ def test_in_a_file(tmp_path: Path) -> None:
     assert '"5": {\n   "1017:00": "F401",\n   "2001:05": ""\n  }' in path.read_text()
     again = ParameterKeeper(path)
     assert (again.kept(5), again.kept(6), again.kept(7)) == (PARAMETERS, {}, None)
-    assert [each.name for each in tmp_path.iterdir()] == ["state.json"]
+    (tmp_path / "link.json").symlink_to(path)
+    ParameterKeeper(tmp_path / "link.json").keep(7, PARAMETERS)
+    assert ParameterKeeper(path).kept(7) == PARAMETERS
+    assert {each.name for each in tmp_path.iterdir() if each.is_symlink()} == {"link.json"}
+    assert {each.name for each in tmp_path.iterdir()} == {"state.json", "link.json"}
 
 
 def test_what_cannot_be_written_changes_nothing(tmp_path: Path) -> None:

@@ -7,9 +7,10 @@ what is there already is overwritten only if the user says so, on a terminal or 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 import click
 
@@ -17,14 +18,15 @@ from canopen_master.cli.options import Settings
 from canopen_master.cli.problem import ExitCode, Problem, usage
 from canopen_master.cli.screen import Screen
 from canopen_master.plain_text import clean
+from canopen_master.whole_file import whole_file
 
 
 def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
     """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it is there already and the user does
     not want it overwritten.
 
-    Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). What is no file, such as /dev/null
-    or a pipe, is not overwritten by writing to it.
+    Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). What exists and is
+    no regular file, such as /dev/null or a pipe, needs no leave: nothing there is overwritten.
     """
     target = Path(path)
     if not target.parent.is_dir():
@@ -42,18 +44,29 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
 
 
 def write_file(path: str, data: bytes, *inputs: str) -> None:
-    """Write a new file whole, or leave what was there. A Problem where it is one of the inputs, or cannot be written."""
-    target = Path(path)
-    _check_no_input(target, inputs)
-    beside = target.with_name(f"{target.name}.part")
+    """Write a file as `whole_file` does. A Problem where it is one of the inputs, or cannot be written."""
+    _check_no_input(Path(path), inputs)
     try:
-        beside.write_bytes(data)
-        beside.replace(target)
+        with whole_file(path) as file:
+            file.write(data)
     except (OSError, ValueError) as error:
-        with suppress(OSError, ValueError):
-            beside.unlink()
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",)) from error
+        raise _cannot_write(path, error) from error
+
+
+@contextmanager
+def new_file(path: str) -> Iterator[IO[bytes]]:
+    """Open a file as `whole_file` does. A Problem where it cannot be opened."""
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(whole_file(path))
+        except (OSError, ValueError) as error:
+            raise _cannot_write(path, error) from error
+        yield file
+
+
+def _cannot_write(path: str, error: OSError | ValueError) -> Problem:
+    reason = error.strerror if isinstance(error, OSError) else error
+    return Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",))
 
 
 def _check_no_input(target: Path, inputs: Iterable[str]) -> None:

@@ -1,7 +1,7 @@
 """`canopen read -o FILE` and `canopen write --file FILE`: objects that go into files and come from them, piece by piece.
 
-The bytes are those of the wire. Nothing is held whole where the device knows block transfer. A file is written beside its place
-and takes it when the transfer has ended well: a checksum stands at the end, and a broken file replaces no good one.
+The bytes are those of the wire. Nothing is held whole where the device knows block transfer. A checksum stands at the end of the
+transfer: a file gets its new content (`whole_file`) when that was right, so that a broken file replaces no good one.
 """
 
 from __future__ import annotations
@@ -9,9 +9,8 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import IO, Any, Final
 
 import trio
@@ -58,21 +57,16 @@ class FileTransfer:
         }
 
 
-async def read_into_file(screen: Screen, node: Node, variable: Variable, path: str, block: Block) -> FileTransfer:
-    """Read an object into a file. Raises Problem where it can't be written, and what Node.read_stream raises."""
+async def read_into_file(
+    screen: Screen, node: Node, variable: Variable, path: str, file: IO[bytes], block: Block
+) -> FileTransfer:
+    """Read an object into a file that is open. path: its name. Raises OSError, and what Node.read_stream raises."""
     started = trio.current_time()
-    part = Path(f"{path}.part")
-    try:
-        with _opened("write", path, part, "wb") as file, progress(screen, node, variable, None) as show:
-            async with node.read_stream(variable.index, variable.subindex, block=block) as stream:
-                async for piece in stream:
-                    file.write(piece)
-                    show(stream.size)
-        os.replace(part, path)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
+    with progress(screen, node, variable, None) as show:
+        async with node.read_stream(variable.index, variable.subindex, block=block) as stream:
+            async for piece in stream:
+                file.write(piece)
+                show(stream.size)
     return FileTransfer(node.node_id, variable, path, stream.size, trio.current_time() - started)
 
 
@@ -82,7 +76,7 @@ async def write_from_file(screen: Screen, node: Node, variable: Variable, path: 
     Raises Problem where the file can't be read or the device shows something else, and what Node.write_stream raises.
     """
     started = trio.current_time()
-    with _opened("read", path, Path(path), "rb") as file, progress(screen, node, variable, size_of(file)) as show:
+    with _opened(path) as file, progress(screen, node, variable, size_of(file)) as show:
         done = 0
 
         def pieces() -> Iterator[bytes]:
@@ -100,7 +94,7 @@ async def write_from_file(screen: Screen, node: Node, variable: Variable, path: 
 
 
 async def _compare(screen: Screen, node: Node, variable: Variable, path: str, block: Block) -> None:
-    with _opened("read", path, Path(path), "rb") as file, progress(screen, node, variable, size_of(file)) as show:
+    with _opened(path) as file, progress(screen, node, variable, size_of(file)) as show:
         async with node.read_stream(variable.index, variable.subindex, block=block) as stream:
             is_equal = True
             async for piece in stream:
@@ -126,13 +120,14 @@ def size_of(file: IO[bytes]) -> int | None:
 
 
 @contextmanager
-def _opened(doing: str, path: str, real: Path, mode: str) -> Iterator[IO[bytes]]:
+def _opened(path: str) -> Iterator[IO[bytes]]:
     with ExitStack() as stack:
         try:
-            file: IO[bytes] = stack.enter_context(open(real, mode))
+            file = stack.enter_context(open(path, "rb"))
         except OSError as error:
-            code, step = ("CO341", "write elsewhere") if doing == "write" else ("CO340", "check the path")
-            raise Problem(ExitCode.BAD_FILE, code, f"cannot {doing} {path}: {error.strerror}", tries=(step,)) from error
+            raise Problem(
+                ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)
+            ) from error
         yield file
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import IO, Any
 
 import click
 
-from canopen_master.cli.new_files import check_new_file
+from canopen_master.cli.new_files import check_new_file, new_file
 from canopen_master.cli.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_master.cli.options import NodeId, Settings, common, enabling
 from canopen_master.cli.problem import ExitCode, Problem, usage
@@ -134,7 +134,8 @@ def read(
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
         check_new_file(settings, screen, output)
-        taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output))
+        with new_file(output) as file:  # a pipe waits for its reader: here, where Ctrl-C ends that
+            taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output, file))
         _tell_file(settings, screen, taken, "→")
         return
     readings = run(settings, screen, lambda: _read(settings, screen, node_id, keys, type_name, block))
@@ -158,12 +159,19 @@ async def _read(
 
 
 async def _read_file(
-    settings: Settings, screen: Screen, node_id: int, key: str, type_name: str | None, block: bool | None, output: str
+    settings: Settings,
+    screen: Screen,
+    node_id: int,
+    key: str,
+    type_name: str | None,
+    block: bool | None,
+    output: str,
+    file: IO[bytes],
 ) -> FileTransfer:
     async with open_session(settings, screen) as session:
         variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
         _check_readable(variable)
-        return await read_into_file(screen, session.node(node_id), variable, output, block_of(variable, block))
+        return await read_into_file(screen, session.node(node_id), variable, output, file, block_of(variable, block))
 
 
 def _check_readable(variable: Variable) -> None:
