@@ -217,8 +217,8 @@ MUTANTS: Final = (
     Mutant(
         "fall_back_guard",
         _BLOCK_CLIENT,
-        "    client._unsettled = True",
-        "    client._unsettled = False",
+        "    client._unsettled = True  # a second copy",
+        "    client._unsettled = False  # a second copy",
         "the second copy of the refusal refuses the plain transfer too",
         FALL_BACK,
     ),

@@ -6,7 +6,8 @@ such an object is empty, one server in the field stops at an assertion, and anot
 
 A request for block = "auto" bears the plain request beside it. It falls back on that if the server refuses at the initiation with
 0x05040001 (it does not know block transfer; the client remembers that) or 0x06010000 (not this object), and it takes a normal
-upload for an answer though it did not allow one: there are servers that do not look at the threshold.
+upload for an answer though it did not allow one: there are servers that do not look at the threshold. A refusal that does not
+name the object counts if nothing else comes in time. It is not remembered: it may be about something else, and the answer lost.
 
 Source: CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13.
 """
@@ -39,6 +40,7 @@ from canopen_proto.sdo.codec import (
     ABORT,
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,
+    INITIATE,
     INITIATE_UPLOAD_RESPONSE,
     SIZE,
     SPECIFIER,
@@ -138,7 +140,7 @@ def fall_back(client: SdoClient, data: bytes, now: Time) -> bool:
     request = client._request
     assert isinstance(request, BlockRequest)
     plain, abort_code = request.plain, SIZE.unpack_from(data, 4)[0]
-    if abort_code == AbortCode.INVALID_COMMAND:
+    if abort_code == AbortCode.INVALID_COMMAND and data[1:4] == client._multiplexer:  # else it is a guess
         client.serves_blocks = False
     if plain is None or abort_code not in NO_BLOCKS:
         return False
@@ -152,6 +154,18 @@ def fall_back(client: SdoClient, data: bytes, now: Time) -> bool:
     client._urgent.appendleft(plain)
     client._begin_next(now)
     return True
+
+
+def take_for_refusal(client: SdoClient, data: bytes, now: Time) -> None:
+    """Nothing but an abort without an object's name has come in time: the server has no blocks, or its answer is late.
+
+    So the transfer is aborted on the wire, and the answer is ignored if it comes.
+    """
+    request = client._request
+    client._send(INITIATE.pack(ABORT, request.index, request.subindex, AbortCode.TIMED_OUT))
+    client._unsettled = True
+    if not fall_back(client, data, now):
+        client._end_by_abort(data, False, now)
 
 
 class BlockDownload(BlockSender):

@@ -54,7 +54,7 @@ from canopen_proto.sdo.block_client import (
     BlockUpload,
     block_download_request,
     block_upload_request,
-    fall_back,
+    take_for_refusal,
 )
 from canopen_proto.sdo.codec import (
     ABORT,
@@ -150,7 +150,7 @@ class SdoClient(RequestQueue):
         self.burst_interval = burst_interval
         self.stream_timeout = stream_timeout
         self.serves_blocks = True
-        """False once the server has refused block transfer with 0x05040001: "auto" does without from then on."""
+        """False once the server has refused a block transfer with 0x05040001 and the object's name: "auto" does without then."""
         self._segment_requests = {
             toggle: Frame(self._send_can_id, bytes((UPLOAD_SEGMENT | toggle,)).ljust(8, b"\x00"), self._send_flags)
             for toggle in (0, TOGGLE)
@@ -286,8 +286,7 @@ class SdoClient(RequestQueue):
         if self._state == _IDLE:
             self._begin_next(now)  # a request was held back by copy_guard
         elif self._nameless_abort and self._transfer is not None and not self._transfer.has_begun:
-            if not fall_back(self, self._nameless_abort, now):
-                self._end_by_abort(self._nameless_abort, False, now)
+            take_for_refusal(self, self._nameless_abort, now)
         elif self._transfer is not None:
             self._transfer.handle_timeout(now)
         elif self._state in (_UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT) and not self._last:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
 from canopen_proto.sdo.abort import AbortOrigin
-from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.proto.block_bench import ClientBench, frames
 
 TEXT = b"Hello, blocks"
@@ -61,15 +63,38 @@ def test_other_aborts_are_aborts() -> None:
 
 
 def test_a_server_that_refuses_without_naming_the_object_is_believed_if_nothing_else_comes() -> None:
-    for content, answer in [(None, "40 08 10 00"), (bytes(29), "21 00 20 00 1D")]:
+    """But not for good: it may be a stray abort, and the answer lost."""
+    for content, given_up, answer in [
+        (None, "80 08 10 00 00 00 04 05", "40 08 10 00"),
+        (bytes(29), "80 00 20 00 00 00 04 05", "21 00 20 00 1D"),
+    ]:
         bench = ClientBench()
         if content is None:
             bench.upload("auto")
         else:
             bench.download(content, "auto")
         assert bench.tell("80 00 00 00 01 00 04 05") == []
-        assert bench.wait() == frames(answer)
-        assert not bench.client.serves_blocks
+        assert bench.wait() == frames(given_up, answer)
+        assert bench.client.serves_blocks
+
+
+@pytest.mark.parametrize("block", [True, "auto"])
+def test_an_answer_that_comes_later_than_that_breaks_no_other_transfer(block: Any) -> None:
+    bench = ClientBench()
+    bench.upload(block)
+    assert bench.tell("80 00 00 00 01 00 04 05") == []
+    assert bench.wait()[:1] == frames("80 08 10 00 00 00 04 05")
+    if block is True:
+        report = bench.events()[-1]
+        assert isinstance(report, SdoAborted)
+        assert (report.abort_code, report.origin) == (0x05040001, AbortOrigin.PEER)
+        bench.client.upload(0x1008, 0, bench.now)
+        bench.said()
+    assert bench.tell("C6 08 10 00 0D") == []
+    bench.tell("4F 08 10 00 55")
+    report = bench.events()[-1]
+    assert isinstance(report, SdoUploaded)
+    assert report.data == b"\x55"
 
 
 def test_a_fall_back_goes_before_all_that_wait() -> None:
