@@ -47,7 +47,7 @@ from canopen_proto.cia402.objects import (
     TORQUE_ACTUAL_VALUE,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.cia402.states import State, state_of
+from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time, event
 from canopen_proto.remote_node import FRESH, RemoteNode
 
@@ -169,10 +169,10 @@ class Axis:
     """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing.
 
     settings: those in force; what the user left open is filled in once `is_identified`. grip: asked before the drive is enabled,
-    and once it is shut down.
+    and once it is shut down. started_at: when bit 4 of the controlword was last commanded to rise, which starts a motion.
     """
 
-    __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "state")
+    __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state")
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """node: its dictionary must have controlword, statusword and modes of operation, else LocalProtocolError."""
@@ -184,6 +184,7 @@ class Axis:
         self.state = State.UNKNOWN
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
+        self.started_at: Time = -NEVER
         node.commanded.add(CONTROLWORD)
         node.add_listener(self._on_values, self._on_boot)
 
@@ -240,7 +241,7 @@ class Axis:
     @property
     def has_fault(self) -> bool:
         """Whether the drive is in Fault or on its way there."""
-        return self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        return self.state in FAULT_STATES
 
     @property
     def is_homed(self) -> bool:

@@ -45,6 +45,10 @@ class State(StrEnum):
     UNKNOWN = "unknown"
 
 
+FAULT_STATES: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
+"""In fault. In the second state the drive still has power, and brakes."""
+
+
 class StatusBit:
     """Bits of the statusword (6041h) that mean the same in all modes; those of the modes are in `modes.py`."""
 

@@ -14,8 +14,12 @@ by side; if one fails, the others are cancelled (what they moved is halted), and
 **Cycle.** SYNC goes out, right behind it one PDO per joint with the set-points as they are then. A set-point given in cycle n so
 goes out behind SYNC n+1, acts at SYNC n+2, and is reached at the SYNC after it. If none was given in a cycle, the last one is
 repeated, and the cycle counts as missed; after `max_missed_cycles` in a row the chain is halted. It stays halted until
-`enable_interpolated_position` or `recover`, which begin where the joints stand: nothing jumps. Nor does a path jump that is read
-at `cycle.time`: it advances only with SYNCs that took set-points along, so a late loop makes the path slower (see cycles.py).
+`enable_interpolated_position` or `recover`. Nor does a path jump that is read at `cycle.time`: it advances only with SYNCs that
+took set-points along, so a late loop makes the path slower (see cycles.py).
+
+**Nothing jumps.** What makes the joints move begins with joints that stand: initialise, home, enable_interpolated_position and
+recover halt a chain that follows set-points, and wait for a halt under way, whoever ordered it. Then each joint is halted once
+more, and seen to stand, by the procedure itself (canopen_proto.procedures.drive.halt); one that does not stand is an error.
 
 **Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
 set-points, stops its whole chain: what runs is cancelled, all joints are halted, and everything that is asked of the chain raises
@@ -62,7 +66,7 @@ from canopen_master.supervision import Supervision
 from canopen_proto.cia402.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.procedures.drive import DriveFault, ReferenceLost, enable, home, reset_fault
+from canopen_proto.procedures.drive import DriveFault, ReferenceLost, enable, halt, home, reset_fault
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sync import SyncSent
@@ -188,11 +192,13 @@ class Chain:
     # ---- what it does ----
 
     async def initialise(self) -> None:
-        """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Nothing moves.
+        """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Joints that move are halted.
 
-        Raises ChainFault where a fault stays, ChainError for a joint that does not answer or refuses.
+        Raises ChainFault where a fault stays, ChainError for a joint that does not answer, does not stand, or refuses.
         """
         master, settings = self._master, self.settings
+        self._require_idle("initialise")
+        await self._joints_halted("initialise")
         self._require_idle("initialise")
         self._require_same_cycle()
         self._supervision.is_on = False
@@ -207,17 +213,18 @@ class Chain:
         self.state, self._supervision.is_on = ChainState.READY, True
 
     async def home(self) -> None:
-        """Home all joints, side by side. Cancelled, or if one fails, all are halted."""
-        self._require("home", ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+        """Home all joints, side by side, from where they stand. Cancelled, or if one fails, all are halted."""
+        await self._require_standing("home")
         self._end_following(ChainState.READY)
         await self._for_all("home", lambda device: home(device.axis))
 
     async def enable_interpolated_position(self) -> None:
         """Let all joints follow set-points, beginning where they stand. They need not be homed before.
 
-        Raises ChainError where a drive lacks the mode, or has lost its reference: see `recover`.
+        A chain that follows set-points already is halted first. Raises ChainError where a drive lacks the mode, does not stand, or
+        has lost its reference: see `recover`.
         """
-        self._require("enable interpolated position", ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+        await self._require_standing("enable interpolated position")
         self._end_following(ChainState.READY)
         cycle_time = round(self.settings.cycle_time * SECOND)
         limits = await self._for_all("enable interpolated position", lambda device: follow(device, cycle_time))
@@ -246,7 +253,6 @@ class Chain:
         drives with an absolute encoder. A chain that was never homed has no reference to lose.
         """
         followed = self._followed
-        await self._joints_stopped()
         await self.initialise()
         if followed:
             await self.enable_interpolated_position()
@@ -393,6 +399,13 @@ class Chain:
             failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
 
+    async def _require_standing(self, what: str) -> None:
+        """Raise unless the chain can do that from a standstill; halt it, and wait until the joints stand."""
+        states = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+        self._require(what, *states)
+        await self._joints_halted(what)
+        self._require(what, *states)  # somebody else may have been quicker
+
     def _require_same_cycle(self) -> None:
         """SYNC is one for all chains."""
         period = self._master.sync_period
@@ -427,6 +440,12 @@ class Chain:
         await self._stopping.done.wait()
         failures: list[JointFailed | None] = self._master.result_of(self._stopping)
         return failures
+
+    async def _joints_halted(self, what: str) -> None:
+        """Halt joints that follow set-points, and wait for a halt under way. Whether each stands is seen by what follows."""
+        if self.state is ChainState.FOLLOWING:
+            self._stop(f"to {what}")
+        await self._joints_stopped()
 
     async def _why_stopped(self) -> ChainError | None:
         """Why no set-points are followed (any more), once the joints stand; None while they are."""
@@ -482,5 +501,6 @@ class Chain:
 
 
 def _reset_and_enable(device: Device) -> Procedure[None]:
+    yield from halt(device.axis)  # somebody else may have left it running
     yield from reset_fault(device.axis)
     yield from enable(device.axis)

@@ -20,6 +20,7 @@ from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
 
 if TYPE_CHECKING:
@@ -73,11 +74,11 @@ class Device:
 
     @property
     def velocity(self) -> float | None:
-        """Actual velocity, per second: the drive's own (0x606C) where it sends it, else from its last two positions.
-
-        None if neither was heard.
+        """Actual velocity, per second: the drive's own (0x606C), unless its last position is newer by more than 100 ms; then from
+        its last two positions. None if neither was heard.
         """
-        if VELOCITY_ACTUAL_VALUE in self.node.remote.heard_at:
+        heard_at = self.node.remote.heard_at.get(VELOCITY_ACTUAL_VALUE)
+        if heard_at is not None and (self._position is None or self._position[0] - heard_at <= FRESH):
             return self.axis.velocity
         return None if self.position is None else self._velocity
 

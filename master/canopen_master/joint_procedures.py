@@ -132,7 +132,11 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
 
 
 def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[Limit]:
-    """Read the joint's limits, then let it follow set-points from where it stands; how far off them it may be. cycle_time: ns."""
+    """Halt the joint, read its limits, then let it follow set-points from where it stands; how far off them it may be.
+
+    cycle_time: ns.
+    """
+    yield from halt(device.axis)
     device.limits = yield from read_limits(device.axis)
     limit = yield from following_limit(device.axis, device.limits)
     yield from start_interpolation(device.axis, cycle_time, sends_itself=sends_itself)
@@ -140,16 +144,15 @@ def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> P
 
 
 def stop(device: Device) -> Procedure[None]:
-    """Halt the joint; of one in fault, read the error code, for whoever asks why."""
+    """Halt the joint, and wait until it stands, also at the end of a fault reaction; of one in fault, read the error code."""
     if device.has_fault:
         yield from read_if_present(device.node.remote, "0x603F")
-    else:
-        yield from halt(device.axis)
+    yield from halt(device.axis)
 
 
 def power_down(device: Device) -> Procedure[None]:
-    """Halt, engage the brake, take the power away. A joint in fault has neither motion nor power."""
+    """Halt, engage the brake, take the power away. A joint in fault loses its power by itself, once it has braked."""
+    yield from halt(device.axis)
     if not device.has_fault:
-        yield from halt(device.axis)
         yield from engage_brake(device.axis)
     yield from shut_down(device.axis)

@@ -149,8 +149,10 @@ def test_a_wait_ends_as_soon_as_its_reason_is_there(name: str, cause: str, by_pd
 
 
 def allowed_for_clean_up(cause: str) -> int:
-    """After it has ended a move is halted: of a node that is gone that takes an SDO time-out, of a drive that moves its ramp."""
-    return {"heartbeat lost": SECOND, "mode change": 5 * SECOND}.get(cause, 600 * MILLISECOND)
+    """A move is halted after its end. That takes an SDO time-out of a node that is gone, and its ramp of a drive that moves; one
+    that was started a moment ago is watched for `reaction_time`.
+    """
+    return {"heartbeat lost": SECOND, "boot-up": 1100 * MILLISECOND, "mode change": 5 * SECOND}.get(cause, 600 * MILLISECOND)
 
 
 def error_of(rig: Rig, request: int) -> BaseException | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.modes import ModeControl
 from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.drive.failures import is_loss_of, node_lost
@@ -24,6 +25,8 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used; as it is where the RPDO is not sent
     (any more). Raises SdoFailed, NodeLost.
     """
+    if controlword & ~axis.controlword & ModeControl.NEW_SET_POINT:
+        axis.started_at = yield from current_time()
     producer = axis.node.rpdo_of(0x6040)
     if producer is not None and not producer.is_synchronous:
         yield from act(lambda now: axis.set_controlword(controlword, now))

@@ -24,9 +24,9 @@ from canopen_proto.cia402.objects import (
 )
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
-from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.controlword import SYNC_ALIVE, command
 from canopen_proto.procedures.drive.failures import name_of
-from canopen_proto.procedures.drive.watching import Watch, read_statusword
+from canopen_proto.procedures.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import (
     Cancelled,
@@ -65,10 +65,11 @@ _OF_ITS_RAMP: Final = 0.25
 
 
 def halt(axis: Axis) -> Procedure[None]:
-    """Stop the drive by bit 8 (it stays enabled) and wait for standstill. One that is not enabled is not commanded.
+    """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
-    Any later command without bit 8 ends the halt. It waits as long as the drive slows down (0x606C, else 0x6064). Raises
-    StepTimeout where the drive does not report standstill, and has not become slower within a step; SdoFailed, NodeLost.
+    A drive that is not enabled is not commanded; one that brakes is waited for. Any later command without bit 8 ends the halt. It
+    waits as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not
+    become slower within a step, or shows no state for `reaction_time`; SdoFailed, NodeLost.
     """
     try:
         statusword = yield from read_statusword(axis)
@@ -76,12 +77,21 @@ def halt(axis: Axis) -> Procedure[None]:
         if axis.state is State.OPERATION_ENABLED and axis.node.rpdo_of(0x6040) is not None:  # a PDO needs no answer
             yield from command(axis, _halt_word(axis))
         raise
+    if state_of(statusword) is State.UNKNOWN:
+        statusword = yield from wait_for_statusword(
+            axis,
+            lambda word: state_of(word) is not State.UNKNOWN,
+            axis.settings.reaction_time,
+            "a statusword that shows a state",
+            accept_fault=True,
+        )
     state = state_of(statusword)
+    is_late = (yield from current_time()) - axis.started_at < axis.settings.reaction_time + SYNC_ALIVE
     if state is State.OPERATION_ENABLED:
         yield from command(axis, _halt_word(axis))
     elif state not in _BRAKING:
         return
-    yield from _wait_for_standstill(axis)
+    yield from _wait_for_standstill(axis, is_late)
 
 
 def _halt_word(axis: Axis) -> int:
@@ -99,12 +109,12 @@ def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
         cause.add_note(f"and the halt of {name_of(axis)} failed: {error}")
 
 
-def _wait_for_standstill(axis: Axis) -> Procedure[None]:
+def _wait_for_standstill(axis: Axis, is_late: bool) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     before: float | None = None
     while True:
         yield from ask_for_time(timeout + SECOND)  # a drive that answers, and slows down, is worth waiting for
-        judge = _Standstill(axis)
+        judge = _Standstill(axis, is_late)
         try:
             yield from judge.watch.until(judge.judge, timeout)
             return
@@ -120,18 +130,22 @@ def _wait_for_standstill(axis: Axis) -> Procedure[None]:
 class _Standstill:
     """The judge of a halt: whether what the drive shows says that it stands.
 
-    It may show bit 10 since before the halt ("target velocity reached", say). So that bit counts once it was seen 0, or the
-    position shows standstill too; of a drive that tells no position, once `reaction_time` is over.
+    Both have to say so: its bits (bit 10 where the mode has it, Schunk's bit 8), and its position, which has to stay at one place.
+    A drive that stands may yet obey an older command, and then move. So one that was started a moment ago is believed once its
+    bits have said that it moves, or once `reaction_time` is over; and so is one that tells no position: bit 10 may have stood
+    since before the halt ("target velocity reached", say).
     """
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: Axis, is_late: bool) -> None:
+        """is_late: the drive may not have obeyed its last start yet."""
         reads = {MODES_OF_OPERATION_DISPLAY: FRESH, POSITION_ACTUAL_VALUE: STANDSTILL_LOOK, VELOCITY_ACTUAL_VALUE: FRESH}
         present = {mux: pause for mux, pause in reads.items() if (mux >> 8, mux & 0xFF) in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
         self.top_speed: float | None = None  # that was seen, in the drive's unit
         self._axis = axis
+        self._is_late = is_late
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
-        self._was_clear = False  # bit 10 was 0
+        self._was_moving = False  # its bits have said so
         self._looked_at: Time = -NEVER
         self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
 
@@ -139,21 +153,26 @@ class _Standstill:
         """True if the drive stands."""
         self._look()
         state = state_of(statusword)
-        if state not in (*_BRAKING, State.UNKNOWN):
+        if state is State.UNKNOWN:
+            return None  # the next statusword will tell
+        if state not in _BRAKING:
             return True
-        if self._is_schunk:
-            return None if statusword & StatusBit.MANUFACTURER_8 else True
-        if not self._knows(MODES_OF_OPERATION_DISPLAY):
-            return None  # what bit 10 means is not known yet
         has_position = "0x6064" in self._axis.node.dictionary and self.watch.refusal(POSITION_ACTUAL_VALUE) is None
-        if has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
+        if self._is_schunk:
+            stands = not statusword & StatusBit.MANUFACTURER_8
+        elif not self._knows(MODES_OF_OPERATION_DISPLAY):
+            return None  # what bit 10 means is not known yet
+        elif has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
             return self._is_at_one_place() or None
-        if not statusword & StatusBit.TARGET_REACHED:
-            self._was_clear = True
+        else:
+            stands = bool(statusword & StatusBit.TARGET_REACHED)
+        if not stands:
+            self._was_moving = True
             return None
+        is_over = self._was_moving or heard_at - self.watch.began >= self._axis.settings.reaction_time
         if not has_position:
-            return self._was_clear or heard_at - self.watch.began >= self._axis.settings.reaction_time or None
-        return self._was_clear or self._is_at_one_place() or None
+            return is_over or None
+        return ((is_over or not self._is_late) and self._is_at_one_place()) or None
 
     def _knows(self, mux: int) -> bool:
         """Whether the object was heard, or will never be."""

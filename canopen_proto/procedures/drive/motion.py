@@ -10,7 +10,7 @@ from canopen_proto.cia402.states import Command, State, StatusBit
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import LimitReached, ReferenceLost, name_of
-from canopen_proto.procedures.drive.halting import halt_after
+from canopen_proto.procedures.drive.halting import halt, halt_after
 from canopen_proto.procedures.drive.state import enable, set_mode
 from canopen_proto.procedures.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present, read_int, write
@@ -56,7 +56,7 @@ def _carriers(axis: Axis, set_point: tuple[int, int]) -> list[int]:
 
 
 def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Time, sends_itself: bool) -> Procedure[None]:
-    """See whether the drive has a reference, and set-points can reach it, and select the mode."""
+    """See whether the drive has a reference, and set-points can reach it; halt it, and select the mode."""
     _require_reference(axis)
     if not sends_itself and not _carriers(axis, set_point):
         index, subindex = set_point
@@ -64,6 +64,7 @@ def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Tim
             f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries 0x{index:04X}:{subindex:02X}. "
             "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
         )
+    yield from halt(axis)  # one that moves would be snapped back to where it was seen
     yield from _align(axis, set_point)  # in csp the drive follows as soon as it has mode and power
     yield from set_mode(axis, mode)
     yield from _set_interpolation_period(axis, cycle_time)

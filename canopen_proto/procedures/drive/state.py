@@ -8,7 +8,7 @@ from typing import Final
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
-from canopen_proto.cia402.states import Command, State, next_command, state_of
+from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
 from canopen_proto.machine import Time
 from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
@@ -16,7 +16,6 @@ from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_s
 from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Procedure, StepTimeout, current_time
 
-_FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; all others: 0."""
 
@@ -37,7 +36,7 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
     statusword = yield from read_statusword(axis)
     seen: list[State] = []
     while (state := state_of(statusword)) is not target:
-        if state in _FAULTS:
+        if state in FAULT_STATES:
             raise (yield from fault_of(axis, f"and cannot go to {target}"))
         goes_up = _POWER.get(target, 0) > _POWER.get(state, 0)
         if state in seen or (goes_up and seen and _POWER.get(state, 0) < _POWER.get(seen[-1], 0)):
@@ -100,12 +99,12 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     # Bit 4 means something else in each mode: what interpolates must not begin to home because it still stands.
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
-        yield from command(axis, int(Command.ENABLE_OPERATION))
+        yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
     yield from write(axis.node, "0x6060", mode)
     watch: Watch[bool] = Watch(
         axis,
         mode_name(mode),
-        accept_fault=state in _FAULTS,
+        accept_fault=state in FAULT_STATES,
         stays=state if state is State.OPERATION_ENABLED else None,
         reads={MODES_OF_OPERATION_DISPLAY: POLL_INTERVAL},
     )

@@ -19,7 +19,7 @@ from typing import Final, Generic, TypeVar
 
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, STATUSWORD
-from canopen_proto.cia402.states import State, state_of
+from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
@@ -34,7 +34,6 @@ T = TypeVar("T")
 POLL_INTERVAL: Final = 10 * MILLISECOND
 """From the answer of an SDO read to the next read of the same object, as the manual's library polled."""
 
-_FAULTS: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 _MODE: Final = MODES_OF_OPERATION_DISPLAY
 
 
@@ -145,7 +144,7 @@ class Watch(Generic[T]):
             return None
         statusword = axis.statusword
         state = state_of(statusword)
-        if state in _FAULTS and not self._accept_fault:
+        if state in FAULT_STATES and not self._accept_fault:
             raise (yield from fault_of(axis, f"while waiting for {self.goal}"))
         if self._stays is not None and state is not self._stays:
             if state is State.UNKNOWN:

@@ -1,0 +1,113 @@
+"""A chain begins where its joints stand: whatever they were doing, and whoever else commands the chain meanwhile."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+import pytest
+import trio
+
+from canopen_master import Chain, ChainHalted, Host, open_master, standard_drives
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import State
+from tests.master.world import BUS, arm_of, drives, simulated, value, virtual_time
+
+RAMP = 20_000
+"""Of the halt, in counts per second squared."""
+SPEED = 25_000
+SETTINGS = AxisSettings(MILLIDEGREES_PER_RADIAN, homing_method=35)
+
+
+@asynccontextmanager
+async def moving_arm() -> AsyncIterator[tuple[Host, Chain]]:
+    """A standard drive that follows set-points at SPEED; the next set-point is due."""
+    async with simulated(makers=standard_drives(3)) as host, open_master(BUS) as master:
+        drives(host)[0].values.store[objects.PROFILE_DECELERATION] = RAMP
+        arm = arm_of(master, 3, axes=SETTINGS, define_pdos=True)
+        await arm.initialise()
+        await arm.enable_interpolated_position()
+        await move(arm, 50)
+        yield host, arm
+
+
+async def move(arm: Chain, cycles: int) -> None:
+    (start,) = arm.positions
+    step = 0
+    async for cycle in arm.cycles():
+        step += min(cycle.number, 25) * 10
+        arm.set_positions([start + step / MILLIDEGREES_PER_RADIAN])
+        if cycle.number == cycles:
+            break
+
+
+def velocity_of(host: Host) -> float:
+    drive = drives(host)[0].drive
+    drive.refresh(host.now())
+    return drive._servo.demand_velocity
+
+
+@asynccontextmanager
+async def watched(host: Host) -> AsyncIterator[list[float]]:
+    """The largest change of velocity in a ms, in counts per second, while the block runs and for 50 ms after it."""
+    worst = [0.0]
+
+    async def watch() -> None:
+        before = velocity_of(host)
+        while True:
+            await trio.sleep(0.001)
+            now = velocity_of(host)
+            worst[0], before = max(worst[0], abs(now - before)), now
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(watch)
+        yield worst
+        await trio.sleep(0.05)
+        nursery.cancel_scope.cancel()
+
+
+COMMANDS: dict[str, Callable[[Chain], Awaitable[None]]] = {
+    "enable_interpolated_position": lambda arm: arm.enable_interpolated_position(),
+    "recover": lambda arm: arm.recover(),
+    "initialise": lambda arm: arm.initialise(),
+    "home": lambda arm: arm.home(),
+}
+A_COUNT = 110
+"""On its way for one cycle; in counts per second."""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_halts_the_joints_that_follow_and_begins_where_they_stand(command: str) -> None:
+    @virtual_time
+    async def test() -> None:
+        async with moving_arm() as (host, arm):
+            assert velocity_of(host) == pytest.approx(SPEED)
+            async with watched(host) as worst:
+                await COMMANDS[command](arm)
+            assert worst[0] <= RAMP / 1000 + A_COUNT
+            assert velocity_of(host) == pytest.approx(0, abs=A_COUNT)
+
+    test()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_waits_for_a_halt_that_somebody_else_has_ordered(command: str) -> None:
+    @virtual_time
+    async def test() -> None:
+        async with moving_arm() as (host, arm):
+
+            async def go_on() -> None:
+                with pytest.raises(ChainHalted):
+                    await move(arm, 50)
+                await COMMANDS[command](arm)
+
+            async with watched(host) as worst, trio.open_nursery() as nursery:
+                nursery.start_soon(go_on)
+                await arm.halt()
+                assert velocity_of(host) == 0
+            assert worst[0] <= RAMP / 1000 + A_COUNT
+
+    test()

@@ -1,0 +1,132 @@
+"""Nothing jumps: whatever a drive was doing, the next command takes it over at a halt that is in force, and seen.
+
+The simulated drive's own demand is the judge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
+from canopen_proto.procedures import drive
+from canopen_proto.procedures.objects import write
+from tests.proto.rig import CYCLE, Ended, Rig
+
+RAMP = 40_000
+"""Of each acceleration and deceleration, in counts per second squared."""
+RAMPS = (
+    objects.PROFILE_ACCELERATION, objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION, objects.HOMING_ACCELERATION,
+)  # fmt: skip
+ROUNDING = 110
+"""A count, on its way for one cycle, is 100 counts per second."""
+
+
+def rig_of(reaction: Time = 0, *, pdos: bool = False) -> Rig:
+    rig = Rig(Shape.STANDARD, pdos=pdos, drive=DriveSettings(reaction=reaction))
+    rig.node.values.store.update(dict.fromkeys(RAMPS, RAMP))
+    return rig
+
+
+def velocity_of(rig: Rig) -> float:
+    rig.drive.refresh(rig.bus.now)
+    return rig.drive._servo.demand_velocity
+
+
+def run_velocity(rig: Rig) -> None:
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(drive.enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", 25_000))
+
+
+def run_homing(rig: Rig) -> None:
+    rig.run(drive.set_mode(rig.axis, Mode.HOMING))
+    rig.run(write(rig.remote, "0x6098", 17))
+    rig.run(drive.enable(rig.axis))
+    rig.run(drive.command(rig.axis, 0x1F))
+
+
+def run_move(rig: Rig) -> RequestId:
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_POSITION))
+    rig.run(drive.enable(rig.axis))
+    return rig.master.run(drive.move_to(rig.axis, 1.0, timeout=60 * SECOND), rig.bus.now)
+
+
+def cancelled_move(rig: Rig) -> None:
+    request = run_move(rig)
+    rig.bus.run(300 * MILLISECOND)
+    rig.master.cancel(request, rig.bus.now)
+    rig.outcome(request)
+
+
+def follow(rig: Rig) -> None:
+    position = rig.run(drive.start_interpolation(rig.axis, CYCLE))
+    for step in range(1, 30):
+        rig.axis.set_position(position + step * min(step, 20) * 0.0002)
+        rig.bus.run(CYCLE)
+
+
+DOINGS: dict[str, Callable[[Rig], object]] = {
+    "nothing": lambda rig: None,
+    "standing": lambda rig: rig.run(drive.enable(rig.axis)),
+    "velocity": run_velocity,
+    "homing": run_homing,
+    "cancelled move": cancelled_move,
+    "interpolation": follow,
+}
+
+
+@pytest.mark.parametrize("doing", DOINGS)
+@given(reaction=st.integers(0, 300), later=st.integers(0, 1000))
+@example(reaction=0, later=700)
+@settings(max_examples=3)
+def test_interpolation_begins_with_a_drive_that_stands(doing: str, reaction: int, later: int) -> None:
+    """Whatever the drive was doing, `start_interpolation` changes its velocity by no more than its ramps."""
+    is_following = doing == "interpolation"  # set-points end with it: a late drive would stop dead at the last one
+    rig = rig_of(0 if is_following else reaction * MILLISECOND, pdos=True)
+    rig.start_sync()
+    DOINGS[doing](rig)
+    if not is_following:
+        rig.bus.run(later * MILLISECOND)
+    request = rig.master.run(drive.start_interpolation(rig.axis, CYCLE), rig.bus.now)
+    ended: list[Ended] = []
+    rig.bus.on_event = lambda event: ended.append(event) if isinstance(event, Ended) and event.request_id == request else None
+    before, left = velocity_of(rig), 50
+    while left:
+        rig.bus.run(MILLISECOND)
+        now = velocity_of(rig)
+        assert abs(now - before) <= RAMP / 1000 + ROUNDING
+        before = now
+        left -= bool(ended)
+    assert abs(before) <= ROUNDING
+    assert rig.axis.statusword & 0x1000
+
+
+STARTS: dict[str, Callable[[Rig], object]] = {"velocity": run_velocity, "move": run_move}
+
+
+@pytest.mark.parametrize("start", STARTS)
+@given(reaction=st.integers(0, 900), later=st.integers(0, 900))
+@example(reaction=100, later=565)
+@example(reaction=900, later=100)
+@settings(max_examples=8)
+def test_a_halt_returns_with_a_drive_that_stands(start: str, reaction: int, later: int) -> None:
+    """Whenever it is given, and however late the drive acts on it."""
+    rig = rig_of(reaction * MILLISECOND)
+    request = STARTS[start](rig)
+    rig.bus.run(later * MILLISECOND)
+    if isinstance(request, int):
+        rig.master.cancel(request, rig.bus.now)
+        rig.outcome(request)
+    else:
+        rig.run(drive.halt(rig.axis))
+    assert velocity_of(rig) == 0
+    position = rig.drive._servo.demand_position
+    rig.bus.run(2 * SECOND)
+    assert rig.drive._servo.demand_position == position, "it moved afterwards"
