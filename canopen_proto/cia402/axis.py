@@ -169,7 +169,8 @@ class Axis:
     """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing.
 
     settings: those in force; what the user left open is filled in once `is_identified`. grip: asked before the drive is enabled,
-    and once it is shut down. started_at: when bit 4 of the controlword was last commanded to rise, which starts a motion.
+    and once it is shut down. started_at: when a rising bit 4 of the controlword, which starts a
+    motion, was last brought to the drive.
     """
 
     __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state")

@@ -15,8 +15,8 @@ ends it. In between each value that comes, by PDO or SDO, is judged at once, and
     NMT state          a heartbeat shows that the node is no longer Operational
     boot-up            the node was reset, or lost its power
 
-The first of these is reported as `FollowingLost`, in words, and the watch is over. Bits 11 and 13 that stand when the watch
-begins count from their next 0 on: such a bit is no news (bit 13 is reserved in interpolated position mode; drives use it).
+The first of these is reported as `FollowingLost`, in words, and the watch is over. Bits 11 and 13 may stand when the watch
+begins. Such a bit counts only after it was seen 0 (bit 13 is reserved in interpolated position mode; drives use it).
 
 **Following error.** `error` is the set-point of a cycle minus the position of the same cycle: what is sent behind SYNC n is
 reached at SYNC n + `lag`, whose PDO shows it. That pairing is right to some cycles only: adapters hold frames back, and drives

@@ -29,8 +29,8 @@ from canopen_proto.cia402.axis import Axis
 from canopen_proto.machine import SECOND, Time
 
 DEFAULT_SPEED: Final = 30_000
-"""Counts per second, where nobody says how fast a drive may go: three times the manual's paths (100 millidegrees in 10 ms). On
-its arm that is 30 degrees per second: half a metre from the joint the 250 mm/s which ISO 10218-1 calls reduced speed."""
+"""Counts per second. Nobody says how fast the drive may go: this is three times the speed of the manual's paths. On its arm it is
+30 degrees per second. Half a metre from the joint that is 250 mm/s, which ISO 10218-1 calls reduced speed."""
 
 _DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
 _TOLERANCE: Final = 1 + 1e-6
@@ -75,17 +75,22 @@ class SetPointLimits:
     acceleration: Limit | None
 
     def excess(self, start: float, target: float, time: Time) -> Excess | None:
-        """The limit that a straight way from `start` to `target` within `time` ns is beyond; None if it may be asked for.
-
-        A joint that stands beyond a position limit may stay there and come back, but not go further.
-        """
+        """The limit that a straight way from `start` to `target` within `time` ns is beyond; None if it may be asked for."""
         speed = abs(target - start) * SECOND / time
         if speed > self.speed.value * _TOLERANCE:
             return Excess(True, speed, self.speed)
+        limit = self.position_excess(start, target)
+        return None if limit is None else Excess(False, target, limit)
+
+    def position_excess(self, start: float, target: float) -> Limit | None:
+        """The position limit that a way from `start` to `target` is beyond; None if it may be asked for.
+
+        A joint that stands beyond a limit may stay there and come back, but not go further.
+        """
         for limit, outward in ((self.highest, 1), (self.lowest, -1)):
             # Compared as counts: a set-point that is rounded to the limit is within it.
             if limit is not None and self._is_further(target, limit.value, outward) and self._is_further(target, start, outward):
-                return Excess(False, target, limit)
+                return limit
         return None
 
     def _is_further(self, one: float, other: float, outward: int) -> bool:

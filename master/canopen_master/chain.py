@@ -221,8 +221,8 @@ class Chain:
     async def enable_interpolated_position(self) -> None:
         """Let all joints follow set-points, beginning where they stand. They need not be homed before.
 
-        A chain that follows set-points already is halted first. Raises ChainError where a drive lacks the mode, does not stand, or
-        has lost its reference: see `recover`.
+        A chain that follows set-points already is halted first. Raises ChainError where a drive does not stand, lacks the mode,
+        or has lost its reference: see `recover`.
         """
         await self._require_standing("enable interpolated position")
         self._end_following(ChainState.READY)

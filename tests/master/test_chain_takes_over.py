@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
@@ -12,9 +11,7 @@ import trio
 from canopen_master import Chain, ChainHalted, Host, open_master, standard_drives
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
-from tests.master.world import BUS, arm_of, drives, simulated, value, virtual_time
+from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 RAMP = 20_000
 """Of the halt, in counts per second squared."""

@@ -123,13 +123,16 @@ async def keep_moving(master: Master, rows: Sequence[Row], task_status: trio.Tas
             task_status.started()
 
 
-async def leave(way: str, host: Host, rows: Sequence[Row]) -> None:
-    """Let the drives move, and leave the master by that way."""
+async def leave(way: str, host: Host, rows: Sequence[Row], obey: bool) -> None:
+    """Let the drives move, and leave the master by that way. obey: else they take no more commands, and go on."""
     scope = trio.CancelScope()
     with scope:
         async with open_master(BUS) as master, trio.open_nursery() as nursery:
             await nursery.start(keep_moving, master, rows)
             assert [str(row) for row, speed in speeds(host, rows).items() if not speed] == []
+            if not obey:
+                for node in drives(host):
+                    node.application = None
             match way:
                 case "end":
                     nursery.cancel_scope.cancel()
@@ -162,7 +165,7 @@ def speeds(host: Host, rows: Sequence[Row]) -> dict[Row, int]:
     return {row: value(node, objects.VELOCITY_ACTUAL_VALUE) for row, node in zip(rows, drives(host), strict=True)}
 
 
-def after(way: str, rows: Sequence[Row], deceleration: int) -> tuple[dict[Row, int], BaseException | None]:
+def after(way: str, rows: Sequence[Row], deceleration: int, obey: bool = True) -> tuple[dict[Row, int], BaseException | None]:
     """The speeds when the master has been left, and what came out of its block."""
     found: list[tuple[dict[Row, int], BaseException | None]] = []
 
@@ -173,7 +176,7 @@ def after(way: str, rows: Sequence[Row], deceleration: int) -> tuple[dict[Row, i
                 node.values.store[objects.PROFILE_DECELERATION] = deceleration
             came: BaseException | None = None
             try:
-                await leave(way, host, rows)
+                await leave(way, host, rows, obey)
             except BaseException as error:  # noqa: BLE001 - looked at by the test
                 came = error
             found.append((speeds(host, rows), came))
@@ -215,13 +218,14 @@ def test_every_way_out_stops_every_drive(way: str) -> None:
 
 @pytest.mark.parametrize("way", ["end", "exception", "cancel", "two ctrl-c"])
 def test_a_drive_that_still_moves_is_told_however_the_master_is_left(way: str) -> None:
-    """Its ramp takes long. That is waited for where the drive can be understood, and nobody presses Ctrl-C again.
+    """It does not obey any more. One whose ramp takes long is waited for, unless somebody presses Ctrl-C again.
 
     What tells of it stands in the exception: none that a cancel scope swallows.
     """
-    style = HomingStyle.STANDARD if way == "two ctrl-c" else HomingStyle.SCHUNK
+    obey = way == "two ctrl-c"
+    style = HomingStyle.STANDARD if obey else HomingStyle.SCHUNK
     rows = [row for row in ROWS if row.control == "sdo" and row.shape is Shape.STANDARD and row.style is style]
-    velocities, came = after(way, rows, 5_000)
+    velocities, came = after(way, rows, 5_000, obey)
     kinds, text = kinds_and_notes(came)
     assert [str(row) for row, speed in velocities.items() if speed and f"(node {row.node_id} on" not in text] == []
     assert len([speed for speed in velocities.values() if speed]) > len(rows) / 3

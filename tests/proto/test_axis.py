@@ -129,7 +129,7 @@ def test_bit_4_is_clear_before_the_mode_changes(shape: Shape) -> None:
     frames = [str(frame) for _, frame in rig.bus.sent]
     change = frames.index("605#2F60600006000000")
     words = [frame[4:8] for frame in frames[:change] if frame.startswith(("205#", "505#"))]
-    assert words[-1] == "0F00"
+    assert words[-1] == "0F01", "and the halt stays in force"
 
 
 def test_a_command_waits_for_the_sync_whose_pdo_takes_it_along() -> None:

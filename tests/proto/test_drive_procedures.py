@@ -327,8 +327,10 @@ def schunk_whose_status_is(rig: Rig, statusword: int) -> None:
 
 def test_a_schunk_that_stands_unreferenced_has_failed() -> None:
     rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
-    schunk_whose_status_is(rig, 0x0337)  # operation enabled, moving
+    schunk_whose_status_is(rig, 0x0237)  # operation enabled
     request = rig.master.run(drive.home(rig.axis), rig.bus.now)
+    rig.bus.run(200 * MILLISECOND)
+    schunk_whose_status_is(rig, 0x0337)  # moving
     rig.bus.run(200 * MILLISECOND)
     schunk_whose_status_is(rig, 0x0237)  # stands, not referenced
     ended = rig.outcome(request)

@@ -6,14 +6,16 @@ import pytest
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.drive import Drive
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
-from canopen_proto.procedures.steps import StepTimeout
+from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.rig import Rig
 
@@ -118,3 +120,46 @@ def test_a_quick_stop_by_somebody_else_is_waited_for_too() -> None:
     assert speed_of(rig) > 0
     rig.run(drive.halt(rig.axis))
     assert speed_of(rig) == 0
+
+
+@pytest.mark.parametrize("hidden", [300 * MILLISECOND, 60 * SECOND])
+def test_a_drive_that_shows_no_state_is_no_drive_that_stands(hidden: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A statusword that fits no pattern says nothing: the next one that does is waited for, and then it is halted."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    running(rig, 500_000)
+    rig.bus.run(SECOND)
+    ends, real = rig.bus.now + hidden, Drive._statusword
+    monkeypatch.setattr(Drive, "_statusword", lambda drive: real(drive) if rig.bus.now >= ends else 0x0203)
+    rig.drive.refresh(rig.bus.now)
+    try:
+        rig.run(drive.halt(rig.axis))
+    except StepTimeout as unknown:
+        assert hidden > SECOND
+        assert "a statusword that shows a state" in str(unknown)
+        assert speed_of(rig) == SPEED
+    else:
+        assert hidden < SECOND
+        assert speed_of(rig) == 0
+
+
+def test_a_drive_in_its_fault_reaction_is_shut_down_when_it_stands() -> None:
+    """It has power, and brakes: whoever makes it stop by itself lets it go only then."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.node.values.store[objects.QUICK_STOP_DECELERATION] = 40_000
+    running(rig, 10_000)
+    speeds: list[float] = []
+
+    class Grip:
+        def hold(self) -> Procedure[None]:
+            yield from sleep(0)
+
+        def let_go(self) -> Procedure[None]:
+            speeds.append(speed_of(rig))
+            yield from sleep(0)
+
+    rig.axis.grip = Grip()
+    rig.node.raise_fault(0x2310, rig.bus.now)
+    assert speed_of(rig) == SPEED
+    rig.run(drive.shut_down(rig.axis))
+    assert speeds == [0]
+    assert rig.drive.state is State.FAULT

@@ -17,6 +17,7 @@ from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.runner import ProcedureFinished
 from tests.proto.rig import CYCLE, Ended, Rig
 
 RAMP = 40_000
@@ -130,3 +131,57 @@ def test_a_halt_returns_with_a_drive_that_stands(start: str, reaction: int, late
     position = rig.drive._servo.demand_position
     rig.bus.run(2 * SECOND)
     assert rig.drive._servo.demand_position == position, "it moved afterwards"
+
+
+def halted_move(rig: Rig, later: int) -> float:
+    """A move that was cancelled; where the drive stands."""
+    request = run_move(rig)
+    rig.bus.run(later * MILLISECOND)
+    rig.master.cancel(request, rig.bus.now)
+    rig.outcome(request)
+    assert velocity_of(rig) == 0
+    return rig.drive._servo.demand_position
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@given(reaction=st.integers(0, 300), later=st.integers(0, 1500), target=st.floats(-0.5, 1.5))
+@example(reaction=0, later=700, target=0.0)
+@settings(max_examples=5)
+def test_a_move_after_a_cancelled_one_goes_straight_to_its_own_target(
+    relative: bool, reaction: int, later: int, target: float
+) -> None:
+    rig = rig_of(reaction * MILLISECOND)
+    start = halted_move(rig, later)
+    end = rig.axis.to_counts(target) + (start if relative else 0)
+    request = rig.master.run(drive.move_to(rig.axis, target, timeout=60 * SECOND, relative=relative), rig.bus.now)
+    while rig.master.runner.busy:
+        rig.bus.run(2 * MILLISECOND)
+        rig.drive.refresh(rig.bus.now)
+        assert min(start, end) - 1 <= rig.drive._servo.demand_position <= max(start, end) + 1
+    assert isinstance(rig.outcome(request), ProcedureFinished)
+    assert rig.drive._servo.demand_position == pytest.approx(end, abs=1)
+
+
+@pytest.mark.parametrize("mode", [Mode.PROFILE_VELOCITY, Mode.HOMING, Mode.INTERPOLATED_POSITION])
+@given(reaction=st.integers(0, 300), later=st.integers(0, 300))
+@example(reaction=200, later=10)
+@settings(max_examples=3)
+def test_a_halt_stays_in_force_while_the_mode_changes(mode: Mode, reaction: int, later: int) -> None:
+    rig = rig_of(reaction * MILLISECOND)
+    position = halted_move(rig, later)
+    began = len(rig.bus.sent)
+    rig.run(drive.set_mode(rig.axis, mode))
+    rig.bus.run(2 * SECOND)
+    assert rig.drive._servo.demand_position == position
+    words = [frame.data[4] | frame.data[5] << 8 for _, frame in rig.bus.sent[began:] if frame.data[1:3] == b"\x40\x60"]
+    assert all(word & 0x100 for word in words if word)
+
+
+def test_a_move_from_another_mode_begins_where_the_drive_stands() -> None:
+    rig = rig_of()
+    run_velocity(rig)
+    rig.bus.run(SECOND)
+    moved: list[float] = []
+    rig.bus.on_event = lambda event: moved.append(velocity_of(rig)) if rig.axis.mode == Mode.PROFILE_POSITION else None
+    rig.run(drive.move_to(rig.axis, 0.0, timeout=60 * SECOND))
+    assert max(moved) <= 0

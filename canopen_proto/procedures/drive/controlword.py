@@ -25,8 +25,15 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used; as it is where the RPDO is not sent
     (any more). Raises SdoFailed, NodeLost.
     """
-    if controlword & ~axis.controlword & ModeControl.NEW_SET_POINT:
+    is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
+    if is_start:
+        axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
+    yield from _bring(axis, controlword)
+    if is_start:
         axis.started_at = yield from current_time()
+
+
+def _bring(axis: Axis, controlword: int) -> Procedure[None]:
     producer = axis.node.rpdo_of(0x6040)
     if producer is not None and not producer.is_synchronous:
         yield from act(lambda now: axis.set_controlword(controlword, now))

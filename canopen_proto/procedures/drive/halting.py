@@ -24,7 +24,7 @@ from canopen_proto.cia402.objects import (
 )
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
-from canopen_proto.procedures.drive.controlword import SYNC_ALIVE, command
+from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import name_of
 from canopen_proto.procedures.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present
@@ -86,12 +86,11 @@ def halt(axis: Axis) -> Procedure[None]:
             accept_fault=True,
         )
     state = state_of(statusword)
-    is_late = (yield from current_time()) - axis.started_at < axis.settings.reaction_time + SYNC_ALIVE
     if state is State.OPERATION_ENABLED:
         yield from command(axis, _halt_word(axis))
     elif state not in _BRAKING:
         return
-    yield from _wait_for_standstill(axis, is_late)
+    yield from _wait_for_standstill(axis)
 
 
 def _halt_word(axis: Axis) -> int:
@@ -109,12 +108,12 @@ def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
         cause.add_note(f"and the halt of {name_of(axis)} failed: {error}")
 
 
-def _wait_for_standstill(axis: Axis, is_late: bool) -> Procedure[None]:
+def _wait_for_standstill(axis: Axis) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     before: float | None = None
     while True:
         yield from ask_for_time(timeout + SECOND)  # a drive that answers, and slows down, is worth waiting for
-        judge = _Standstill(axis, is_late)
+        judge = _Standstill(axis)
         try:
             yield from judge.watch.until(judge.judge, timeout)
             return
@@ -130,20 +129,18 @@ def _wait_for_standstill(axis: Axis, is_late: bool) -> Procedure[None]:
 class _Standstill:
     """The judge of a halt: whether what the drive shows says that it stands.
 
-    Both have to say so: its bits (bit 10 where the mode has it, Schunk's bit 8), and its position, which has to stay at one place.
+    Both have to say so: its bits (bit 10 where the mode has it, Schunk's bit 8), and its position, which has to stay where it is.
     A drive that stands may yet obey an older command, and then move. So one that was started a moment ago is believed once its
-    bits have said that it moves, or once `reaction_time` is over; and so is one that tells no position: bit 10 may have stood
-    since before the halt ("target velocity reached", say).
+    bits have said that it moves, or `reaction_time` after its start. One that tells no position is believed once its bits have
+    said that it moves, or `reaction_time` after the halt: bit 10 may have stood since before ("target velocity reached", say).
     """
 
-    def __init__(self, axis: Axis, is_late: bool) -> None:
-        """is_late: the drive may not have obeyed its last start yet."""
+    def __init__(self, axis: Axis) -> None:
         reads = {MODES_OF_OPERATION_DISPLAY: FRESH, POSITION_ACTUAL_VALUE: STANDSTILL_LOOK, VELOCITY_ACTUAL_VALUE: FRESH}
         present = {mux: pause for mux, pause in reads.items() if (mux >> 8, mux & 0xFF) in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
         self.top_speed: float | None = None  # that was seen, in the drive's unit
         self._axis = axis
-        self._is_late = is_late
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_moving = False  # its bits have said so
         self._looked_at: Time = -NEVER
@@ -169,10 +166,9 @@ class _Standstill:
         if not stands:
             self._was_moving = True
             return None
-        is_over = self._was_moving or heard_at - self.watch.began >= self._axis.settings.reaction_time
-        if not has_position:
-            return is_over or None
-        return ((is_over or not self._is_late) and self._is_at_one_place()) or None
+        since = self._axis.started_at if has_position else self.watch.began
+        has_obeyed = self._was_moving or heard_at - since >= self._axis.settings.reaction_time
+        return (has_obeyed and (not has_position or self._is_at_one_place())) or None
 
     def _knows(self, mux: int) -> bool:
         """Whether the object was heard, or will never be."""

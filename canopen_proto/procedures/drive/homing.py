@@ -28,7 +28,7 @@ from canopen_proto.cia402.states import Command, State, StatusBit
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import HomingFailed, name_of
-from canopen_proto.procedures.drive.halting import halt_after
+from canopen_proto.procedures.drive.halting import halt, halt_after
 from canopen_proto.procedures.drive.state import enable, set_mode
 from canopen_proto.procedures.drive.watching import Watch
 from canopen_proto.procedures.objects import write
@@ -56,12 +56,13 @@ _SCHUNK_BITS: Final = {_Ending.HOMED: StatusBit.MANUFACTURER_15}
 
 
 def home(axis: Axis) -> Procedure[None]:
-    """Home the drive, from any state without fault, and wait for the end.
+    """Home the drive, from any state without fault, and wait for the end. One that moves is halted first.
 
     Returns when the drive stands at its new reference. Raises HomingFailed, DriveFault, ModeUnsupported, StateLost, ModeLost,
     NodeLost, StepTimeout (`homing_timeout`). The drive is halted when that happens, and when it is cancelled.
     """
     settings = axis.settings
+    yield from halt(axis)
     axis.is_homed = False
     is_schunk = settings.homing is HomingStyle.SCHUNK
     yield from set_mode(axis, Mode.HOMING, waive_check=is_schunk)

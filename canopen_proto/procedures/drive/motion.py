@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.limits import limits_of
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
-from canopen_proto.cia402.states import Command, State, StatusBit
+from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import LimitReached, ReferenceLost, name_of
@@ -20,6 +21,9 @@ NO_WINDOW: Final = 2**32 - 1
 """0x6067, position window: not watched."""
 
 _OTHER_TARGET: Final = "a target within the limit, or another limit"
+
+_TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
+"""A set-point that is given so drops the one before."""
 
 
 def _require_reference(axis: Axis) -> None:
@@ -127,23 +131,30 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
     The set-point handshake of CiA 402: bit 4 clear, target, bit 4 set, bit 12 acknowledges, bit 4 clear, bit 10 at the target.
+    Bit 5 is always set: a target that a halt has kept, or that is under way, is dropped. A drive in another mode is halted first.
     Whether it is the target is seen by the position (0x6062, 0x6064): a drive stops at a software limit, and shows bit 10 there.
-    timeout: ns for the whole way. Raises LimitReached, DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout.
-    ReferenceLost too for a position that is not relative. Halted when cancelled or failed.
+    timeout: ns for the whole way. Raises LimitReached, with nothing sent where the target is beyond min_position or max_position
+    of the settings; DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is
+    not relative. Halted when cancelled or failed.
     """
     if not relative:
         _require_reference(axis)
     settings = axis.settings
     counts = axis.to_counts(position) - (settings.offset if relative else 0)
+    start = yield from _demand(axis)
+    _require_within_limits(axis, start, counts + (start if relative else 0))
+    if axis.mode != Mode.PROFILE_POSITION:
+        yield from halt(axis)
     yield from set_mode(axis, Mode.PROFILE_POSITION)
     yield from enable(axis)
+    relation = ModeControl.RELATIVE if relative else 0
     try:
-        yield from command(axis, int(Command.ENABLE_OPERATION))
-        yield from _wait_for_acknowledge(axis, False)
+        if relative and axis.controlword & ControlBit.HALT:
+            # The drive may reckon from the target that the halt has kept: where it stands becomes its target.
+            yield from _give_set_point(axis, (yield from _demand(axis)), 0)
+            yield from _wait_for_acknowledge(axis, True)
         target = counts + ((yield from _demand(axis)) if relative else 0)
-        yield from write(axis.node, "0x607A", counts)
-        options = ModeControl.NEW_SET_POINT | (ModeControl.RELATIVE if relative else 0)
-        yield from command(axis, Command.ENABLE_OPERATION | options)
+        yield from _give_set_point(axis, counts, relation)
         given_at = yield from current_time()
         try:
             yield from _wait_for_acknowledge(axis, True)
@@ -152,11 +163,33 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
             if limit:
                 raise LimitReached(f"{name_of(axis)} did not take its target: {limit}. Try: {_OTHER_TARGET}") from refused
             raise
-        yield from command(axis, Command.ENABLE_OPERATION | options & ~ModeControl.NEW_SET_POINT)
+        yield from command(axis, _TAKES_AT_ONCE | relation)
         yield from _wait_for_target(axis, target, given_at, timeout, relative)
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
+
+
+def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
+    """Give a set-point, which takes the place of any other.
+
+    A halt keeps the drive's target, and a word without bit 8 goes on to it. So the halt ends in the very word that gives the new
+    set-point. No drive has to take one while it is halted for that: the standard does not say whether it does.
+    """
+    yield from command(axis, _TAKES_AT_ONCE | relation | axis.controlword & ControlBit.HALT)
+    yield from _wait_for_acknowledge(axis, False)
+    yield from write(axis.node, "0x607A", counts)
+    yield from command(axis, _TAKES_AT_ONCE | relation | ModeControl.NEW_SET_POINT)
+
+
+def _require_within_limits(axis: Axis, start: int, target: int) -> None:
+    """Raise LimitReached for a target, in counts, beyond the limits of the settings."""
+    limit = limits_of(axis).position_excess(axis.from_counts(start), axis.from_counts(target))
+    if limit is not None:
+        raise LimitReached(
+            f"{name_of(axis)} was not moved to {axis.from_counts(target):g}: {limit.source} say {limit.value:g}. Nothing was "
+            f"sent. Try: {_OTHER_TARGET}"
+        )
 
 
 def _wait_for_bit(axis: Axis, bit: int, wanted: bool, timeout: Time, goal: str) -> Procedure[int]:

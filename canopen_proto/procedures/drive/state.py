@@ -12,6 +12,7 @@ from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State
 from canopen_proto.machine import Time
 from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
+from canopen_proto.procedures.drive.halting import halt
 from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Procedure, StepTimeout, current_time
@@ -137,9 +138,14 @@ def engage_brake(axis: Axis) -> Procedure[None]:
 
 
 def shut_down(axis: Axis) -> Procedure[None]:
-    """To Switch on disabled: no power. A drive in fault has none, and stays there. RPDOs are sent no more."""
-    statusword = yield from read_statusword(axis)
-    if state_of(statusword) not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+    """To Switch on disabled: no power. Then RPDOs are no longer sent, and `axis.grip` lets go.
+
+    A drive in Fault has no power, and stays there. One in its fault reaction still has power, and brakes: it is waited for.
+    """
+    state = state_of((yield from read_statusword(axis)))
+    if state is State.FAULT_REACTION_ACTIVE:
+        yield from halt(axis)
+    elif state is not State.FAULT:
         yield from change_state(axis, State.SWITCH_ON_DISABLED)
     now = yield from current_time()
     for number in axis.node.rpdos:

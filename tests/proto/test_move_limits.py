@@ -1,0 +1,50 @@
+"""`move_to` keeps to min_position and max_position of the settings, before anything is sent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.machine import SECOND
+from canopen_proto.procedures import drive
+from tests.proto.rig import MILLIDEGREES, Rig
+
+LIMITS = replace(MILLIDEGREES, min_position=-0.2, max_position=0.5)
+
+
+@given(direction=st.sampled_from([1, -1]), relative=st.booleans(), amount=st.floats(-1, 1))
+@example(direction=1, relative=False, amount=1.0)
+@settings(max_examples=8)
+def test_no_move_goes_beyond_the_limits_of_the_settings(direction: int, relative: bool, amount: float) -> None:
+    """A move that would is refused, with nothing sent."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis.settings = replace(LIMITS, direction=direction, offset=3_000)  # it stands at 0
+    written = writes_of(rig)
+    try:
+        rig.run(drive.move_to(rig.axis, amount, timeout=60 * SECOND, relative=relative))
+    except drive.LimitReached as refused:
+        assert not -0.2 <= amount <= 0.5
+        assert ("max_position" if amount > 0 else "min_position") in str(refused)
+        assert writes_of(rig) == written
+        return
+    assert -0.2 <= amount <= 0.5
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(amount, abs=1e-3)
+
+
+def writes_of(rig: Rig) -> int:
+    """How many requests of the master change something in the drive."""
+    return sum(frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20 for _, frame in rig.bus.sent)
+
+
+def test_a_drive_beyond_a_limit_may_come_back() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=60_000))
+    rig.axis.settings = LIMITS
+    with pytest.raises(drive.LimitReached):
+        rig.run(drive.move_to(rig.axis, 1.1, timeout=60 * SECOND))
+    rig.run(drive.move_to(rig.axis, 0.9, timeout=60 * SECOND))
+    rig.run(drive.move_to(rig.axis, -0.6, timeout=60 * SECOND, relative=True))
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.3, abs=1e-3)
