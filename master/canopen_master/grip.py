@@ -103,7 +103,8 @@ class Grips:
 
     def hold_beside(self, node: Node) -> None:
         """Take hold of a drive that may be enabled at any moment; what goes wrong is told."""
-        if self.settings is not None and not self.holds(node) and node not in self._under_way:
+        is_needed = self.settings is not None and not self._master.is_closed  # the halts write controlwords, too
+        if is_needed and not self.holds(node) and node not in self._under_way:
             self._master.launch(self._hold_or_tell(node))
 
     def _hold_or_tell(self, node: Node) -> Procedure[None]:

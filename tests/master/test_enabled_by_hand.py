@@ -213,14 +213,15 @@ async def test_who_insists_on_a_grip_has_it_before_an_rpdo_is_sent() -> None:
 
 @virtual_time
 async def test_a_grip_that_fails_beside_an_rpdo_is_told(caplog: pytest.LogCaptureFixture) -> None:
-    async with one_drive(), open_master(BUS) as master, await open_transport(BUS) as other:
-        await other.send(Frame(0x77F, b"\x05"))
-        node = master.node(NODE, drive_dictionary(), pdos=False)
-        await master.run(use_device_pdo(node.remote, Direction.RPDO, 1))
-        with pytest.raises(NodeIdTaken):
-            await node.hold()
-        node.enable_rpdo(1)
-        await trio.sleep(1)
+    async with one_drive() as host:
+        async with open_master(BUS) as master, await open_transport(BUS) as other:
+            await other.send(Frame(0x77F, b"\x05"))
+            with pytest.raises(NodeIdTaken):
+                await master.node(NODE, drive_dictionary(), pdos=False).hold()
+            await moving(master, by_rpdo)
+            assert speed(host) == SPEED
+        assert speed(host) == 0
+        assert value(drives(host)[0], CONSUMERS) == 0
     assert any("another node 127 was heard" in each.getMessage() for each in caplog.records if each.name == LOGGER.name)
 
 
