@@ -105,7 +105,7 @@ class BlockServerDownload(BlockReceiver):
             server._write(content, answer, now)
 
     def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> None:
-        """A client whose request was answered in vain (the answer was lost, or the request was a late copy) begins anew.
+        """A client whose request was answered in vain (the answer was lost, or the request was a late copy) begins again.
 
         An initiate request has a number from 32 on. Before the first segment 31 or more would have to be lost for it to be one.
         """

@@ -6,7 +6,7 @@ A client and a server share one channel, a pair of COB-IDs, and at most one tran
 in, first out; urgent ones before all others) and each ends in exactly one outcome: SdoUploaded, SdoDownloaded or SdoAborted.
 
 Up to 4 bytes go expedited, in the initiate frames themselves; more, and none at all, go in segments of 7 bytes, each asked for or
-acknowledged before the next one goes. The server chooses how an upload goes. Each response starts the `timeout` anew.
+acknowledged before the next one goes. The server chooses how an upload goes. Each response starts the `timeout` again.
 
 What is checked: the command specifier, the multiplexer of every frame that has one, the toggle bit in both directions, the
 announced size against what arrives, and `max_upload`. A fault ends the transfer with an abort that names its object.
@@ -47,7 +47,7 @@ from typing import Final, Literal, TypeAlias
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, LocalProtocolError, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT, silence_limit
 from canopen_proto.sdo.block_client import (
     BlockDownload,
     BlockRequest,
@@ -171,9 +171,10 @@ class SdoClient(RequestQueue):
         """Ask the server for an object's value.
 
         Sends an initiate request, at once if no transfer is under way. SdoUploaded or SdoAborted follows, at the latest `timeout`
-        after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not.
-        block: see `Block`; "auto" asks for a block transfer first, whatever the size. Raises LocalProtocolError if the queue is
-        full or the numbers are impossible. Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
+        after the last frame of the transfer; in blocks two silences after it (`silence_limit`, block.py). index 0..0xFFFF,
+        subindex 0..0xFF. urgent: goes before all requests that are not. block: see `Block`; "auto" asks for a block transfer
+        first, whatever the size. Raises LocalProtocolError if the queue is full or the numbers are impossible.
+        Source: CiA 301 v4.2.0, 7.2.4.3.5 and 7.2.4.3.12.
         """
         if not block or (block == "auto" and not self.serves_blocks):
             return self._submit(upload_request(index, subindex), urgent, now)
@@ -187,8 +188,9 @@ class SdoClient(RequestQueue):
         """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments or, on request, in blocks.
 
         Sends an initiate request, at once if no transfer is under way. SdoDownloaded or SdoAborted follows, at the latest
-        `timeout` after the last frame of the transfer. index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that
-        are not. block: see `Block`. Raises LocalProtocolError if the queue is full or the numbers are impossible.
+        `timeout` after the last frame of the transfer; in blocks two silences after it (`silence_limit`, block.py).
+        index 0..0xFFFF, subindex 0..0xFF. urgent: goes before all requests that are not. block: see `Block`.
+        Raises LocalProtocolError if the queue is full or the numbers are impossible.
         Source: CiA 301 v4.2.0, 7.2.4.3.2 and 7.2.4.3.8.
         """
         if not block or (block == "auto" and (not self.serves_blocks or len(data) <= AUTO_BLOCK)):
@@ -455,6 +457,10 @@ class SdoClient(RequestQueue):
         self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
+
+    def _patience(self) -> Time:
+        transfer = self._transfer
+        return self.timeout if transfer is None or not transfer.has_begun else 2 * silence_limit(self.timeout)
 
     def _is_all_sent(self) -> bool:
         state, request = self._state, self._request

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canopen_proto.machine import Event, Outcome, event
+from canopen_proto.machine import Event, Outcome, Time, event
 from canopen_proto.sdo.abort import AbortOrigin, text_of
 
 # ---- a client ----
@@ -40,6 +40,7 @@ class SdoAborted(Outcome):
 
     not_confirmed: it was a download, all of its data had been sent, and neither a confirmation nor a refusal has come: it may
     have been executed. (False also where only a part had been sent: the server was told that the rest does not come.)
+    waited: where the server fell silent, how long that was, in ns; else 0.
     """
 
     index: int
@@ -47,6 +48,7 @@ class SdoAborted(Outcome):
     abort_code: int
     origin: AbortOrigin
     not_confirmed: bool = False
+    waited: Time = 0
 
     @property
     def text(self) -> str:

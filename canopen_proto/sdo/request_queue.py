@@ -191,7 +191,8 @@ class RequestQueue(Machine):
     def _fail(self, abort_code: int, origin: AbortOrigin, now: Time) -> None:
         """Abort the running transfer on the wire (CiA 301 v4.2.0, 7.2.4.3.17) and begin the next one."""
         request = self._request
-        not_confirmed = self._is_all_sent()
+        is_silent = origin is AbortOrigin.TIMEOUT and abort_code != AbortCode.CANNOT_TRANSFER  # that was our own side
+        aborted = self._aborted(request, abort_code, origin, self._is_all_sent(), self._patience() if is_silent else 0)
         if origin is AbortOrigin.TIMEOUT and self._is_answer_ambiguous():
             overdue, multiplexer = self._overdue, request.first[1:4]
             overdue.pop(multiplexer, None)
@@ -200,7 +201,11 @@ class RequestQueue(Machine):
                 del overdue[next(iter(overdue))]
         self._send(INITIATE.pack(ABORT, request.index, request.subindex, abort_code))
         self._unsettled = True
-        self._end(self._aborted(request, abort_code, origin, not_confirmed), now)
+        self._end(aborted, now)
+
+    def _patience(self) -> Time:
+        """How long the server may be silent in the transfer under way, in ns."""
+        raise NotImplementedError
 
     def _is_all_sent(self) -> bool:
         """Whether the transfer under way is a download of which everything has been sent: the server may execute it."""
@@ -213,9 +218,11 @@ class RequestQueue(Machine):
     def _end(self, outcome: Outcome, now: Time) -> None:
         raise NotImplementedError
 
-    def _aborted(self, request: Request, abort_code: int, origin: AbortOrigin, not_confirmed: bool = False) -> SdoAborted:
+    def _aborted(
+        self, request: Request, abort_code: int, origin: AbortOrigin, not_confirmed: bool = False, waited: Time = 0
+    ) -> SdoAborted:
         index, subindex = request.index, request.subindex
-        return SdoAborted(self.node_id, request.request_id, index, subindex, abort_code, origin, not_confirmed)
+        return SdoAborted(self.node_id, request.request_id, index, subindex, abort_code, origin, not_confirmed, waited)
 
     def _settle(self) -> None:
         """The server has answered the transfer under way: it has nothing more to say about those before."""

@@ -247,7 +247,7 @@ def sdo_error(
     code_text = f"abort 0x{aborted.abort_code:08X}, {text_of(aborted.abort_code)}"
     hint = NOT_CONFIRMED if aborted.not_confirmed else ""
     if aborted.origin is AbortOrigin.TIMEOUT and aborted.abort_code != AbortCode.CANNOT_TRANSFER:
-        failed = f"{who} did not answer {place} in {node.sdo.timeout / SECOND:g} s{hint}"
+        failed = f"{who} did not answer {place} in {(aborted.waited or node.sdo.timeout) / SECOND:g} s{hint}"
         seen, cause, tries = sdo_silence(network, node, now)
         silent = SdoNotConfirmed if aborted.not_confirmed else SdoTimeout
         return silent(NO_ANSWER, aborted, bus, failed, seen, cause, tries)

@@ -49,6 +49,14 @@ def device(out: Outbox, kind: type[LocalNode] = LocalNode) -> LocalNode:
     return kind(out, 5, dictionary())
 
 
+class MuteNode(LocalNode):
+    """A device that answers only the first frame of a block upload."""
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.can_id == 0x605 and frame.data[0] & 0xE3 == 0xA0:
+            self.out.frames.append(Frame(0x585, b"\xc6" + frame.data[1:4] + bytes.fromhex("64000000")))
+
+
 class OldNode(LocalNode):
     """A device that knows no block transfer."""
 
@@ -243,6 +251,17 @@ async def test_refusals_and_silence() -> None:
             await read_all(silent)
         with pytest.raises(SdoNotConfirmed):
             await silent.write_stream(IMAGE, 1, [bytes(4)], 4)
+
+
+@virtual_time
+async def test_a_time_out_names_the_time_that_was_waited() -> None:
+    async with simulated(makers=[partial(device, kind=MuteNode)]), open_master(BUS, sdo_timeout=0.25) as master:
+        node = master.node(5, dictionary())
+        for block, seconds in [(True, 2), (False, 0.25)]:
+            started = trio.current_time()
+            with pytest.raises(SdoTimeout, match=f"did not answer reading 1F50:01 .image:1. in {seconds:g} s"):
+                await node.read_bytes(IMAGE, 1, block=block)
+            assert trio.current_time() - started == pytest.approx(seconds, abs=0.01)
 
 
 @virtual_time

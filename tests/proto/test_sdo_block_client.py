@@ -8,10 +8,10 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored
+from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, Time
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import LEAST_SILENCE
-from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.proto.block_bench import ClientBench, crc_bytes, frames, segments
 from tests.proto.block_pair import pattern
 
@@ -141,6 +141,35 @@ def test_silence_is_an_abort_wherever_it_begins(heard: int) -> None:
     bench.tell(*["A4 00 20 00 7F", "A2 02 7F"][:heard])
     assert bench.wait() == frames("80 00 20 00 00 00 04 05")
     assert bench.aborted() == (0x05040000, AbortOrigin.TIMEOUT)
+
+
+SERVERS = {
+    ("upload", False): ["41 08 10 00 0D", "00 48 65 6C 6C 6F 2C 20"],
+    ("upload", True): ["C6 08 10 00 0D", "01 48 65 6C 6C 6F 2C 20", "82 62 6C 6F 63 6B 73 00"],
+    ("download", False): ["60 00 20 00", "20"],
+    ("download", True): ["A4 00 20 00 01", "A2 01 7F", "A2 01 7F"],
+}
+
+
+@pytest.mark.parametrize("timeout", [500 * MILLISECOND, 3 * SECOND])
+@pytest.mark.parametrize(("direction", "block"), SERVERS)
+def test_a_time_out_tells_how_long_the_server_was_silent(direction: str, block: bool, timeout: Time) -> None:
+    """Inside a block transfer that is two silences: the end of a sub-block may be lost, or its acknowledgement."""
+    answers = SERVERS[direction, block]
+    for heard in range(len(answers) + 1):
+        bench = ClientBench(timeout=timeout)
+        if direction == "upload":
+            bench.upload(block)
+        else:
+            bench.download(TEXT, block)
+        bench.tell(*answers[:heard])
+        last = bench.now
+        while bench.client.busy:
+            bench.wait()
+        report = bench.outcome()
+        assert isinstance(report, SdoAborted)
+        assert report.waited == bench.now - last
+        assert report.waited == (2 * max(timeout, LEAST_SILENCE) if block and heard else timeout)
 
 
 @pytest.mark.parametrize("heard", [0, 1, 2])

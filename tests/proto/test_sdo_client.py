@@ -272,7 +272,7 @@ def test_a_server_that_does_not_answer_is_told_so_in_case_it_lives() -> None:
     bench.client.handle_timeout(TIMEOUT)
     assert bench.frames() == ["60C#8000100000000405", "60C#4001100000000000"]
     report = bench.outcome()
-    assert report == SdoAborted(12, request, 0x1000, 0, 0x05040000, AbortOrigin.TIMEOUT)
+    assert report == SdoAborted(12, request, 0x1000, 0, 0x05040000, AbortOrigin.TIMEOUT, waited=TIMEOUT)
     assert isinstance(report, SdoAborted)
     assert report.text == "SDO protocol timed out"
     assert bench.client.deadline == 2 * TIMEOUT

@@ -123,7 +123,7 @@ def test_trap_9_the_multiplexer_of_a_download_response_is_checked(response: str,
     bench.hear(response)
     assert ignored(bench) == "response about another object"
     bench.client.handle_timeout(TIMEOUT)
-    assert bench.outcome() == SdoAborted(12, request, 0x2000, 3, 0x05040000, AbortOrigin.TIMEOUT, len(content) == 1)
+    assert bench.outcome() == SdoAborted(12, request, 0x2000, 3, 0x05040000, AbortOrigin.TIMEOUT, len(content) == 1, TIMEOUT)
 
 
 def test_the_multiplexer_of_an_upload_response_is_checked() -> None:
