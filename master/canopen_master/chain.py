@@ -66,7 +66,7 @@ from canopen_master.supervision import Supervision
 from canopen_proto.cia402.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.procedures.drive import DriveFault, ReferenceLost, enable, halt, home, reset_fault
+from canopen_proto.procedures.drive import DriveFault, ReferenceLost, enable, halt, home, reset_fault, select_standing_mode
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
 from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sync import SyncSent
@@ -297,7 +297,10 @@ class Chain:
 
     @enable_ki_protection
     def hold(self) -> None:
-        """Stay at the last set-points in this cycle on purpose: it does not count as missed. `Cycle.time` stands still."""
+        """Stay at the set-points that were sent last. What was given and not sent yet is dropped: the rest of a path, too.
+
+        The cycle does not count as missed. `Cycle.time` stands still.
+        """
         self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.hold()
 
@@ -503,4 +506,5 @@ class Chain:
 def _reset_and_enable(device: Device) -> Procedure[None]:
     yield from halt(device.axis)  # somebody else may have left it running
     yield from reset_fault(device.axis)
+    yield from select_standing_mode(device.axis)
     yield from enable(device.axis)

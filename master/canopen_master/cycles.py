@@ -94,7 +94,11 @@ class SetPoints:
         self.given_in = self.number
 
     def hold(self) -> None:
-        """See Chain.hold."""
+        """See Chain.hold. What was given and not sent yet is taken back."""
+        self._path.clear()
+        if self._is_new:
+            self._put(self.sent)
+            self._is_new = False
         self._is_held = True
         self.given_in = self.number
 

@@ -8,9 +8,11 @@ from contextlib import asynccontextmanager
 import pytest
 import trio
 
-from canopen_master import Chain, ChainHalted, Host, open_master, standard_drives
+from canopen_master import Chain, ChainError, ChainHalted, Host, open_master, standard_drives
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import State
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 RAMP = 20_000
@@ -108,3 +110,60 @@ def test_a_command_waits_for_a_halt_that_somebody_else_has_ordered(command: str)
             assert worst[0] <= RAMP / 1000 + A_COUNT
 
     test()
+
+
+LEFT_OVER = {
+    Mode.PROFILE_VELOCITY: (objects.TARGET_VELOCITY, 30_000),
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: (objects.TARGET_POSITION, -50_000),
+}
+"""Mode -> what makes a drive move in it as soon as it has power."""
+
+
+def write(host: Host, key: int, value: int) -> None:
+    """Another tool writes an object of the drive."""
+    (node,) = drives(host)
+    node.values.store[key] = value
+    node.drive.written(key >> 8, key & 0xFF, host.now())
+    host.pump()
+
+
+@pytest.mark.parametrize("runs", [False, True])
+@pytest.mark.parametrize("mode", LEFT_OVER)
+def test_a_chain_that_was_initialised_stands(mode: Mode, runs: bool) -> None:
+    """Whatever mode and target another tool has left, and whether it left the drive running."""
+
+    @virtual_time
+    async def test() -> None:
+        async with simulated(makers=standard_drives(3)) as host, open_master(BUS) as master:
+            (node,) = drives(host)
+            node.values.store[objects.PROFILE_DECELERATION] = RAMP
+            master.sync_start(0.01)
+            write(host, objects.MODES_OF_OPERATION, mode)
+            write(host, *LEFT_OVER[mode])
+            if runs:
+                for word in (6, 7, 15):
+                    write(host, objects.CONTROLWORD, word)
+                await trio.sleep(0.3)
+            arm = arm_of(master, 3, axes=SETTINGS, define_pdos=True)
+            positions = node.drive._servo.demand_position
+            await arm.initialise()
+            assert node.drive.state is State.OPERATION_ENABLED
+            stood = node.drive._servo.demand_position
+            assert runs or stood == positions
+            await trio.sleep(1)
+            assert node.drive._servo.demand_position == stood
+            await arm.enable_interpolated_position()
+
+    test()
+
+
+@virtual_time
+async def test_a_drive_that_would_move_with_power_alone_is_not_enabled() -> None:
+    async with simulated(makers=standard_drives(3)) as host, open_master(BUS) as master:
+        (node,) = drives(host)
+        node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x84  # pv, csp
+        write(host, objects.MODES_OF_OPERATION, Mode.PROFILE_VELOCITY)
+        arm = arm_of(master, 3, axes=SETTINGS, define_pdos=True)
+        with pytest.raises(ChainError, match=r"joint1.*in profile velocity \(pv\), in which power alone"):
+            await arm.initialise()
+        assert node.drive.state is State.SWITCH_ON_DISABLED

@@ -132,3 +132,27 @@ async def test_a_line_over_several_cycles_advances_the_path_by_all_of_them() -> 
             if cycle.number == 2:
                 break
         assert seen == [0, 0.01, 0.05]
+
+
+@pytest.mark.parametrize("at", range(7))
+def test_a_hold_ends_a_line_over_several_cycles(at: int) -> None:
+    """Whatever was sent when it holds stays, and so does the time."""
+
+    @virtual_time
+    async def run() -> None:
+        async with following_arm(3) as (_, _, arm):
+            (start,) = arm.positions
+            seen = []
+            async for cycle in arm.cycles():
+                if cycle.number == 0:
+                    arm.set_positions([start + 0.01], cycles=5)
+                if cycle.number >= at:
+                    arm.hold()
+                seen.append((round(arm.desired_positions[0] - start, 4), round(cycle.time, 6)))
+                if cycle.number == 9:
+                    break
+            sent = min(at, 5)
+            assert seen[at:] == [(0.002 * sent, 0.01 * sent)] * (10 - at)
+            assert arm.missed_cycles == max(0, at - 5)
+
+    run()

@@ -2,6 +2,7 @@
 
     reset_fault   0x0000, then 0x0080: the reset is a rising edge             manual: faultReset
     enable        up to Operation enabled, step by step                       manual: initDevice
+    select_standing_mode    a mode in which power alone moves nothing
     set_mode      0x6502 checked, 0x6060 written, 0x6061 awaited              manual: driveMode
     home          homing, to its end                                          manual: homing
     start_interpolation, start_cyclic_position                                manual: enableIPmode
@@ -37,7 +38,16 @@ from canopen_proto.procedures.drive.failures import (
 from canopen_proto.procedures.drive.halting import halt, halt_after
 from canopen_proto.procedures.drive.homing import home
 from canopen_proto.procedures.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
-from canopen_proto.procedures.drive.state import change_state, enable, engage_brake, quick_stop, reset_fault, set_mode, shut_down
+from canopen_proto.procedures.drive.state import (
+    change_state,
+    enable,
+    engage_brake,
+    quick_stop,
+    reset_fault,
+    select_standing_mode,
+    set_mode,
+    shut_down,
+)
 from canopen_proto.procedures.drive.watching import read_statusword, wait_for_statusword
 
 __all__ = [
@@ -62,6 +72,7 @@ __all__ = [
     "read_position",
     "read_statusword",
     "reset_fault",
+    "select_standing_mode",
     "set_mode",
     "shut_down",
     "start_cyclic_position",

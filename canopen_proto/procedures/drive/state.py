@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.cia402.axis import Axis
-from canopen_proto.cia402.modes import ModeControl, mode_name, supported, supported_modes
+from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
 from canopen_proto.machine import Time
@@ -14,11 +14,14 @@ from canopen_proto.procedures.drive.controlword import command
 from canopen_proto.procedures.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
 from canopen_proto.procedures.drive.halting import halt
 from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
-from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Procedure, StepTimeout, current_time
+from canopen_proto.procedures.objects import read_if_present, read_int, write
+from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, current_time
+from canopen_proto.sdo.abort import AbortOrigin
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; all others: 0."""
+_STANDING: Final = (Mode.INTERPOLATED_POSITION, Mode.HOMING, Mode.PROFILE_POSITION)
+"""Modes in which a drive stands until bit 4 of the controlword rises."""
 
 
 def _leaves(state: State) -> Callable[[int], bool]:
@@ -80,8 +83,35 @@ def reset_fault(axis: Axis) -> Procedure[None]:
 
 
 def enable(axis: Axis) -> Procedure[None]:
-    """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed."""
+    """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed.
+
+    In velocity, torque and cyclic modes the drive then obeys its last target at once, whoever gave it: select a mode first, or
+    call `select_standing_mode`.
+    """
     yield from change_state(axis, State.OPERATION_ENABLED)
+
+
+def select_standing_mode(axis: Axis) -> Procedure[None]:
+    """Select a mode in which power alone moves nothing: the drive's own, if it is such a one, else ip, hm or pp.
+
+    In these a motion begins when bit 4 of the controlword rises. Raises ModeUnsupported for a drive that has none of them.
+    """
+    shown = yield from read_int(axis.node, "0x6061")
+    for mode in sorted(_STANDING, key=lambda each: each != shown):
+        try:
+            yield from set_mode(axis, mode)
+        except ModeUnsupported:
+            continue
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise
+        else:
+            return
+    raise ModeUnsupported(
+        f"{name_of(axis)} is in {mode_name(shown)}, in which power alone may move it, and takes up neither "
+        f"{', '.join(mode_name(mode) for mode in _STANDING[:-1])} nor {mode_name(_STANDING[-1])}. "
+        "Try: look at its modes (0x6502), and enable it by hand once you know its targets"
+    )
 
 
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
