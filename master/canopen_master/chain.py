@@ -36,20 +36,11 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import trio
 from trio.lowlevel import enable_ki_protection
 
+from canopen_master.chain_errors import chain_halted, joint_failed, joint_fault, reference_lost
 from canopen_master.cycles import Cycles, SetPoints
 from canopen_master.device import Device
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
-from canopen_master.errors import (
-    CHAIN_FAILED,
-    CHAIN_HALTED,
-    CHAIN_NOT_READY,
-    GIVEN_UP,
-    NO_ANSWER,
-    REFUSED,
-    ChainError,
-    ChainFault,
-    ChainHalted,
-)
+from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.joint_procedures import (
     JointFailed,
     exchange_named,
@@ -61,14 +52,12 @@ from canopen_master.joint_procedures import (
     quietly,
     stop,
 )
-from canopen_master.silence import sdo_silence
 from canopen_master.supervision import Supervision
 from canopen_proto.cia402.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.procedures.drive import DriveFault, ReferenceLost, enable, halt, home, reset_fault, select_standing_mode
-from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of
-from canopen_proto.sdo.abort import AbortOrigin
+from canopen_proto.procedures.drive import enable, halt, home, reset_fault, select_standing_mode
+from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 
 if TYPE_CHECKING:
@@ -327,39 +316,14 @@ class Chain:
             raise self._error_of(operation, failed) from failed.error
         except ProcedureTakenBack:
             error = await self._why_stopped()
-            raise error or self._halted("while it was stopped") from None
+            raise error or chain_halted(self.name, "while it was stopped") from None
         finally:
             if self._running is running:  # else halt() or shut_down() took over
                 self._running = None
 
     def _error_of(self, operation: str, failed: JointFailed) -> ChainError:
-        device, error = failed.device, failed.error
-        if isinstance(error, DriveFault):
-            return self._fault(device, "is in fault")
-        if isinstance(error, ReferenceLost):
-            return self._reference_lost(operation, device)
-        code, seen, cause = CHAIN_FAILED, "", ""
-        tries: tuple[str, ...] = ()
-        if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
-            code, network = NO_ANSWER, self._master.bus(device.node.bus).network
-            seen, cause, tries = sdo_silence(network, device.node.remote, self._master.now())
-        elif isinstance(error, SdoFailed):
-            code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
-        failure = f"chain {self.name} could not {operation}: {device.where}: {error}"
-        return ChainError(code, self.name, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
-
-    def _reference_lost(self, operation: str, device: Device) -> ChainError:
-        return ChainError(
-            CHAIN_NOT_READY,
-            self.name,
-            f"chain {self.name} could not {operation}: {device.where} has lost its reference",
-            joint=device.name,
-            seen="it was homed, and then reset or without power, or homed without success: its positions mean something else now",
-            tries=(
-                "await chain.home(), then await chain.enable_interpolated_position()",
-                "AxisSettings(keeps_reference=True) if it has an absolute encoder",
-            ),
-        )
+        network = self._master.bus(failed.device.node.bus).network
+        return joint_failed(self.name, operation, failed, network, self._master.now())
 
     def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
         errors = [self._error_of(operation, failed) for failed in failures if failed is not None]
@@ -397,7 +361,7 @@ class Chain:
         if self.state not in states:
             lost = next((device for device in self.devices if device.axis.has_lost_reference), None)
             if self.state is ChainState.READY and lost is not None:
-                raise self._reference_lost(what, lost)
+                raise reference_lost(self.name, what, lost)
             step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.enable_interpolated_position()"
             failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
@@ -459,33 +423,8 @@ class Chain:
 
     def _stop_reason(self) -> ChainError:
         if self._culprit is not None:
-            return self._fault(*self._culprit)
-        return self._halted(self._why_halted or "by another command")
-
-    def _halted(self, why: str) -> ChainHalted:
-        return ChainHalted(
-            CHAIN_HALTED,
-            self.name,
-            f"chain {self.name} was halted {why}",
-            tries=("await chain.enable_interpolated_position() starts where the joints stand",),
-        )
-
-    def _fault(self, device: Device, reason: str, cause: str = "") -> ChainFault:
-        home_again = ", chain.home() and chain.enable_interpolated_position()" if device.axis.has_lost_reference else ""
-        return ChainFault(
-            self.name,
-            device.name,
-            device.node.node_id,
-            device.node.bus,
-            reason,
-            state=device.state,
-            statusword=device.statusword,
-            error_code=device.error_code,
-            emcy=device.emcy,
-            seen=device.describe(),
-            cause=cause,
-            tries=(f"find the cause, then await chain.recover(){home_again}",),
-        )
+            return joint_fault(self.name, *self._culprit)
+        return chain_halted(self.name, self._why_halted or "by another command")
 
     # ---- in the pump's turn ----
 

@@ -329,10 +329,9 @@ def test_a_schunk_that_stands_unreferenced_has_failed() -> None:
     rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
     schunk_whose_status_is(rig, 0x0237)  # operation enabled
     request = rig.master.run(drive.home(rig.axis), rig.bus.now)
-    rig.bus.run(200 * MILLISECOND)
-    schunk_whose_status_is(rig, 0x0337)  # moving
-    rig.bus.run(200 * MILLISECOND)
-    schunk_whose_status_is(rig, 0x0237)  # stands, not referenced
+    for statusword in (0x0237, 0x0337, 0x0237):  # moving, in the middle
+        schunk_whose_status_is(rig, statusword)
+        rig.bus.run(200 * MILLISECOND)
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureFailed)
     assert isinstance(ended.error, drive.HomingFailed)
