@@ -51,8 +51,8 @@ class Follower(Protocol):
 
     node_id: int
 
-    def on_sync(self, counter: int | None, now: Time) -> None:
-        """A SYNC was sent or heard."""
+    def on_sync(self, counter: int | None, now: Time, *, heard: bool = False) -> None:
+        """A SYNC was sent by us, or heard: then it may have been on its way for a while."""
 
     def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
         """An NMT command for this node was sent by us."""
@@ -251,7 +251,7 @@ class Network:
 
     def _on_sync(self, sync: SyncSent | SyncReceived, now: Time) -> None:
         for follower in self._followers.values():
-            follower.on_sync(sync.counter, now)
+            follower.on_sync(sync.counter, now, heard=isinstance(sync, SyncReceived))
 
     def _on_nmt_command(self, sent: NmtCommandSent, now: Time) -> None:
         for follower in self._followers.values():

@@ -7,6 +7,9 @@ us. It holds
   by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read). What we
   command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`. What was written by
   bytes, past `write`, is not known there: `written_by_bytes` has it;
+- `held`: the RPDOs whose data may wait in the device for the next SYNC, and would undo what is written by SDO before it. So a
+  `write` of an object in `commanded` (a controlword) first sends each of these that carries it once more, with the new value:
+  whenever a SYNC comes then, it brings what was commanded last;
 - `nmt_state`: what its heartbeat says, and where it has none, what we commanded. A heartbeat right behind a command may have been
   sent before it: until NMT_REACTION_TIME is over, the command counts. A node whose heartbeat is lost keeps the state last known.
 
@@ -36,6 +39,7 @@ from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatR
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
+from canopen_proto.pdo.held import HeldRpdos
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.multiplexed import MpdoReceived, destination_frame, suits_mpdo
 from canopen_proto.pdo.multiplexed_listener import MpdoListener
@@ -68,6 +72,7 @@ class RemoteNode(Group):
         "guarding",
         "heard_at",
         "heartbeat",
+        "held",
         "last_sync",
         "nmt_state",
         "node_id",
@@ -107,6 +112,7 @@ class RemoteNode(Group):
         self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
         self.commanded: set[int] = set()
         self.written_by_bytes: set[int] = set()
+        self.held = HeldRpdos()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
         self._listeners: list[Callable[[Collection[int], Time], None]] = []
@@ -151,12 +157,19 @@ class RemoteNode(Group):
     def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
         """Write an object by SDO: a value, or the name of a constant. SdoDownloaded or SdoAborted follows. block: see `Block`.
 
+        A synchronous RPDO that the device may hold, and that carries an object in `commanded`, goes first, with the new value.
         Raises LocalProtocolError for an unknown name or a read-only object, ValueRangeError for a value that does not fit; then
         nothing was sent. CiA 301 v4.2.0, 7.2.4.2.2
         """
         variable, meant, data = self.encode(key, value)
+        frames = self.out.frames
+        mark = len(frames)
         request_id = self.sdo.download(variable.index, variable.subindex, data, now, urgent=urgent, block=block)
         self._writes[request_id] = (variable, meant)
+        if variable.mux in self.commanded:
+            end = len(frames)
+            self.replace_held(variable.mux, meant, now)
+            frames[mark:] = frames[end:] + frames[mark:end]
         return request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
@@ -250,8 +263,11 @@ class RemoteNode(Group):
     def add_rpdo(self, number: int, key: int, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
         """Send the device's RPDO `number` (1..512) on a CAN-ID (a routing key), once `enable_rpdo` was called."""
         self._check_pdo(Direction.RPDO, number, key)
+        before = self.rpdos.get(number)
         self.remove_pdo(Direction.RPDO, number)
         producer = PdoProducer(self.inner, self.node_id, number, key, mapping, self.values.store, transmission_type)
+        if before is not None and (before.key, before.mapping.entries) == (producer.key, mapping.entries):
+            producer.sent_at = before.sent_at  # what the device holds of it is held still
         self.rpdos[number] = producer
         self._members.attach(producer)
         return producer
@@ -274,6 +290,7 @@ class RemoteNode(Group):
         if direction is Direction.RPDO:
             self._wanted.discard(number)
             self._mpdo_rpdos.pop(number, None)
+            self.held.forget(number)
         else:
             self._mpdo_listener.set_pdo(number, None)
 
@@ -292,6 +309,27 @@ class RemoteNode(Group):
             if producer.is_live and producer.mapping.find_component((index, subindex)) is not None:
                 return producer
         return None
+
+    def send_rpdo(self, producer: PdoProducer, now: Time) -> bool:
+        """Send an RPDO to the node now, by a producer of the caller's own over `values.store`, which is none of `rpdos`.
+
+        For a master that sends its RPDOs by hand, and SYNC behind them. transmission_type of the producer: as the device has it.
+        Raises as `PdoProducer.send`; returns what that returns.
+        """
+        self.held.sent_by_hand(producer)
+        return producer.send(now)
+
+    def replace_held(self, mux: int, value: Value, now: Time) -> bool:
+        """Command an object in each RPDO that carries it and that the device may hold for the next SYNC: it is sent once more.
+
+        False, and nothing is changed, where the device holds none.
+        """
+        held = self.held.carrying(mux, self.rpdos.values())
+        if held:
+            self.values.store[mux] = value
+        for producer in held:
+            producer.send_again(now)
+        return bool(held)
 
     # ---- multiplexed PDOs ----
 
@@ -361,8 +399,9 @@ class RemoteNode(Group):
 
     # ---- what the rest of the network does ----
 
-    def on_sync(self, counter: int | None, now: Time) -> None:
+    def on_sync(self, counter: int | None, now: Time, *, heard: bool = False) -> None:
         self.last_sync = now
+        self.held.on_sync(now, heard)
         for producer in self.rpdos.values():
             producer.on_sync(counter, now)
         for listener in self._sync_listeners:
@@ -382,6 +421,7 @@ class RemoteNode(Group):
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
         self.heard_at.clear()
         self.written_by_bytes.clear()
+        self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
         for on_boot in self._boot_listeners:

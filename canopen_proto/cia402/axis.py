@@ -186,7 +186,7 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = -NEVER
-        node.commanded.add(CONTROLWORD)
+        node.commanded |= {CONTROLWORD, INTERPOLATION_SET_POINT, TARGET_POSITION}
         node.add_listener(self._on_values, self._on_boot)
 
     # ---- what is known of the drive ----

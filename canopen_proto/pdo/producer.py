@@ -22,7 +22,8 @@ used.
 The inhibit time is the least time between two event-driven transmissions. A trigger within it is not lost: the PDO goes when
 the time is over, once, with the values of that moment. A late event timer sends once and reports the periods that it skipped.
 
-`send` sends at once, whatever the type: it is for a master that sends its RPDOs by its own cycle.
+`send` sends at once, whatever the type: it is for a master that sends its RPDOs by its own cycle. `sent_at` tells when that
+last was, whoever caused it.
 
 PDOs live in NMT state Operational only. The owner says so by `set_enabled`, which starts the event timer; the first SYNC counted
 is the first one after it. A PDO that is not valid, or whose mapping is empty, is never sent.
@@ -88,6 +89,7 @@ class PdoProducer(Machine):
         "mapping",
         "node_id",
         "number",
+        "sent_at",
         "store",
         "sync_start",
         "transmission_type",
@@ -113,6 +115,7 @@ class PdoProducer(Machine):
         self.enabled = False
         self.key: int | None = None
         self.answers_requests = False
+        self.sent_at: Time = -NEVER
         self._sample: bytes | None = None  # of type 252: the data of the last SYNC
         self._triggered = False  # of type 0: waits for the next SYNC
         self._syncs = 0  # since it was sent last
@@ -182,13 +185,16 @@ class PdoProducer(Machine):
         """
         if not self.enabled or self.key is None:
             return False
-        self.out.frames.append(frame_for_key(self.key, self.mapping.pack_from(self.store)))
-        self._triggered = False
-        if self.is_event_driven:
-            self._inhibited_until = now + self.inhibit_time
-            self._event_due = now + self.event_time if self.event_time else NEVER
-            self._arm(self._event_due)
+        self._emit(self.key, now)
         return True
+
+    def send_again(self, now: Time) -> None:
+        """Send it once more, with the values of now, also while it is disabled: its receiver may hold an older one for a SYNC.
+
+        `PdoNotSent` as in `trigger`.
+        """
+        if self.key is not None:
+            self._try_to_emit(self.key, now)
 
     def can_ids(self) -> Iterable[int]:
         return (self.key | KEY_REMOTE,) if self.answers_requests and self.key is not None else ()
@@ -263,10 +269,23 @@ class PdoProducer(Machine):
             if skipped and self.key is not None:
                 self.out.events.append(PdoPeriodsSkipped(self.node_id, self.number, self.key, skipped))
 
+    def _emit(self, key: int, now: Time) -> None:
+        self.out.frames.append(frame_for_key(key, self.mapping.pack_from(self.store)))
+        self.sent_at = now
+        self._triggered = False
+        if self.is_event_driven:
+            self._inhibited_until = now + self.inhibit_time
+            self._event_due = now + self.event_time if self.event_time else NEVER
+            self._arm(self._event_due)
+
     def _send_due(self, now: Time) -> None:
+        if self.enabled and self.key is not None:
+            self._try_to_emit(self.key, now)
+
+    def _try_to_emit(self, key: int, now: Time) -> None:
         """Send where there is nobody to raise to: the fault becomes an event, and the turn has passed."""
         try:
-            self.send(now)
+            self._emit(key, now)
         except ValueRangeError as error:
             self._triggered = False
             self._arm(self._event_due)

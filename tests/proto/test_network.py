@@ -28,7 +28,7 @@ class Shadow(Machine):
         super().__init__(out)
         self.node_id = node_id
 
-    def on_sync(self, counter: int | None, now: Time) -> None:
+    def on_sync(self, counter: int | None, now: Time, *, heard: bool = False) -> None:
         self.out.frames.append(Frame(0x200 + self.node_id))
         self.out.events.append(Followed(self.node_id, f"SYNC {counter} at {now}"))
 

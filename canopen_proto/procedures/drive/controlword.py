@@ -6,8 +6,9 @@ from typing import Final
 
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import ModeControl
+from canopen_proto.cia402.objects import CONTROLWORD
+from canopen_proto.cia402.states import Command, State
 from canopen_proto.machine import MILLISECOND, Event
-from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.drive.failures import is_loss_of, node_lost
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
@@ -16,6 +17,16 @@ from canopen_proto.sync import SyncReceived, SyncSent
 SYNC_ALIVE: Final = 500 * MILLISECOND
 """SYNC counts as running when one was sent or heard within this time; it is also what a command waits for the next one."""
 
+STAYS: Final = {
+    State.SWITCH_ON_DISABLED: Command.DISABLE_VOLTAGE,
+    State.READY_TO_SWITCH_ON: Command.SHUTDOWN,
+    State.SWITCHED_ON: Command.SWITCH_ON,
+    State.QUICK_STOP_ACTIVE: Command.QUICK_STOP,
+    State.FAULT_REACTION_ACTIVE: Command.DISABLE_VOLTAGE,
+    State.FAULT: Command.DISABLE_VOLTAGE,
+}
+"""State -> the command that leaves a drive there. In all of these it follows nothing."""
+
 
 def command(axis: Axis, controlword: int) -> Procedure[None]:
     """Bring a controlword to the drive: by the live RPDO that carries it, else by SDO, confirmed.
@@ -23,7 +34,8 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     A synchronous RPDO leaves behind a SYNC, and the drive takes it at the SYNC after that (CiA 301 v4.2.0, 7.5.2.35). The command
     waits for that one, so that two commands in a row are two PDOs, an edge is an edge, and what the drive shows from then on is
     its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used; as it is where the RPDO is not sent
-    (any more). Raises SdoFailed, NodeLost.
+    (any more). One that the drive holds for a SYNC then goes first, with this word (`RemoteNode.write`). Raises SdoFailed,
+    NodeLost.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
@@ -39,20 +51,20 @@ def _bring(axis: Axis, controlword: int) -> Procedure[None]:
         yield from act(lambda now: axis.set_controlword(controlword, now))
         return
     last_sync = axis.node.last_sync
-    is_sync_alive = last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE
-    if producer is not None and is_sync_alive:
+    if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
         yield from act(lambda now: axis.set_controlword(controlword, now))
         # One of type n goes at every n-th SYNC.
         if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
-    elif is_sync_alive and any(_may_wait(rpdo) for rpdo in axis.node.rpdos.values()):
-        yield from _syncs_passed(axis, 1)
     yield from write(axis.node, "0x6040", controlword)
 
 
-def _may_wait(rpdo: PdoProducer) -> bool:
-    """Whether the drive may hold an older word for the next SYNC, which would undo what is written by SDO before that."""
-    return rpdo.is_synchronous and rpdo.mapping.find_component((0x6040, 0)) is not None
+def command_held(axis: Axis, controlword: int) -> Procedure[None]:
+    """Put a controlword into each RPDO that the drive holds for a SYNC. A drive that holds none is not commanded.
+
+    For what is not commanded by `command`, or not before something else is known: whenever a SYNC comes, no older word acts.
+    """
+    yield from act(lambda now: axis.node.replace_held(CONTROLWORD, controlword, now))
 
 
 def _syncs_passed(axis: Axis, count: int) -> Procedure[bool]:

@@ -24,7 +24,7 @@ from canopen_proto.cia402.objects import (
 )
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
-from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
 from canopen_proto.procedures.drive.failures import name_of
 from canopen_proto.procedures.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present
@@ -67,10 +67,12 @@ _OF_ITS_RAMP: Final = 0.25
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
-    A drive that is not enabled is not commanded; one that brakes is waited for. Any later command without bit 8 ends the halt. It
-    waits as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not
-    become slower within a step, or shows no state for `reaction_time`; SdoFailed, NodeLost.
+    A drive that is not enabled is not commanded; one that brakes is waited for. An RPDO that the drive holds for a SYNC is replaced:
+    by the halt, or by what leaves a drive that is not enabled as it is. Any later command without bit 8 ends the halt. It waits
+    as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not become
+    slower within a step, or shows no state for `reaction_time`; SdoFailed, NodeLost.
     """
+    yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
     try:
         statusword = yield from read_statusword(axis)
     except SdoFailed:
@@ -88,8 +90,10 @@ def halt(axis: Axis) -> Procedure[None]:
     state = state_of(statusword)
     if state is State.OPERATION_ENABLED:
         yield from command(axis, _halt_word(axis))
-    elif state not in _BRAKING:
-        return
+    else:
+        yield from command_held(axis, STAYS.get(state, _halt_word(axis)))
+        if state not in _BRAKING:
+            return
     yield from _wait_for_standstill(axis)
 
 

@@ -10,7 +10,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, 
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
 from canopen_proto.machine import Time
-from canopen_proto.procedures.drive.controlword import command
+from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
 from canopen_proto.procedures.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
 from canopen_proto.procedures.drive.halting import halt
 from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
@@ -37,6 +37,8 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
     """
     if target is State.OPERATION_ENABLED and axis.grip is not None:
         yield from axis.grip.hold()
+    if target in STAYS:  # the drive may be there already, and hold an RPDO that takes it away
+        yield from command_held(axis, STAYS[target])
     statusword = yield from read_statusword(axis)
     seen: list[State] = []
     while (state := state_of(statusword)) is not target:

@@ -8,9 +8,9 @@ nobody else sends either. That is why the rPDO is a producer of our own here, an
 It is built from the node's one image, in which each confirmed command stands too; so it always bears the controlword last
 commanded.
 
-A drive keeps an rPDO until the next SYNC. One that was sent before the brake was commanded, and not taken yet, would enable the
-drive again, at anybody's SYNC. So where a set-point may still be waiting in the drive, the rPDO is sent once more behind the
-command.
+A drive keeps an rPDO until the next SYNC, anybody's. One that was sent before a halt or the brake was commanded, and not taken
+yet, would undo that. So while the drive may hold one, the rPDO is sent once more before each command, with the controlword of
+that command: whenever the SYNC comes, it brings what the SDO brings. `RemoteNode.write` does so, whoever commands.
 
 **How fast a set-point is.** The drive goes to it within `interval`, the time that it was told (0x60C2), from where the last SYNC
 sent it: that step has to keep to its `limits`. A SYNC that comes sooner than that takes the next step all the same, so the way
@@ -79,7 +79,6 @@ class DirectDrive:
         self._producer: PdoProducer | None = None
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
-        self._may_wait = False  # a set-point, in the drive, for a SYNC
         self._taken: deque[tuple[Time, int]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; the first: where it stood
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
         self._cyclic: dict[int, int] = {}  # the same by mux, of those that came
@@ -110,7 +109,6 @@ class DirectDrive:
         else:
             self._end_following()
         await self._run(drive.change_state(self.axis, state))
-        await self._run(self._replace_waiting())
 
     async def home(self) -> None:
         """Home it, in the way that it has: see `identify`."""
@@ -144,13 +142,11 @@ class DirectDrive:
         for scope in self._running:
             scope.cancel()
         await self._master.run(drive.halt(self.axis))
-        await self._master.run(self._replace_waiting())
 
     async def shut_down(self) -> None:
         """Take its power away."""
         self._end_following()
         await self._run(drive.shut_down(self.axis))
-        await self._run(self._replace_waiting())
 
     async def set_interval(self, milliseconds: int) -> None:
         """Tell the drive the time between two SYNCs, and that it shall not watch over it (Schunk's 0x200E = 0)."""
@@ -189,7 +185,7 @@ class DirectDrive:
             self._every.pop(number, None)
             if transmission_type in CYCLIC_TYPES:
                 self._every[number] = transmission_type
-        self._use(description, number)
+        self._use(description, number, transmission_type)
 
     async def _run(self, procedure: Procedure[T]) -> T:
         """Run a sequence to its end; ProcedureError where `halt` ended it before."""
@@ -218,7 +214,9 @@ class DirectDrive:
             raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
         self._check(position)
         self.axis.set_position_counts(position)
-        await self._master.run(self._send())
+        producer = self._producer
+        assert producer is not None  # else it would not follow
+        await self._master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
 
     # ---- inside ----
 
@@ -232,7 +230,6 @@ class DirectDrive:
             check_limits(self._device, start, position, self._master.now() - since + interval)
 
     def _on_sync(self, report: Event | None = None) -> None:
-        self._may_wait = False
         self._taken.append((self._master.now(), self.axis.set_point_counts))
 
     def _end_following(self) -> None:
@@ -247,11 +244,7 @@ class DirectDrive:
         if self._is_following and not self._master.is_closed:
             self._end_following()
             self._lost = report
-            self._master.launch(quietly(self._device, self._stop()))
-
-    def _stop(self) -> Procedure[None]:
-        yield from stop(self._device)
-        yield from self._replace_waiting()
+            self._master.launch(quietly(self._device, stop(self._device)))
 
     async def _why(self, lost: FollowingLost) -> Exception:
         """What to raise for it."""
@@ -265,24 +258,15 @@ class DirectDrive:
         known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)
         return NodeSilent(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())
 
-    def _use(self, description: PdoDescription, number: int | None) -> None:
+    def _use(self, description: PdoDescription, number: int | None, transmission_type: int = 1) -> None:
         mapping = Mapping.from_description(description)
         if description.direction is Direction.TPDO or mapping.find_component((0x60C1, 1)) is None:
             return
         remote = self.node.remote
         key = description.can_id(self.node.node_id)
-        self._producer = PdoProducer(remote.out, remote.node_id, number or 0, key, mapping, remote.values.store)
+        store = remote.values.store
+        self._producer = PdoProducer(remote.out, remote.node_id, number or 0, key, mapping, store, transmission_type)
         self._producer.set_enabled(True, self._master.now())
-
-    def _send(self) -> Procedure[None]:
-        producer = self._producer
-        assert producer is not None
-        yield from act(producer.send)
-        self._may_wait = True
-
-    def _replace_waiting(self) -> Procedure[None]:
-        if self._may_wait:
-            yield from self._send()
 
     def _set_interval(self, milliseconds: int) -> Procedure[None]:
         remote = self.node.remote
