@@ -67,10 +67,10 @@ _OF_ITS_RAMP: Final = 0.25
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
-    A drive that is not enabled is not commanded; one that brakes is waited for. An RPDO that the drive holds for a SYNC is replaced:
-    by the halt, or by what leaves a drive that is not enabled as it is. Any later command without bit 8 ends the halt. It waits
-    as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not become
-    slower within a step, or shows no state for `reaction_time`; SdoFailed, NodeLost.
+    A drive that is not enabled is not commanded; one that brakes is waited for. An RPDO that the drive holds for a SYNC is
+    replaced: by the halt, or by what leaves a drive that is not enabled as it is. Any later command without bit 8 ends the halt.
+    It waits as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not
+    become slower within a step, or shows no state for `reaction_time`; SdoFailed, NodeLost.
     """
     yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
     try:
