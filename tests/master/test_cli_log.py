@@ -8,6 +8,7 @@ import json
 import os
 import re
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -302,14 +303,31 @@ def test_a_bus_server_records_too(run: Run) -> None:
 
 def test_decode_reads_what_candump_shows_from_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     said = "  can0  603   [8]  40 41 60 00 00 00 00 00\n\n  can0  183   [8]  37 02 00 00 64 00 00 00\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(said))
+    monkeypatch.setattr("sys.stdin", typed(said.encode()))
     outcome = run("log", "decode", "-")
     assert outcome.status == 0
     read, pdo = outcome.out.splitlines()
     assert read.endswith("read 6041:00 statusword")
     assert "schunk_default_tPDO" in pdo  # PDOs.csv, as no file is given
     assert "position_actual_value = 100" in pdo
-    monkeypatch.setattr("sys.stdin", io.StringIO("what is this\n"))
+    monkeypatch.setattr("sys.stdin", typed(b"what is this\n"))
     outcome = run("log", "stats", "-")
     assert outcome.status == 6
     assert "standard input:1 is not understood" in outcome.err
+    monkeypatch.setattr("sys.stdin", typed(b"\xff\xfe" + said.encode("utf-16-le")))  # what PowerShell pipes
+    assert run("log", "decode", "-").out.splitlines() == [read, pdo]
+    monkeypatch.setattr("sys.stdin", typed(b"M\xe4r\n"))
+    outcome = run("log", "decode", "-")
+    assert outcome.status == 6
+    assert "standard input:1 is not understood" in outcome.err
+
+
+def test_a_standard_input_that_is_closed_is_empty(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", None)
+    assert run("log", "decode", "-") == (0, "", "")
+    sys.stdin.close()
+
+
+def typed(data: bytes) -> io.TextIOWrapper:
+    """A standard input that holds these bytes."""
+    return io.TextIOWrapper(io.BufferedReader(io.BytesIO(data)), encoding="utf-8")  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import can
@@ -70,6 +71,27 @@ def test_the_code_page_of_a_german_computer(tmp_path: Path) -> None:
         assert list(LogReader(tmp_path / "a.asc")) == list(reference)
     (tmp_path / "a.log").write_bytes(b"(1.5) k\xe4n0 601#40\n")
     assert list(LogReader(tmp_path / "a.log")) == [Record(1_500_000_000, "k\u00e4n0", Frame.parse("601#40"))]
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_a_stream_is_read_as_a_file_is(encoding: str, tmp_path: Path) -> None:
+    channel = "can0" if encoding == "ascii" else "k\u00e4n0"
+    content = LOG.replace("can0", channel).encode(encoding)
+    (tmp_path / "a.log").write_bytes(content)
+    records = list(LogReader(Path("standard input"), io.BufferedReader(io.BytesIO(content))))  # type: ignore[arg-type]
+    assert [(record.channel, str(record.frame)) for record in records] == [(channel, frame) for frame in FRAMES]
+    assert records == list(LogReader(tmp_path / "a.log"))
+
+
+@examples(50)
+@given(
+    st.binary(max_size=60), st.sampled_from([b"", b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf", LOG.encode(), LOG.encode("utf-16")])
+)
+def test_whatever_a_stream_holds_never_another_error(tail: bytes, head: bytes) -> None:
+    try:
+        list(LogReader(Path("standard input"), io.BufferedReader(io.BytesIO(head + tail))))  # type: ignore[arg-type]
+    except LogFileError as error:
+        assert error.failed.startswith("standard input:")
 
 
 def test_what_is_no_frame_is_counted(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Generator, Iterable, Iterator
+from io import BufferedReader, TextIOWrapper
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, Protocol, TextIO
 
@@ -103,28 +104,32 @@ def kind_of(path: Path) -> str:
 class LogReader:
     """The records of a file, once, in its order. Iterating raises LogFileError, and holds the file open until its end or `close`.
 
-    path: its ending says the kind; `.txt` is text of candump's, as `.log` is. lines: candump's lines from elsewhere, such as
-    standard input, in place of a file; path then only names them. skipped: how many entries were no frames of classical CAN, so
-    far; last_skip: why the last one was none.
+    path: its ending says the kind; `.txt` is text of candump's, as `.log` is. stream: candump's text from elsewhere, such as
+    standard input, in place of a file; path then only names it. skipped: how many entries were no classical CAN frames, so far;
+    last_skip: why the last one was none.
     """
 
-    def __init__(self, path: Path, lines: Iterable[str] | None = None) -> None:
+    def __init__(self, path: Path, stream: BufferedReader | None = None) -> None:
         self.path = path
         self.skipped = 0
         self.last_skip = ""
-        self._lines = lines
-        self._kind = ".log" if lines is not None or path.suffix.lower() == ".txt" else kind_of(path)
+        self._stream = stream
+        self._kind = ".log" if stream is not None or path.suffix.lower() == ".txt" else kind_of(path)
 
     def __iter__(self) -> Generator[Record]:
         # Opened here, as python-can's readers leave a file open when they raise.
         try:
-            if self._lines is not None:
-                yield from self._candump_records(self._lines)
+            if self._stream is not None:
+                text = _text(self._stream)
+                try:
+                    yield from self._candump_records(text)
+                finally:
+                    text.detach()  # the stream is the caller's to close
             elif self._kind == ".blf":
                 with open(self.path, "rb") as file:
                     yield from self._binary_records(file)
             else:
-                with open(self.path, encoding=_encoding_of(self.path), errors="canopen-old-code-page") as text:
+                with open(self.path, "rb") as file, _text(file) as text:
                     yield from self._candump_records(text) if self._kind == ".log" else self._text_records(text)
         except OSError as error:
             raise LogFileError(self.path, f"cannot read {self.path}", error.strerror or str(error)) from error
@@ -238,9 +243,10 @@ class _Lines:
         """A reader's, at its end; ours is who has opened it."""
 
 
-def _encoding_of(path: Path) -> str:
-    with open(path, "rb") as file:
-        return "utf-16" if file.read(2) in _UTF16_MARKS else "utf-8-sig"
+def _text(stream: BufferedReader) -> TextIOWrapper:
+    """The text of a stream from its beginning, by the mark there; UTF-8 without one."""
+    encoding = "utf-16" if stream.peek(2)[:2] in _UTF16_MARKS else "utf-8-sig"
+    return TextIOWrapper(stream, encoding, errors="canopen-old-code-page")
 
 
 def _reason(error: Exception) -> str:

@@ -100,10 +100,10 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
 
 
 def _open_closed_streams() -> None:
-    """Python has no stdout or stderr at all where a shell closed it (`canopen scan >&-`)."""
-    for name in ("stdout", "stderr"):
+    """Python has no stdin, stdout or stderr at all where a shell closed it (`canopen scan >&-`)."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - until the process ends
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - until the process ends
 
 
 def _put_to_rest(stream: IO[str]) -> None:

@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, cast
 
 import click
 import trio
@@ -27,13 +27,18 @@ from canopen_transports.locator import bitrate_text, parse_bitrate
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.wire.frame_bits import frame_bits
 
+if TYPE_CHECKING:
+    from io import BufferedReader
+
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
 
 
 def _reader(source: Path) -> LogReader:
     """Of a file, or of standard input (-): what candump says."""
-    return LogReader(Path("standard input"), sys.stdin) if str(source) == "-" else LogReader(source)
+    if str(source) != "-":
+        return LogReader(source)
+    return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
 
 
 @click.group()
