@@ -11,6 +11,7 @@ and nothing is cut there; `json_text` escapes those that JSON lets pass.
 from __future__ import annotations
 
 import json
+import math
 import re
 from typing import Any, Final
 
@@ -34,9 +35,18 @@ def clean_lines(text: str) -> str:
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """A JSON document that a terminal shows as it is. What JSON does not know becomes text."""
-    text = json.dumps(value, indent=indent, ensure_ascii=False, default=str)
+    """A JSON document that a terminal shows as it is. What JSON does not know becomes text, NaN and infinities too."""
+    text = json.dumps(_finite(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def _finite(value: Any) -> Any:
+    """The document with each number that is not finite as text."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _shown(character: str) -> str:

@@ -31,13 +31,17 @@ class Outcome(NamedTuple):
 
     @property
     def json(self) -> Any:
-        """What stdout is as JSON."""
-        return json.loads(self.out)
+        """What stdout is as JSON, which has no NaN."""
+        return json.loads(self.out, parse_constant=_no_json)
 
     @property
     def error(self) -> Any:
         """The last line of stderr, as JSON: the error of --json."""
-        return json.loads(self.err.strip().splitlines()[-1])
+        return json.loads(self.err.strip().splitlines()[-1], parse_constant=_no_json)
+
+
+def _no_json(text: str) -> None:
+    raise ValueError(f"{text} is no JSON")
 
 
 Run = Callable[..., Outcome]

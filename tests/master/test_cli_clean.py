@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import functools
+import json
+import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import click
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from canopen_master.cli import session
+from canopen_master.cli import app, session
 from canopen_master.plain_text import clean, clean_lines, json_text
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
@@ -18,6 +25,7 @@ from canopen_proto.dictionary.description import Commissioning, DeviceInfo, File
 from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.sdo.abort import AbortCode
 from canopen_transports import TransportError
+from tests.examples import examples
 from tests.master.backup_world import Lasting, answering, lasting
 from tests.master.cli_support import Run, runner_in_folder
 from tests.proto.devices import TEXT
@@ -28,6 +36,9 @@ EVIL = "\x1b]0;gone\x07\x1b[2J\x9b31m\x08\x7f\u202e[bold]x[/]"
 EVIL_TEXT = EVIL.encode().decode("latin-1")
 """The same as a device sends it, in UTF-8."""
 DEMO = ("-b", "demo")
+TIMING = ("--cycle", "10ms", "--bitrate", "500k")
+NAMED_EDS, NAMED_DCF = f"{EVIL[:-3]}.eds", f"{EVIL[:-3]}.dcf"
+"""Files that are called so: device.eds and device.dcf."""
 
 
 def evil_device() -> tuple[Object, ...]:
@@ -55,14 +66,17 @@ def evil_files() -> dict[str, str]:
     info = FileInfo(file_name=EVIL, description=EVIL, created_by=EVIL, eds_version="4.0")
     whole = describe(described(), device_info=texts, file_info=info)
     eds = write_eds(replace(whole, comments=(EVIL, EVIL)))
-    dcf = with_configured(whole, {TEXT << 8: EVIL_TEXT, GAIN << 8: 9.5}, Commissioning(5, node_name=EVIL))
+    dcf = with_configured(whole, {TEXT << 8: f"other {EVIL_TEXT}", GAIN << 8: 9.5}, Commissioning(5, node_name=EVIL))
     keys = ("ParameterName", "DataType", "AccessType", "DefaultValue")
-    lines = f"[{EVIL}]\nwhat={EVIL}\n[2002]\n" + "".join(f"{key}={EVIL}\n" for key in keys) + f"{EVIL}\n"
+    lines = f"[{EVIL}]\nwhat={EVIL}\n[2012sub1]\n" + "".join(f"{key}={EVIL}\n" for key in keys) + f"{EVIL}\n"
     return {
         "device.eds": eds,
         "device.dcf": write_eds(dcf),
+        NAMED_EDS: eds,
+        NAMED_DCF: write_eds(dcf),
         "odd.eds": eds + lines,
         "odd.log": f"(1.0) can0 705#05\n{EVIL}\n(1.1) {EVIL} 705#05\n(1.2) can0 585#430810001B5D303B\n",
+        "good.log": "(1.0) can0 585#430810001B5D303B\n",
         "odd.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5 joint2 bus{EVIL} 5 {EVIL}\n",
         "good.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5\n",
         "units.toml": '[objects.2003]\nunit = "\\u001b[2J"\naliases = ["\\u001b[2J"]\ndescription = "\\u009b"\n',
@@ -88,11 +102,11 @@ COMMANDS = [
     ("info", "5", "-e", "device.eds", *DEMO),
     ("read", "5", "1008", "2003", "2300", "-e", "device.eds", *DEMO),
     ("read", "5", "2003", "-e", "device.eds", "--overlay", "units.toml", *DEMO),
-    ("read", "5", "2003", "--overlay", "odd.toml", *DEMO),
+    ("read", "5", "2003", "-e", "device.eds", "--overlay", "odd.toml", *DEMO),
     ("read", "5", EVIL, "-e", "device.eds", *DEMO),
     ("read", "5", "2300", "-o", f"{EVIL[:-3]}.bin", "-e", "device.eds", *DEMO),
     ("write", "5", "2300", EVIL[:5], "-e", "device.eds", *DEMO, "--verify"),
-    ("write", "5", "1008", "x", "-e", "device.eds", *DEMO),
+    ("write", "5", "2301", "x", "-e", "device.eds", *DEMO),
     ("backup", "5", "-e", "device.eds", *DEMO, "-o", "new.dcf", "-v"),
     ("dump", "5", "-e", "device.eds", *DEMO),
     ("dump", "5", "--walk", "1000-1020,2300", *DEMO),
@@ -100,38 +114,44 @@ COMMANDS = [
     ("compare", "device.eds", "device.dcf", "--defaults", "--process-data"),
     ("restore", "5", "device.dcf", *DEMO, "--dry-run", "-v"),
     ("restore", "5", "device.dcf", *DEMO, "--yes", "--verify"),
-    ("restore", "6", "device.dcf", *DEMO, "--yes"),
-    ("check", "device.eds"),
+    ("restore", "6", NAMED_DCF, *DEMO, "--yes"),
+    ("check", NAMED_EDS),
     ("check", "odd.eds"),
-    ("sim", "device.eds", "--id", "5", "--seconds", "0.2", "-b", "virtual:x"),
+    ("check", "5", "-e", "device.eds", *DEMO, "--case", "1", "--case", "4", "--case", "9.1", "--yes"),
+    ("nmt", "start", "5", "-b", "broken:x"),
+    ("bus", "serve", "--bind", EVIL, "--yes", "--seconds", "0"),
+    ("data", "init", "--to", EVIL[:-3]),
+    ("sim", NAMED_EDS, "--id", "5", "--seconds", "0.2", "-b", "virtual:x"),
     ("sim", "odd.eds", "--id", "5", "--seconds", "0.2", "-b", "virtual:x", "--script", "odd.py"),
-    ("plan", "--chains", "good.csv"),
-    ("plan", "--chains", "odd.csv"),
-    ("plan", "--chains", "good.csv", "-e", "5=device.eds"),
+    ("plan", "--chains", "good.csv", *TIMING),
+    ("plan", "--chains", "odd.csv", *TIMING),
+    ("plan", "--chains", "good.csv", *TIMING, "-e", f"5={NAMED_EDS}"),
     ("demo", "--chains", "odd.csv"),
-    ("demo", "--eds", "odd.eds", "--seconds", "0.1"),
-    ("home", "5", *DEMO, "-e", "device.eds"),
+    ("demo", "--chains", "good.csv", "--seconds", "0.5"),
+    ("demo", "--eds", NAMED_EDS, "--seconds", "0.5"),
+    ("home", "5", *DEMO, "-e", NAMED_EDS),
     ("eds", "show", "device.eds"),
-    ("eds", "show", "odd.eds", "2002"),
+    ("eds", "show", "odd.eds", "2300"),
     ("eds", "show", "device.dcf", "2300", "2003"),
     ("eds", "lint", "device.eds"),
     ("eds", "lint", "odd.eds"),
-    ("eds", "fix", "odd.eds", "--dry-run"),
-    ("eds", "diff", "device.eds", "odd.eds"),
+    ("eds", "fix", NAMED_EDS, "--dry-run"),
     ("eds", "diff", "device.eds", "device.dcf"),
     ("eds", "doc", "odd.eds"),
     ("eds", "doc", "device.dcf", "--form", "md"),
     ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"2300={EVIL[:4]}", "-o", "new.dcf"),
     ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"{EVIL}=1", "-o", "new.dcf"),
-    ("eds", "to-cdcf", "device.dcf", "-o", "new.bin", "-v"),
+    ("eds", "to-cdcf", NAMED_DCF, "-o", f"{EVIL[:-3]}.bin", "-v"),
     ("log", "decode", "odd.log"),
     ("log", "decode", "odd.log", "-e", "5=device.eds"),
     ("log", "stats", "odd.log", "-e", "5=device.eds"),
     ("log", "convert", "odd.log", "new.trc"),
+    ("log", "replay", "odd.log", "-b", "virtual:x"),
+    ("log", "decode", "good.log"),
     ("log", "decode", EVIL),
     ("scan", "-b", EVIL),
     ("scan", "-b", "broken:x"),
-    ("doctor", "-b", "broken:x"),
+    ("doctor", "-b", EVIL),
     ("read", "5", "1000", *DEMO, "--trace", f"{EVIL[:-3]}.log"),
     (EVIL,),
     ("read", EVIL, "1000"),
@@ -139,6 +159,8 @@ COMMANDS = [
 
 
 AS_JSON = [(*command, "--json") for command in COMMANDS if command[0] in ("info", "read", "compare", "eds") or "-o" in command]
+LOST = re.compile(r"gone(?!\\+(x07|u0007))|202e(?!\\*\[bold\\*\]x)")
+"""EVIL, with something missing: a control code that was dropped, markup that was obeyed."""
 
 
 def broken(*arguments: object, **options: object) -> None:
@@ -155,6 +177,26 @@ def test_no_control_character_reaches_a_terminal(
     assert outcome.status != 10
     for text in (outcome.out, outcome.err):
         assert [each for each in text if not each.isprintable() and each != "\n"] == []
+    shown = "".join((outcome.out + outcome.err).split())
+    assert r"\x1b" in shown or r"\u001b" in shown  # else nothing of theirs came so far
+    assert LOST.search(shown) is None, shown
+
+
+def test_every_command_is_among_these() -> None:
+    covered = {command[:length] for command in COMMANDS for length in (1, 2)}
+    assert set(paths(app.cli)) - covered == set()
+
+
+def paths(command: click.Command, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """The words by which each command is called."""
+    if not isinstance(command, click.Group):
+        yield path
+        return
+    context = click.Context(command)
+    for name in command.list_commands(context):
+        found = command.get_command(context, name)
+        assert found is not None
+        yield from paths(found, (*path, name))
 
 
 def test_a_long_string_is_cut_and_says_so(run: Run, world: Lasting) -> None:
@@ -172,3 +214,36 @@ def test_how_characters_are_shown() -> None:
     assert clean("abc", 2) == "ab ... (3 characters)"
     assert clean_lines("one\x1b\ntwo") == "one\\x1b\ntwo"
     assert json_text(["\x1b\x9b\u202e", "ü"]) == '["\\u001b\\u009b\\u202e", "ü"]'
+
+
+DOCUMENTS: st.SearchStrategy[Any] = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=8,
+)
+
+
+@examples(50)
+@given(DOCUMENTS)
+def test_whatever_a_document_holds_it_is_json(document: Any) -> None:
+    def as_text(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: as_text(each) for key, each in value.items()}
+        return [as_text(each) for each in value] if isinstance(value, list) else str(value)
+
+    def no_json(text: str) -> None:
+        raise AssertionError(text)
+
+    text = json_text(document)
+    assert as_text(json.loads(text, parse_constant=no_json)) == as_text(document)
+
+
+def test_a_number_that_is_none_is_text_in_json(run: Run, world: Lasting) -> None:
+    Path("volt.toml").write_text('[objects.2012]\nunit = "V"\n')
+    command = ("read", "5", "2012", "-e", "device.eds", "--overlay", "volt.toml", *DEMO, "--json")
+    for value in ("nan", "inf", "-inf"):
+        world.values[GAIN << 8] = float(value)
+        reading = run(*command).json
+        assert (reading["value"], reading["physical"]) == (value, value)
+    world.values[GAIN << 8] = 1.5
+    assert (run(*command).json["value"], run(*command).json["physical"]) == (1.5, 1.5)

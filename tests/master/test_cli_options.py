@@ -145,7 +145,7 @@ def test_values_as_text() -> None:
     assert hex_text(variable(DataType.BOOLEAN), True) == ""
     assert as_json(variable(DataType.DOMAIN), b"\x01") == "01"
     assert as_json(variable(DataType.UNSIGNED8), 5) == 5
-    assert as_json(variable(DataType.REAL32), float("inf")) == "inf"
+    assert as_json(variable(DataType.REAL32), 1.5) == 1.5
 
 
 @pytest.mark.parametrize(

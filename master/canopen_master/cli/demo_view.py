@@ -118,7 +118,7 @@ class DemoView:
         joints.add_column(justify="right", no_wrap=True, min_width=9)
         for joint in self.joints:
             position = "" if joint.position is None else f"{joint.position:+.2f}°"
-            joints.add_row(joint.name, node_text(joint.node_id), _state(joint.state), self._track(joint), position)
+            joints.add_row(escape(joint.name), node_text(joint.node_id), _state(joint.state), self._track(joint), position)
         return Group(lines, Text(""), joints) if self.joints else Group(lines)
 
     def _track(self, joint: JointView) -> Text:

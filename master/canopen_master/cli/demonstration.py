@@ -95,8 +95,8 @@ class JointResult:
     def row(self) -> tuple[str, ...]:
         """For the table."""
         homed = "[green]yes[/]" if self.homed else "[red]no[/]"
-        error = f"{self.error:.3f}°"
-        return self.name, f"{self.node_id} (0x{self.node_id:02X})", escape(self.state), homed, error, str(self.round_trips)
+        node, error = f"{self.node_id} (0x{self.node_id:02X})", f"{self.error:.3f}°"
+        return escape(self.name), node, escape(self.state), homed, error, str(self.round_trips)
 
 
 COLUMNS: Final = "joint", "node", "state", "homed", "largest\nfollowing\nerror", "SDO\nround\ntrips"

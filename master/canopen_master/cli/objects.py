@@ -188,7 +188,7 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
     if settings.json:
         screen.json({**transfer.as_json(), **more})
     else:
-        place = f"{node_text(transfer.node_id)} {transfer.variable.label}"
+        place = f"{node_text(transfer.node_id)} {escape(transfer.variable.label)}"
         screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
 
 
@@ -241,7 +241,7 @@ def write(
         )
         return
     old = "?" if before is None else _shown(before)
-    screen.data(f"{node_text(node_id)} {after.variable.label}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
+    screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
 
 
 def _shown(reading: Reading) -> str:

@@ -155,7 +155,7 @@ def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: in
 def _show(screen: Screen, network: NetworkPlan) -> None:
     joints = len({each.stream.node_id for each in network.streams} - {0})
     screen.data(
-        f"[bold]{network.bus}[/]: {joints} joint{'s' if joints > 1 else ''}, {bitrate_text(network.bitrate)}bit/s,"
+        f"[bold]{escape(network.bus)}[/]: {joints} joint{'s' if joints > 1 else ''}, {bitrate_text(network.bitrate)}bit/s,"
         f" cycle {milliseconds(network.cycle)}"
     )
     rows = []
@@ -166,7 +166,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
         margin = "[red]none[/]" if not worst.fits else milliseconds(worst.margin)
         rows.append(
             (
-                name,
+                escape(name),
                 f"{stream.can_id:03X}",
                 str(stream.size),
                 milliseconds(stream.period),

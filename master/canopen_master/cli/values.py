@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 from canopen_master.cli.problem import usage
@@ -68,11 +67,10 @@ def as_json(variable: Variable, value: Value) -> Any:
 
 
 def plain_json(value: Value) -> Any:
-    """A value in a JSON document: bytes as hexadecimal text; times, NaN and infinities as text."""
+    """A value in a JSON document: bytes as hexadecimal text, times as text. (`json_text` knows what to do with NaN.)"""
     if isinstance(value, bytes):
         return value.hex()
-    is_known = isinstance(value, int | str) or (isinstance(value, float) and math.isfinite(value))
-    return value if is_known else str(value)
+    return value if isinstance(value, int | float | str) else str(value)
 
 
 def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:
