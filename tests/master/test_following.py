@@ -6,10 +6,11 @@ within three cycles of the first PDO, or missing PDO, that shows it; then all jo
 
 from __future__ import annotations
 
+import functools
 import math
-import random
 import re
-from collections.abc import AsyncIterator
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,20 +23,31 @@ from canopen_master import Chain, ChainFault, ChainSettings, ChainState, Host, o
 from canopen_proto.cia402.axis import SCHUNK_POWERBALL, HomingStyle
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.objects import FOLLOWING_ERROR_WINDOW
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.objects import FOLLOWING_ERROR_WINDOW, PROFILE_DECELERATION, QUICK_STOP_DECELERATION
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.frame import Frame
+from canopen_proto.nmt import NmtState
 from canopen_transports import Transport
-from tests.master.world import BUS, Link, chain_text, drives, position_of, virtual_time
+from tests.master.world import BUS, Link, chain_text, drives, position_of, value, virtual_time
 
 DICTIONARY, _ = load_dictionary()
 DICTIONARIES = {shape: drive_dictionary(shape) for shape in Shape}
 PERIOD = 0.01
-SPEED = 0.15  # rad/s, 8.6 degrees/s
+SPEED = 0.06  # rad/s, 3.4 degrees/s
 LIMIT = 0.01  # rad
-RAMP = 100.0  # degrees/s^2: 0x6084 of the simulated drives
+RAMP = 1_000  # degrees/s^2
 VICTIM, OTHER = 3, 4
+COUNTS = 180_000 / math.pi  # in a radian
+SOFTWARE_LIMITS = (0x607D_01, 0x607D_02)
+STRUCK, WATCHED = 2, 9  # the cycle in which a case happens (both joints move); how many are looked at then
+EARLY, LATE = 0.05, 0.93  # of the cycle: behind the PDOs and before what is read, or before the next SYNC
+
+
+def one_copy(frame: Frame, is_sent: bool) -> int:
+    """Nothing happens on a line."""
+    return 1
 
 
 @dataclass
@@ -47,6 +59,13 @@ class Scene:
     links: dict[int, Link]
     hosts: dict[int, Host]
     stranger: Transport
+    objects: dict[int, int]  # of each drive: what was set up
+    has_struck: bool = False
+
+    def restore(self) -> None:
+        """What the cases changed that `recover` leaves alone."""
+        for node_id in self.hosts:
+            self.node(node_id).values.store.update(self.objects)
 
     def node(self, node_id: int) -> DriveNode:
         return drives(self.hosts[node_id])[0]
@@ -71,44 +90,54 @@ async def scene(is_standard: bool = False, limit: float | None = LIMIT, window: 
             async with AsyncExitStack() as stack:
                 master_link, stranger = Link(), Link()
                 master = await stack.enter_async_context(
-                    open_master(buses={BUS: master_link}, heartbeat_timeout=0.3, dictionary=DICTIONARY)
+                    open_master(buses={BUS: master_link}, heartbeat_timeout=0.24, dictionary=DICTIONARY)
                 )
-                for host in hosts.values():
-                    drives(host)[0].values.store[FOLLOWING_ERROR_WINDOW] = window
+                objects = {mux: value(drives(hosts[VICTIM])[0], mux) for mux in SOFTWARE_LIMITS}
+                objects |= dict.fromkeys((PROFILE_DECELERATION, QUICK_STOP_DECELERATION), RAMP * 1000)
+                objects[FOLLOWING_ERROR_WINDOW] = window
                 homing = HomingStyle.STANDARD if is_standard else HomingStyle.SCHUNK
                 axis = replace(SCHUNK_POWERBALL, homing=homing, following_error_limit=limit)
                 settings = ChainSettings(cycle_time=PERIOD, define_pdos=is_standard)
                 arm = master.load_chains(text=chain_text(VICTIM, OTHER, bus=BUS), settings=settings, axes=axis)["arm"]
+                here = Scene(arm, master_link, links, hosts, stranger, objects)
+                here.restore()
                 await arm.initialise()
                 await arm.enable_interpolated_position()
-                yield Scene(arm, master_link, links, hosts, stranger)
+                yield here
         except BaseException as raised:  # noqa: BLE001 - raised below: not through the nursery, which would make a group of it
             error = raised
         nursery.cancel_scope.cancel()
-    if error is not None and not _is_halt_not_confirmed(error):
+    if error is not None:
         raise error
-
-
-def _is_halt_not_confirmed(error: BaseException) -> bool:
-    """A joint that is gone cannot confirm that it stands."""
-    return getattr(error, "code", "") == "CO131"
 
 
 # ---- what happens ----
 
+Frames = tuple[Frame, ...]
+
 
 @dataclass
 class Case:
-    """What happens to the victim in one cycle. cause: what a ChainFault says; "" where the chain has to go on."""
+    """What happens to the victim in one cycle. cause: what the ChainFault says; "" where the chain has to go on."""
 
     name: str
-    frames: tuple[Frame, ...] = ()  # that a stranger sends
+    frames: Frames | Callable[[int], Frames] = ()  # that a stranger sends; by where the victim is
     can_id: int = 0  # of the frame that is lost or doubled
     is_sent: bool = False  # by the victim
     copies: int = 1
     count: int = 1  # so many of them
     cause: str = ""
-    only_standard: bool = False
+    may_go_on: bool = False  # with each joint within its limit: it depends on the drive
+    refused_by_schunk: bool = False  # which goes on
+    settles: int = 4  # within so many cycles and its ramp; the command to halt needs two
+
+    def __str__(self) -> str:
+        return self.name
+
+    def expected(self, is_standard: bool) -> str:
+        """What matches the reason of the ChainFault, or "" for a chain that went on."""
+        cause = "" if self.refused_by_schunk and not is_standard else self.cause
+        return f"({cause})?" if self.may_go_on else cause
 
 
 FOR_EVER = 1_000_000
@@ -119,65 +148,84 @@ def sdo_write(index: int, subindex: int, value: int, size: int) -> Frame:
     return Frame(0x600 + VICTIM, bytes((0x23 | (4 - size) << 2, index & 0xFF, index >> 8, subindex)) + data)
 
 
+def software_limits(position: int) -> Frames:
+    return sdo_write(0x607D, 2, position + 100, 4), sdo_write(0x607D, 1, position - 100, 4)
+
+
+def csp_at_its_place(position: int) -> Frames:
+    """Another mode that nothing but 0x6061 shows: bit 12 and the position go on as before."""
+    return sdo_write(0x607A, 0, position, 4), sdo_write(0x6060, 0, 8, 1)
+
+
 def nmt(command: int) -> Frame:
     return Frame(0x000, bytes((command, VICTIM)))
 
 
+SILENT = "is silent: no PDO with its statusword for 30 ms, behind 3 SYNCs"
+FOLLOWS = "(no longer follows its set-points: bit 12|is [0-9.]+ off its path).*"
+LEFT = "left operation enabled by itself.*"
+MODE = "changed its mode of operation: 0x6061 shows .*"
+NMT_STATE = f"left NMT state Operational.*|{SILENT}"
 KINDS = {
-    "SYNC": (0x080, False),
-    "RPDO": (0x200 + VICTIM, False),
     "TPDO": (0x180 + VICTIM, True),
     "SDO request": (0x600 + VICTIM, False),
     "SDO answer": (0x580 + VICTIM, True),
     "heartbeat": (0x700 + VICTIM, True),
 }
-HARMLESS = ("TPDO", "SDO request", "SDO answer", "heartbeat")
-FOLLOWS = "(no longer follows its set-points: bit 12|is [0-9.]+ off its path|is silent).*"
-LEFT = f"left operation enabled by itself.*|{FOLLOWS}"
-MODE = f"changed its mode of operation: 0x6061 shows .*|{LEFT}"
-NMT_STATE = f"left NMT state Operational.*|{FOLLOWS}"
 CASES = [
     *(
-        Case(f"{kind} {what}", (), can_id, is_sent, copies, cause="" if kind in HARMLESS else FOLLOWS)
+        Case(f"{kind} {what}", (), can_id, is_sent, copies)
         for kind, (can_id, is_sent) in KINDS.items()
         for what, copies in (("lost", 0), ("doubled", 2))
     ),
-    Case("TPDOs lost", (), 0x180 + VICTIM, True, 0, FOR_EVER, "is silent: no PDO with its statusword for 30 ms, behind 3 SYNCs"),
+    Case("SYNC lost", (), 0x080, copies=0, cause=FOLLOWS, may_go_on=True),
+    Case("SYNC doubled", (), 0x080, copies=2, cause=FOLLOWS),
+    Case("RPDO lost", (), 0x200 + VICTIM, copies=0, cause=FOLLOWS),
+    Case("RPDO doubled", (), 0x200 + VICTIM, copies=2),
+    Case("TPDOs lost", (), 0x180 + VICTIM, True, 0, FOR_EVER, SILENT),
     Case("RPDOs lost", (), 0x200 + VICTIM, False, 0, FOR_EVER, FOLLOWS),
-    Case("node gone", (), -1, True, 0, FOR_EVER, FOLLOWS),
-    Case("foreign SYNC", (Frame(0x080),), cause=FOLLOWS),
-    Case("foreign SYNCs", (Frame(0x080),) * 3, cause=FOLLOWS),
+    Case("node gone", (), -1, True, 0, FOR_EVER, SILENT),
+    Case("foreign SYNC", (Frame(0x080),), cause=FOLLOWS, may_go_on=True),
+    Case("foreign SYNCs", (Frame(0x080),) * 3, cause=FOLLOWS, may_go_on=True),
     Case("NMT stop", (nmt(2),), cause=NMT_STATE),
     Case("NMT pre-operational", (nmt(128),), cause=NMT_STATE),
     Case("NMT reset node", (nmt(129),), cause="was reset.*"),
     Case("NMT reset communication", (nmt(130),), cause="was reset.*"),
     Case("NMT stop of all", (Frame(0x000, b"\x02\x00"),), cause=NMT_STATE),
     *(
-        Case(f"controlword 0x{word:04X}", (sdo_write(0x6040, 0, word, 2),), cause=LEFT)
-        for word in (0x0000, 0x0002, 0x0006, 0x0007, 0x000F, 0x010F, 0x011F)
+        Case(f"controlword 0x{word:04X}", (sdo_write(0x6040, 0, word, 2),), cause=cause)
+        for word, cause in (
+            *((word, LEFT) for word in (0x0000, 0x0002)),
+            *((word, f"{LEFT}|{FOLLOWS}") for word in (0x0006, 0x0007)),  # from which our next controlword may lead back at once
+            *((word, FOLLOWS) for word in (0x000F, 0x010F, 0x011F)),
+        )
     ),
     *(
-        Case(f"mode {mode}", (sdo_write(0x6060, 0, mode, 1),), cause=MODE, only_standard=mode in (3, 8))
-        for mode in (0, 1, 3, 6, 8)
+        Case(f"mode {mode}", (sdo_write(0x6060, 0, mode, 1),), cause=f"{MODE}|{FOLLOWS}", refused_by_schunk=mode == 3, settles=8)
+        for mode in (0, 1, 3, 6)
     ),
-    Case("software limit", (sdo_write(0x607D, 2, 3_500, 4), sdo_write(0x607D, 1, -3_500, 4)), cause="is held by a limit.*"),
-    Case("foreign RPDO", (Frame(0x200 + VICTIM, bytes.fromhex("1F0000000000FFFF")),), cause=FOLLOWS),
+    Case("mode 8", csp_at_its_place, cause=MODE, refused_by_schunk=True),
+    Case("software limits", software_limits, cause="is held by a limit.*"),
+    Case("foreign RPDO", (Frame(0x200 + VICTIM, bytes.fromhex("1F0000000000FFFF")),), cause=FOLLOWS, settles=8),
     Case("foreign RPDO that disables", (Frame(0x200 + VICTIM, bytes(8)),), cause=LEFT),
 ]
 
 
 async def strike(case: Case, here: Scene) -> None:
-    left = case.count if case.can_id else 0
+    struck = 0
 
     def copies(frame: Frame, is_sent: bool) -> int:
-        nonlocal left
-        if left and (case.can_id == -1 or (frame.can_id, is_sent) == (case.can_id, case.is_sent)):
-            left -= 1
+        nonlocal struck
+        if struck < case.count and (case.can_id == -1 or (frame.can_id, is_sent) == (case.can_id, case.is_sent)):
+            struck += 1
+            here.has_struck = True
             return case.copies
         return 1
 
-    here.links[VICTIM].copies = copies
-    for frame in case.frames:
+    here.has_struck = not case.can_id
+    here.links[VICTIM].copies = copies if case.can_id else one_copy
+    frames = case.frames if isinstance(case.frames, tuple) else case.frames(position_of(here.hosts[VICTIM], here.node(VICTIM)))
+    for frame in frames:
         await here.stranger.send(frame)
         await trio.sleep(0.001)
 
@@ -185,72 +233,132 @@ async def strike(case: Case, here: Scene) -> None:
 # ---- what is seen ----
 
 
-def shown_at(here: Scene, since: float) -> tuple[float, bool]:
-    """When the master's line first showed that the victim does not follow, and whether it can be told for sure."""
-    syncs = [time for time, is_sent, frame in here.master_link.log if is_sent and frame.can_id == 0x080 and time >= since]
-    pdos = [(t, f.data) for t, is_sent, f in here.master_link.log if not is_sent and f.can_id == 0x180 + VICTIM and t >= since]
-    for time, data in pdos:
-        word = int.from_bytes(data[:2], "little")
-        if state_of(word) is not State.OPERATION_ENABLED or not word & 1 << 12:
-            return time, True
-    heard = {round(time / PERIOD) for time, _ in pdos}
+def shown_at(here: Scene, since: float) -> float | None:
+    """When the master's line first showed that the victim does not follow."""
+    shown = [*shown_by_words(here, since), *shown_by_silence(here, since)]
+    set_points: deque[int] = deque(maxlen=6)
+    for time, is_sent, frame in here.master_link.log:
+        data = frame.data
+        if (frame.can_id, is_sent) == (0x200 + VICTIM, True):
+            set_points.append(int.from_bytes(data[4:], "little", signed=True))
+        elif (frame.can_id, is_sent) == (0x180 + VICTIM, False) and time >= since:
+            position = int.from_bytes(data[4:], "little", signed=True)
+            if max(min(set_points) - position, position - max(set_points)) > LIMIT * COUNTS:
+                shown.append(time)
+    return min(shown, default=None)
+
+
+def shown_by_words(here: Scene, since: float) -> Iterator[float]:
+    """By its state, bit 12, or bit 11 twice; by 0x6061; by a boot-up or an NMT state."""
+    limited = 0
+    for time, is_sent, frame in here.master_link.log:
+        if is_sent or time < since:
+            continue
+        data, word = frame.data, int.from_bytes(frame.data[:2], "little")
+        match frame.can_id - VICTIM:
+            case 0x180:
+                limited = limited + 1 if word & 1 << 11 else 0
+                is_shown = state_of(word) is not State.OPERATION_ENABLED or not word & 1 << 12 or limited == 2
+            case 0x580:
+                is_shown = data[:4] == b"\x4f\x61\x60\x00" and data[4] != Mode.INTERPOLATED_POSITION
+            case 0x700:
+                is_shown = data[0] != NmtState.OPERATIONAL
+            case _:
+                is_shown = False
+        if is_shown:
+            yield time
+
+
+def shown_by_silence(here: Scene, since: float) -> Iterator[float]:
+    """By the first of three PDOs that are missing in a row."""
+    log = here.master_link.log
+    heard = {round(time / PERIOD) for time, is_sent, frame in log if frame.can_id == 0x180 + VICTIM}
+    syncs = [time for time, is_sent, frame in log if is_sent and frame.can_id == 0x080 and time >= since]
     missing = [time for time in syncs[:-1] if round(time / PERIOD) not in heard]
-    in_a_row = [a for a, b, c in zip(missing, missing[1:], missing[2:], strict=False) if c - a < 2.5 * PERIOD]
-    return (in_a_row[0], True) if in_a_row else (since, False)
+    yield from (a for a, b, c in zip(missing, missing[1:], missing[2:], strict=False) if c - a < 2.5 * PERIOD)
 
 
-async def run(case: Case, cycle: int, phase: float, is_standard: bool) -> str:
+async def run(case: Case, here: Scene, phase: float) -> str:
     """The property; the reason of the ChainFault, or "" where the chain went on."""
-    async with scene(is_standard) as here:
-        arm, struck_at, failed_at = here.arm, -1.0, -1.0
-        start = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
-        off_since: float | None = None
-        for number in range(cycle + 15):
-            if number == cycle:
-                await trio.sleep(phase * PERIOD)
-                struck_at = trio.current_time()
-                await strike(case, here)
-            for _ in range(2):
-                await trio.sleep(PERIOD / 2)
-                if arm.state is not ChainState.FOLLOWING:
-                    break
-                truth = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
-                off = max(abs(a - b) for a, b in zip(truth, arm.desired_positions, strict=True))
-                off_since = None if off <= LIMIT + 5 * SPEED * PERIOD else off_since or trio.current_time()
-                assert off_since is None or trio.current_time() - off_since < 4 * PERIOD, f"a joint is {off:.4f} rad off, unseen"
+    arm, struck_at = here.arm, -1.0
+    here.master_link.log.clear()
+    start = arm.desired_positions
+    off_since: float | None = None
+    for number in range(STRUCK + WATCHED):
+        if number == STRUCK:
+            await trio.sleep(phase * PERIOD)
+            struck_at = trio.current_time()
+            await strike(case, here)
+        for _ in range(2):
+            await trio.sleep(PERIOD / 2)
             if arm.state is not ChainState.FOLLOWING:
-                failed_at = trio.current_time()
                 break
-            arm.set_positions([position + SPEED * PERIOD * number for position in start])
-        first, is_sure = shown_at(here, struck_at)
-        if failed_at < 0:
-            assert not is_sure, "not seen, though it was shown"
-            return ""
-        assert not is_sure or failed_at - first <= 3.6 * PERIOD, f"seen {failed_at - first:.4f} s after it was shown"
-        with pytest.raises(ChainFault) as caught:
-            arm.set_positions([0.0, 0.0])
-        if case.name not in ("NMT stop of all", "foreign SYNC", "foreign SYNCs"):
-            assert caught.value.node_id == VICTIM
-        assert caught.value.joint in str(caught.value)
-        await trio.sleep(max(0.0, failed_at + math.degrees(SPEED) / RAMP + 8 * PERIOD - trio.current_time()))
-        stood = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
-        await trio.sleep(0.1)
-        assert [here.true_position(node_id) for node_id in (VICTIM, OTHER)] == pytest.approx(stood, abs=2e-5)
-        here.links[VICTIM].copies = lambda frame, is_sent: 1
-        return caught.value.reason
+            truth = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
+            off = max(abs(a - b) for a, b in zip(truth, arm.desired_positions, strict=True))
+            off_since = None if off <= LIMIT + 5 * SPEED * PERIOD else off_since or trio.current_time()
+            assert off_since is None or trio.current_time() - off_since < 4 * PERIOD, f"a joint is {off:.4f} rad off, unseen"
+        if arm.state is not ChainState.FOLLOWING:
+            break
+        arm.set_positions([position + SPEED * PERIOD * (number + 1) for position in start])
+    failed_at, first = trio.current_time(), shown_at(here, struck_at)
+    assert here.has_struck
+    if arm.state is ChainState.FOLLOWING:
+        assert first is None, "not seen, though it was shown"
+        return ""
+    assert first is not None, "stopped, though nothing was shown"
+    assert failed_at - first <= 3.6 * PERIOD, f"seen {failed_at - first:.4f} s after it was shown"
+    with pytest.raises(ChainFault) as caught:
+        arm.set_positions([0.0, 0.0])
+    if case.name not in ("NMT stop of all", "foreign SYNC", "foreign SYNCs"):
+        assert caught.value.node_id == VICTIM
+    assert caught.value.joint in str(caught.value)
+    await trio.sleep(max(0.0, failed_at + math.degrees(SPEED) / RAMP + case.settles * PERIOD - trio.current_time()))
+    stood = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
+    await trio.sleep(PERIOD)
+    assert [here.true_position(node_id) for node_id in (VICTIM, OTHER)] == pytest.approx(stood, abs=2e-5)
+    return caught.value.reason
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_a_joint_that_does_not_follow_stops_its_chain(case: Case) -> None:
-    chosen = random.Random(case.name)
+def cases_at(phase: float) -> list[Case]:
+    """Whenever in a cycle a frame is to be lost or doubled, it is the next one of its kind: one phase says all."""
+    return [case for case in CASES if case.frames or phase == EARLY]
+
+
+@functools.cache
+def outcomes(is_standard: bool, phase: float) -> dict[str, str | Exception]:
+    """What each case ended with: all of them happen to one arm, which recovers in between. A failure takes another arm."""
+    ended: dict[str, str | Exception] = {}
+    cases = cases_at(phase)
 
     @virtual_time
-    async def test() -> None:
-        cycle, phase = chosen.randrange(2, 10), chosen.choice((0.05, 0.5, 0.93))
-        reason = await run(case, cycle, phase, case.only_standard or chosen.random() < 0.5)
-        assert re.fullmatch(case.cause if reason else ".*", reason), reason
+    async def play() -> None:
+        async with scene(is_standard) as here:
+            for case in cases[len(ended) :]:
+                try:
+                    ended[case.name] = await run(case, here, phase)
+                except Exception as failed:  # noqa: BLE001 - raised by the test of that case
+                    ended[case.name] = failed
+                    return
+                finally:
+                    here.links[VICTIM].copies = one_copy
+                here.restore()
+                if here.arm.state is ChainState.FAULT:
+                    await here.arm.recover()
+                elif case.name in ("SDO request lost", "SDO answer lost"):  # what is read beside the cycle waits for its time-out
+                    await here.arm.enable_interpolated_position()
 
-    test()
+    while len(ended) < len(cases):
+        play()
+    return ended
+
+
+@pytest.mark.parametrize("is_standard", [False, True], ids=["schunk", "standard"])
+@pytest.mark.parametrize(("phase", "case"), [(phase, case) for phase in (EARLY, LATE) for case in cases_at(phase)], ids=str)
+def test_a_joint_that_does_not_follow_stops_its_chain(case: Case, is_standard: bool, phase: float) -> None:
+    reason = outcomes(is_standard, phase)[case.name]
+    if isinstance(reason, Exception):
+        raise reason
+    assert re.fullmatch(case.expected(is_standard), reason), reason
 
 
 @pytest.mark.parametrize(
@@ -297,4 +405,4 @@ async def test_a_joint_that_no_longer_answers_guarding_is_lost_though_nothing_is
         assert here.arm.state is ChainState.FAULT
         with pytest.raises(ChainFault, match="was lost: no answer to node guarding for 0.15 s"):
             here.arm.hold()
-        here.links[VICTIM].copies = lambda frame, is_sent: 1
+        here.links[VICTIM].copies = one_copy
