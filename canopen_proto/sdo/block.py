@@ -92,6 +92,8 @@ KIND: Final = 0xE3
 """The bits that tell these four apart."""
 FINAL: Final = 0x80
 SEQUENCE: Final = 0x7F
+LEAST_INITIATE: Final = 0x20
+"""The lowest sequence number that the first byte of an initiate request looks like."""
 CRC_BIT: Final = 0x04
 BLOCK_SIZE_BIT: Final = 0x02
 """The size of the data is indicated, in an initiate frame of the sender."""

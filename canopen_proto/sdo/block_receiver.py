@@ -16,8 +16,10 @@ acknowledgement waits for a piece to be taken. Once number 1 has come, nothing o
 before the silence, such a sign is missing, and a sender that only pauses may take our repetition for the next acknowledgement:
 CRC and size have to guard it.
 
-On CAN the numbers of a sub-block only rise. A number that was received already, with other data, shows a frame out of its order;
-without a CRC that is an abort. A segment of less than eight bytes counts as lost.
+On CAN the numbers of a sub-block only rise. A number that was received already, with other data, shows a frame out of its order:
+one of the two is of another sub-block. With a CRC all of the sub-block is asked for again; without one that is an abort. Between
+two sub-blocks, and when all have come, segments with numbers that no request has are late ones, and ignored. A segment of less
+than eight bytes counts as lost.
 
 A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0,
 so zeros at the beginning of the data do not count in it: while it is 0 it guards nothing, unless the size is known too.
@@ -42,6 +44,7 @@ from canopen_proto.sdo.block import (
     END,
     FINAL,
     KIND,
+    LEAST_INITIATE,
     MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
@@ -113,10 +116,13 @@ class BlockReceiver:
         if self._state != _RECEIVING or command == ABORT:
             if self._state == _ENDING and command & KIND == END and self._on_end(command, data, frame, now):
                 return
+            sequence = command & SEQUENCE
             if self._state != STARTING and data == self._party._last:
                 self._party._ignore(frame, "second copy of the last frame")
-            elif self._state == HELD and 0 < self._paused_behind < command & SEQUENCE <= self._block_size:
-                self._refuse_number(command & SEQUENCE, now)
+            elif self._state == HELD and 0 < self._paused_behind < sequence <= self._block_size:
+                self._refuse_number(sequence, now)
+            elif self._state >= HELD and 0 < sequence < LEAST_INITIATE:
+                self._party._ignore(frame, "segment out of its order")
             else:
                 self._on_other(command, data, frame, now)
             return
@@ -183,8 +189,11 @@ class BlockReceiver:
             party._ignore(frame, "too short for a segment")
         elif sequence == self._due:
             self.receive(command, data, Frame(frame.can_id, data, frame.flags), now)  # more than eight bytes: the first count
-        elif 1 <= sequence <= self._received and (self.with_crc or self._is_known(sequence, data)):
+        elif 1 <= sequence <= self._received and self._is_known(sequence, data):
             party._ignore(frame, "late copy of a segment")
+        elif 1 <= sequence <= self._received and self.with_crc:
+            self._forget_sub_block()
+            party._ignore(frame, "segment out of its order")
         elif not self._received < sequence <= self._block_size or (not self._received and 0 < self._paused_behind < sequence):
             self._refuse_number(sequence, now)
         elif sequence <= self._heard:
@@ -198,6 +207,13 @@ class BlockReceiver:
                 self._end_sub_block(0, now)
             else:
                 party._arm(now + self._silence)
+
+    def _forget_sub_block(self) -> None:
+        """One of its segments is not where it belongs: all of them are asked for again."""
+        del self._buffer[len(self._buffer) - self._received * SEGMENT_SIZE :]
+        self._due = _BEHIND_A_GAP
+        self._heard, self._received = self._received, 0
+        self._paused_behind = 0
 
     def _refuse_number(self, sequence: int, now: Time) -> None:
         """It cannot be, or the sender only paused and goes on with its queue."""

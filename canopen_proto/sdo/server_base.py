@@ -12,7 +12,7 @@ from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Fram
 from canopen_proto.machine import NEVER, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import ObjectStore
-from canopen_proto.sdo.block import FINAL, MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE
+from canopen_proto.sdo.block import FINAL, LEAST_INITIATE, MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE
 from canopen_proto.sdo.codec import ABORT, DOWNLOAD_SEGMENT_RESPONSE, INITIATE, TOGGLE
 from canopen_proto.sdo.events import ObjectAccessPending, SdoServerAborted
 
@@ -25,8 +25,6 @@ MAX_DOWNLOAD: Final = 16 << 20
 
 MOST_LOST: Final = 2
 """Segments that may be missing among those of a block download that has ended: the one behind them is still known."""
-LEAST_INITIATE: Final = 0x20
-"""The lowest sequence number that the first byte of an initiate request looks like."""
 
 IDLE: Final = 0
 """The state in which no transfer is under way."""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.machine import SECOND
+from canopen_proto.machine import MICROSECOND, SECOND, Time
 from canopen_proto.sdo.client import SdoAborted
 from tests.examples import examples
 from tests.proto.block_pair import MAX_DELAY, BlockPair, pattern
@@ -160,6 +160,36 @@ def test_with_crc_late_copies_and_reordering_never_give_wrong_bytes(
     begin(pair, kind, content)
     pair.settle()
     pair.is_right(content)
+
+
+@examples(150)
+@given(
+    kind=st.sampled_from(KINDS),
+    segments=st.integers(1, 30),
+    block_size=st.integers(2, 8) | st.just(127),
+    place=st.integers(0, 29),
+    late=st.sampled_from([50, 150, 300, 500, 1000, 3000, 60_000, 1_050_000]),
+    max_burst=st.sampled_from([1, 3, 127]),
+    frame_time=st.sampled_from([0, 100 * MICROSECOND]),
+)
+def test_with_crc_and_size_a_segment_costs_nothing_however_many_others_overtake_it(
+    kind: str, segments: int, block_size: int, place: int, late: int, max_burst: int, frame_time: Time
+) -> None:
+    """late: us. No CAN does that, but gateways do."""
+    content = pattern(segments * 7 - 3)
+    options = {"block_size": block_size, "max_burst": max_burst}
+
+    def ends(fates: list[Fate]) -> BlockPair:
+        bus = Bus(fates=fates, late=(late * MICROSECOND, late * MICROSECOND), frame_time=frame_time)
+        pair = BlockPair(bus, content, client=options, server=options)
+        begin(pair, kind, content)
+        pair.settle()
+        return pair
+
+    sender = 0x60C if "download" in kind else 0x58C
+    frames = [frame for _, frame in ends([]).bus.sent]
+    places = [number for number, frame in enumerate(frames) if number >= 2 and frame.can_id == sender][:segments]
+    assert ends([Fate.DELIVERED] * places[place % segments] + [Fate.LATE]).is_right(content)
 
 
 @pytest.mark.parametrize("rate", [0.02, 0.2])
