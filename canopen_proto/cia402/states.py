@@ -49,6 +49,10 @@ FAULT_STATES: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 """In fault. In the second state the drive still has power, and brakes."""
 
 
+POWERED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+"""The axis has power and may move. In all other states it has none, and there is nothing to stop."""
+
+
 class StatusBit:
     """Bits of the statusword (6041h) that mean the same in all modes; those of the modes are in `modes.py`."""
 

@@ -19,6 +19,7 @@ from canopen_master.silence import sdo_silence
 from canopen_proto.machine import Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.drive import DriveFault, ReferenceLost
+from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.sdo.abort import AbortOrigin
 
@@ -37,6 +38,9 @@ def joint_failed(chain: str, operation: str, failed: JointFailed, network: Netwo
         seen, cause, tries = sdo_silence(network, device.node.remote, now)
     elif isinstance(error, SdoFailed):
         code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
+    elif isinstance(error, NotHeldError):
+        cause = "Grip.required says that no such drive is enabled"
+        tries = ("open_master(..., grip=Grip()) enables it all the same, and names it",)
     failure = f"chain {chain} could not {operation}: {device.where}: {error}"
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 

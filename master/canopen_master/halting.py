@@ -1,31 +1,20 @@
-"""The last that a master does with a drive: halt it, whatever it is and does, and see that it stands.
-
-What a drive's bits say of standstill depends on its mode and on its maker, and a drive may have been taken for another maker's.
-So they are not all that counts here: its position has to stop running, too.
-"""
+"""The last that a master does with a drive: halt it, whatever it is and does, and see that it stands."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from canopen_master.device import Device
 from canopen_master.joint_procedures import awake, stop
 from canopen_master.node import Node
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
-from canopen_proto.cia402.states import Command, ControlBit, State, state_of
-from canopen_proto.machine import MILLISECOND, LocalProtocolError
-from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import Procedure, download, sleep, upload
+from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.steps import Procedure, download, upload
 
 if TYPE_CHECKING:
     from canopen_master.master import Master
-
-POWERED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
-"""The states in which a drive moves, or brakes by its ramps."""
-LOOK: Final = 30 * MILLISECOND
-"""Between two looks at a position; one that changes by no more than a count in that time stands."""
 
 
 class Halt:
@@ -55,11 +44,8 @@ class Halt:
     def _by_axis(self, device: Device) -> Procedure[None]:
         # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.
         yield from awake(device.node, "0x6041")
-        may_move = device.state in POWERED
-        self.problem = "it still moves" if may_move else ""
+        self.problem = "it still moves" if device.state in POWERED else ""
         yield from stop(device)
-        if may_move:
-            yield from see_it_stand(device.axis)
         self.problem = ""
 
     def _by_number(self) -> Procedure[None]:
@@ -83,19 +69,3 @@ def halts_needed(master: Master, nodes: Iterable[Node]) -> Iterator[Halt]:
             device = None
         if node.was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
             yield Halt(node, device, master.bus(node.bus).failed)
-
-
-def see_it_stand(axis: Axis) -> Procedure[None]:
-    """Wait until the actual position (0x6064) runs no more in one direction. A drive that does not have it is believed.
-
-    A noisy encoder's position wavers where it stands; it does not run.
-    """
-    before, direction = (yield from read_if_present(axis.node, "0x6064")), 0
-    while isinstance(before, int):
-        yield from sleep(LOOK)
-        position = yield from read_if_present(axis.node, "0x6064")
-        assert isinstance(position, int)
-        step, before = position - before, position
-        if abs(step) <= 1 or step * direction < 0:
-            return
-        direction = step

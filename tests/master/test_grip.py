@@ -302,6 +302,9 @@ async def test_a_master_may_insist_on_it() -> None:
         for _ in range(2):
             with pytest.raises(NotHeldError, match=r"drive 3 would not stop by itself .* no 0x6007"):
                 await master.run(drive.enable(master.device(master.node(3)).axis))
+        with pytest.raises(ChainError, match=r"no 0x6007") as caught:
+            await arm_of(master, 3).initialise()
+        assert caught.value.tries == ("open_master(..., grip=Grip()) enables it all the same, and names it",)
         assert drives(host)[0].drive.state is State.SWITCH_ON_DISABLED
 
 

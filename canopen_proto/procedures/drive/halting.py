@@ -22,7 +22,7 @@ from canopen_proto.cia402.objects import (
     QUICK_STOP_DECELERATION,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit, state_of
+from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
 from canopen_proto.procedures.drive.failures import name_of
@@ -54,9 +54,6 @@ _SHOWS_STANDSTILL: Final = (
     Mode.INTERPOLATED_POSITION,
 )
 """Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Others reserve it."""
-
-_BRAKING: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
-"""States in which the axis has power and may still move. In all others it has none, and there is nothing to stop."""
 
 _SLOWER: Final = 0.02
 """What a drive whose ramp is not known has to lose of its speed in a step, as a share, to be one that slows down."""
@@ -92,7 +89,7 @@ def halt(axis: Axis) -> Procedure[None]:
         yield from command(axis, _halt_word(axis))
     else:
         yield from command_held(axis, STAYS.get(state, _halt_word(axis)))
-        if state not in _BRAKING:
+        if state not in POWERED:
             return
     yield from _wait_for_standstill(axis)
 
@@ -156,7 +153,7 @@ class _Standstill:
         state = state_of(statusword)
         if state is State.UNKNOWN:
             return None  # the next statusword will tell
-        if state not in _BRAKING:
+        if state not in POWERED:
             return True
         has_position = "0x6064" in self._axis.node.dictionary and self.watch.refusal(POSITION_ACTUAL_VALUE) is None
         if self._is_schunk:
