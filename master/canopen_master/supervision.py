@@ -4,9 +4,12 @@ From the end of `initialise` to `shut_down`: a joint that falls into fault, is r
 answers node guarding. While set-points are followed, also whatever `canopen_proto.cia402.following` sees of each drive, from what
 comes in each cycle.
 
-What a joint does not send at SYNCs by itself is read by SDO beside the cycle, one joint after the other: with the PDOs of the
-manual's arm the mode of operation (0x6061). So another mode that shows in nothing else is seen that much later: a cycle for each
-joint of the chain (60 ms for six joints at 10 ms), and an SDO time-out for each answer that is lost.
+What a joint does not send at SYNCs by itself is read by SDO beside the cycle: with the PDOs of the manual's arm the mode of
+operation (0x6061). The joints take turns, one request behind each SYNC, and none waits for another's answer. So another mode that
+shows in nothing else is seen that much later: a cycle for each joint of the chain (60 ms for six joints at 10 ms), and an SDO
+time-out for each answer of this joint that is lost. An SDO transfer that is under way with a joint holds up the reads of this
+joint, unless it has a further SDO channel that is free. A joint that could not be read for three SDO time-outs (1.5 s) has
+failed.
 """
 
 from __future__ import annotations
@@ -44,7 +47,7 @@ class Supervision:
     def __init__(self, master: Master, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
         """failed: called in the pump's turn with the joint, what it did, as "fell into fault", and the likely cause, or "".
 
-        Perhaps several times.
+        It may be called several times for one failure.
         """
         self._master = master
         self._devices = devices

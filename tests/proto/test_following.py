@@ -10,6 +10,7 @@ import pytest
 from canopen_data import load_dictionary
 from canopen_proto.cia402.axis import Axis, AxisSettings
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.following import SILENT_TIME, Following, FollowingLost
 from canopen_proto.cia402.limits import DEFAULT_SPEED, Limit, limits_of
 from canopen_proto.cia402.modes import Mode
@@ -19,14 +20,17 @@ from canopen_proto.cia402.objects import (
     POSITION_ACTUAL_VALUE,
     STATUSWORD,
 )
-from canopen_proto.cia402.servo import Shape
+from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, Time
+from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.following import READ_INTERVAL, following_limit, read_unsent
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.server import SdoServer
+from canopen_proto.sdo.store import ValuesStore
 from tests.proto.rig import CYCLE, Rig
 
 FOLLOWS = 0x1237  # operation enabled, bit 12
@@ -309,7 +313,108 @@ def test_a_drive_that_cannot_be_asked_is_lost() -> None:
     rig.node.execute(NmtCommand.STOP, rig.bus.now)
     rig.bus.run(5_000 * MILLISECOND)
     (lost,) = [event for event in rig.bus.events if isinstance(event, FollowingLost)]
-    assert lost.cause == "cannot be watched: node 5 did not answer reading 0x6061:00, 3 times in a row"
+    assert lost.cause == "cannot be watched: 0x6061 could not be read for 1.5 s: node 5 did not answer reading 0x6061:00"
+
+
+class Two:
+    """Two drives on one bus, watched for their mode alone, which no PDO brings; SYNC every 10 ms. Frames take 1 ms."""
+
+    def __init__(self) -> None:
+        self.rig = rig = Rig(Shape.STANDARD, pdos=False)
+        rig.bus._delay = MILLISECOND, MILLISECOND
+        other = rig.bus.attach(Network())
+        self.second = DriveNode(other.out, 6, DriveSettings(shape=Shape.STANDARD))
+        other.attach(self.second)
+        remote = RemoteNode(rig.master.out, 6, rig.node.dictionary)
+        rig.master.attach(remote)
+        self.second.boot(rig.bus.now)
+        rig.bus.run(CYCLE)
+        self.watches = [Following(rig.axis), Following(Axis(remote))]
+        for node, watch in zip((rig.node, self.second), self.watches, strict=True):
+            node.values.store[MODES_OF_OPERATION_DISPLAY] = Mode.INTERPOLATED_POSITION
+            watch.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=CYCLIC, silent_syncs=10**9)
+        rig.start_sync()
+        self.request_id = rig.master.run(read_unsent(self.watches), rig.bus.now)
+        rig.bus.run(100 * MILLISECOND)
+
+    def transfer(self) -> None:
+        """Begin to read a long object of the first drive: 3,000 segments, of which each takes 2 ms."""
+        self.rig.node.values.store[0x1008_00] = "x" * 21_000
+        self.rig.remote.read((0x1008, 0), self.rig.bus.now)
+
+    def lost(self) -> dict[int, str]:
+        return {event.node_id: event.cause for event in self.rig.bus.events if isinstance(event, FollowingLost)}
+
+    def run_until_lost(self, node_id: int, limit: Time) -> None:
+        self.rig.bus.run_until(lambda: node_id in self.lost(), limit)
+
+
+@pytest.mark.parametrize("moment", range(0, 40, 7))
+def test_a_long_transfer_with_one_drive_blinds_nobody_for_another(moment: int) -> None:
+    two = Two()
+    two.transfer()
+    two.rig.bus.run(200 * MILLISECOND + moment * MILLISECOND)
+    two.rig.bus.send("606#2F60600003000000")  # somebody else: profile velocity
+    two.run_until_lost(6, 2 * CYCLE + 4 * MILLISECOND)
+    assert "changed its mode of operation" in two.lost()[6]
+    assert 5 not in two.lost()
+
+
+def test_a_drive_that_does_not_answer_holds_up_no_other() -> None:
+    two = Two()
+    two.rig.bus.detach(two.rig.device)
+    two.rig.bus.run(30 * MILLISECOND)
+    two.rig.bus.send("606#2F60600003000000")
+    two.run_until_lost(6, 2 * CYCLE + 4 * MILLISECOND)
+
+
+def test_a_drive_that_cannot_be_read_for_another_transfer_is_lost_in_time() -> None:
+    two = Two()
+    two.transfer()
+    two.run_until_lost(5, 1_500 * MILLISECOND + 3 * CYCLE)
+    assert two.lost() == {5: "cannot be watched: 0x6061 could not be read for 1.5 s: another SDO transfer with it is under way"}
+    assert not two.rig.remote.sdo.waiting  # the read was taken back
+
+
+def test_requests_that_wait_for_a_drive_do_not_hold_its_watch_up() -> None:
+    two = Two()
+    for _ in range(100):
+        two.rig.remote.read((0x1018, 1), two.rig.bus.now)
+    two.rig.bus.send("605#2F60600003000000")
+    two.run_until_lost(5, 2 * CYCLE + 6 * MILLISECOND)
+
+
+def test_a_free_sdo_channel_is_used() -> None:
+    two = Two()
+    rig = two.rig
+    rig.remote.add_sdo_channel(0x640, 0x5C0)
+    server = SdoServer(rig.device.out, 5, ValuesStore(rig.node.values), request_key=0x640, response_key=0x5C0)
+    rig.device.attach(server)
+    two.transfer()
+    rig.bus.run(2_000 * MILLISECOND)
+    assert not two.lost()
+    assert rig.remote.sdo.busy
+    rig.node.values.store[MODES_OF_OPERATION_DISPLAY] = Mode.PROFILE_POSITION
+    two.run_until_lost(5, 2 * CYCLE + 4 * MILLISECOND)
+
+
+def test_what_is_being_read_is_taken_back_with_the_watch() -> None:
+    two = Two()
+    two.transfer()
+    two.rig.bus.run(50 * MILLISECOND)
+    assert two.rig.remote.sdo.waiting == 1
+    two.rig.master.cancel(two.request_id, two.rig.bus.now)
+    assert two.rig.remote.sdo.waiting == 0
+
+
+def test_a_queue_that_is_full_is_a_reason_too() -> None:
+    two = Two()
+    two.transfer()
+    two.rig.bus.run(1)
+    two.rig.remote.sdo.max_queue = 0
+    two.run_until_lost(5, 1_500 * MILLISECOND + 3 * CYCLE)
+    assert "requests are waiting already" in two.lost()[5]
+    assert 6 not in two.lost()
 
 
 def test_what_a_drive_does_not_have_is_left_out() -> None:

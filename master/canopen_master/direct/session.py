@@ -177,7 +177,9 @@ class Session:
         """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`.
 
         Returns what was read, or what was written, with the names of the constants that it bears, once the device has answered.
-        Raises SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and what is said of wrong calls in this module's text.
+        Raises SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and what is said of wrong calls in this module's text. A
+        controlword that enables the drive also raises NodeIdTaken, or NotHeldError (both ProcedureError), with nothing written:
+        the drive has to watch over this program first; see grip of `open_connection`.
         """
 
         async def transfer(master: Master) -> Message:
