@@ -225,6 +225,7 @@ def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
 
 def write_too_high(bench: Bench) -> Procedure[None]:
     """2.10: a value above an object's limit; else another number of errors than 0 in 0x1003:00, as in CiA's tool. 7.5.2.4"""
+    yield from bench.silence_sync()  # the object may be 0x1019
     for variable, _, above in limited(bench):
         if above is not None:
             code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(above))
@@ -239,6 +240,7 @@ def write_too_high(bench: Bench) -> Procedure[None]:
 
 def write_too_low(bench: Bench) -> Procedure[None]:
     """2.11: a value below an object's limit."""
+    yield from bench.silence_sync()
     for variable, below, _ in limited(bench):
         if below is not None:
             code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(below))

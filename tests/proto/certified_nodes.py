@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import COB_ID_INVALID, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.local_node import LocalNode
@@ -18,8 +19,18 @@ from tests.proto.full_device import full_device
 SYNC_PERIOD_US = 100_000
 PRODUCES_SYNC = full_device(standard_object(0x1005, 0x4000_0080), standard_object(0x1006, SYNC_PERIOD_US))
 """A device that sends SYNC by default."""
-EXPECTS_SYNC = full_device(standard_object(0x1006, 10_000))
+_OVERFLOW = Variable(0x1019, 0, "synchronous counter overflow value", DataType.UNSIGNED8, default=0, high_limit=240)
+EXPECTS_SYNC = full_device(standard_object(0x1006, 10_000), Object.of(_OVERFLOW.name, [_OVERFLOW]))
 """A SYNC consumer that knows the period. 0x1019 may change only while that is 0 (CiA 301 v4.2.0, 7.5.2.22)."""
+
+
+class StateFirst(LocalNode):
+    """It looks at 0x1006 first, and then whether the value of 0x1019 is a valid one."""
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        if index == 0x1019 and self.values.store[0x1006_00]:
+            return AbortCode.DEVICE_STATE
+        return super().write(index, subindex, data, now)
 
 
 class FirmSettings(LocalNode):

@@ -28,7 +28,7 @@ PASSED: Sequence[tuple[Fault, ObjectDictionary | None, Sequence[str]]] = [
     (Fault("starts by itself", node=SelfStarting), None,
      ["3.16", "3.17", "3.18", "3.19", "3.20", "7.102", "7.2", "7.203", "7.204", "7.205", "7.206", "7.207", "9.3", "10.2"]),
     (Fault("produces SYNC by default"), PRODUCES_SYNC, WITH_SYNC),
-    (Fault("knows the period of SYNC by default"), EXPECTS_SYNC, WITH_SYNC),
+    (Fault("knows the period of SYNC by default", node=nodes.StateFirst), EXPECTS_SYNC, [*WITH_SYNC, "2.10", "2.11", "4.6"]),
     (Fault("holds on to its settings", node=nodes.FirmSettings), None, ["2.2", "3.22", "3.23", "3.24", "4.7", "4.9", "9.1"]),
     (Fault("one transfer at a time", node=nodes.OneAtATime), None, ["2.18"]),
     (Fault("counts SYNCs from the middle", node=nodes.from_the_middle), None, ["3.6", "3.8", "6.3"]),
