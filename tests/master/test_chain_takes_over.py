@@ -167,3 +167,26 @@ async def test_a_drive_that_would_move_with_power_alone_is_not_enabled() -> None
         with pytest.raises(ChainError, match=r"joint1.*in profile velocity \(pv\), in which power alone"):
             await arm.initialise()
         assert node.drive.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_begins_with_a_joint_that_still_moves(command: str) -> None:
+    """It was told to halt, and does not obey."""
+
+    @virtual_time
+    async def test() -> None:
+        async with simulated(makers=standard_drives(3)) as host, open_master(BUS) as master:
+            arm = arm_of(master, 3, axes=SETTINGS, define_pdos=True)
+            await arm.initialise()
+            write(host, objects.MODES_OF_OPERATION, Mode.PROFILE_VELOCITY)
+            write(host, objects.TARGET_VELOCITY, SPEED)
+            await trio.sleep(1)
+            (node,) = drives(host)
+            node.application = None
+            for do in (arm.halt, lambda: COMMANDS[command](arm)):
+                with pytest.raises(ChainError, match=r"joint1.*standstill after a halt"):
+                    await do()
+                assert velocity_of(host) == SPEED
+            node.application = node.drive
+
+    test()

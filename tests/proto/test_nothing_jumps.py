@@ -83,19 +83,23 @@ DOINGS: dict[str, Callable[[Rig], object]] = {
 }
 
 
+STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position}
+
+
+@pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("doing", DOINGS)
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1000))
 @example(reaction=0, later=700)
 @settings(max_examples=3)
-def test_interpolation_begins_with_a_drive_that_stands(doing: str, reaction: int, later: int) -> None:
-    """Whatever the drive was doing, `start_interpolation` changes its velocity by no more than its ramps."""
+def test_following_begins_with_a_drive_that_stands(doing: str, start: str, reaction: int, later: int) -> None:
+    """Whatever the drive was doing, the start changes its velocity by no more than its ramps."""
     is_following = doing == "interpolation"  # set-points end with it: a late drive would stop dead at the last one
     rig = rig_of(0 if is_following else reaction * MILLISECOND, pdos=True)
     rig.start_sync()
     DOINGS[doing](rig)
     if not is_following:
         rig.bus.run(later * MILLISECOND)
-    request = rig.master.run(drive.start_interpolation(rig.axis, CYCLE), rig.bus.now)
+    request = rig.master.run(STARTS[start](rig.axis, CYCLE, sends_itself=True), rig.bus.now)
     ended: list[Ended] = []
     rig.bus.on_event = lambda event: ended.append(event) if isinstance(event, Ended) and event.request_id == request else None
     before, left = velocity_of(rig), 50
@@ -109,18 +113,18 @@ def test_interpolation_begins_with_a_drive_that_stands(doing: str, reaction: int
     assert rig.axis.statusword & 0x1000
 
 
-STARTS: dict[str, Callable[[Rig], object]] = {"velocity": run_velocity, "move": run_move}
+MOTIONS: dict[str, Callable[[Rig], object]] = {"velocity": run_velocity, "move": run_move}
 
 
-@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("motion", MOTIONS)
 @given(reaction=st.integers(0, 900), later=st.integers(0, 900))
 @example(reaction=100, later=565)
 @example(reaction=900, later=100)
 @settings(max_examples=8)
-def test_a_halt_returns_with_a_drive_that_stands(start: str, reaction: int, later: int) -> None:
+def test_a_halt_returns_with_a_drive_that_stands(motion: str, reaction: int, later: int) -> None:
     """Whenever it is given, and however late the drive acts on it."""
     rig = rig_of(reaction * MILLISECOND)
-    request = STARTS[start](rig)
+    request = MOTIONS[motion](rig)
     rig.bus.run(later * MILLISECOND)
     if isinstance(request, int):
         rig.master.cancel(request, rig.bus.now)

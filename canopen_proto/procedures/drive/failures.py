@@ -39,7 +39,8 @@ class HomingFailed(ProcedureError):
 
 
 class LimitReached(ProcedureError):
-    """The drive stands, but not at its target: a software limit (0x607D) or another limit of its own lies before it."""
+    """A limit lies before the target of a move. The drive has stopped there (0x607D, or another limit of its own), or was not moved
+    at all (min_position, max_position of its settings)."""
 
 
 class ReferenceLost(ProcedureError):
