@@ -82,8 +82,8 @@ class AxisSettings:
     may take beyond that; one whose speed shows that it still slows down is waited for longer.
 
     min_position, max_position: set-points and targets beyond are refused, in the user's unit; None: only what the drive says
-    (0x607D), which counts in any case. max_speed: set-points that ask for more are refused, in the user's unit per second; None: what the drive
-    says (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
+    (0x607D), which counts in any case. max_speed: set-points that ask for more are refused, in the user's unit per second; None:
+    what the drive says (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
     """
 
     counts_per_unit: float | None = None

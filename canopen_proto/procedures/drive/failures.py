@@ -39,8 +39,8 @@ class HomingFailed(ProcedureError):
 
 
 class LimitReached(ProcedureError):
-    """A limit lies before the target of a move. The drive has stopped there (0x607D, or another limit of its own), or was not moved
-    at all (min_position, max_position of its settings)."""
+    """A limit lies before the target of a move. The drive has stopped there (0x607D, or another limit of its own), or was not
+    moved at all (min_position, max_position of its settings)."""
 
 
 class ReferenceLost(ProcedureError):

@@ -77,6 +77,7 @@ def halt(axis: Axis) -> Procedure[None]:
             yield from command(axis, _halt_word(axis))
         raise
     if state_of(statusword) is State.UNKNOWN:
+        yield from ask_for_time(axis.settings.reaction_time + SECOND)
         statusword = yield from wait_for_statusword(
             axis,
             lambda word: state_of(word) is not State.UNKNOWN,
