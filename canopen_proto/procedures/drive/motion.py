@@ -141,8 +141,9 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
         _require_reference(axis)
     settings = axis.settings
     counts = axis.to_counts(position) - (settings.offset if relative else 0)
-    start = yield from _demand(axis)
-    _require_within_limits(axis, start, counts + (start if relative else 0))
+    if not axis.has_lost_reference:
+        start = yield from _demand(axis)
+        _require_within_limits(axis, start, counts + (start if relative else 0))
     if axis.mode != Mode.PROFILE_POSITION:
         yield from halt(axis)
     yield from set_mode(axis, Mode.PROFILE_POSITION)
