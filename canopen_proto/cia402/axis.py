@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from canopen_proto.procedures.steps import Procedure
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
+OBEYED: Final = -NEVER
+"""`Axis.started_at` of a drive that has no start left to obey."""
 
 
 class HomingStyle(enum.Enum):
@@ -170,7 +172,7 @@ class Axis:
 
     settings: those in force; what the user left open is filled in once `is_identified`. grip: asked before the drive is enabled,
     and once it is shut down. started_at: when a rising bit 4 of the controlword, which starts a
-    motion, was last brought to the drive.
+    motion, was last brought to the drive; OBEYED once it has shown that it took it.
     """
 
     __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state")
@@ -185,7 +187,7 @@ class Axis:
         self.state = State.UNKNOWN
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
-        self.started_at: Time = -NEVER
+        self.started_at: Time = OBEYED
         node.commanded |= {CONTROLWORD, INTERPOLATION_SET_POINT, TARGET_POSITION}
         node.add_listener(self._on_values, self._on_boot)
 

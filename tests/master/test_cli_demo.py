@@ -83,7 +83,7 @@ def test_the_result_as_json(run: Run) -> None:
 def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alarm: Alarm, times: int, status: int) -> None:
     async def stall(fleet: Fleet) -> None:
         """Stop the whole process, again and again, while the arm moves."""
-        await trio.sleep(2.9)
+        await trio.sleep(3.2)
         for _ in range(times):
             await trio.sleep(0.1)
             clock = trio.lowlevel.current_clock()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_proto.cia402.axis import Axis
+from canopen_proto.cia402.axis import OBEYED, Axis
 from canopen_proto.cia402.limits import limits_of
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
@@ -121,6 +121,7 @@ def _follow(axis: Axis, mode: Mode, set_point: tuple[int, int], active: int, goa
             mode=mode,
             stays=State.OPERATION_ENABLED,
         )
+        axis.started_at = OBEYED
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
@@ -164,6 +165,7 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
             if limit:
                 raise LimitReached(f"{name_of(axis)} did not take its target: {limit}. Try: {_OTHER_TARGET}") from refused
             raise
+        axis.started_at = OBEYED
         yield from command(axis, _TAKES_AT_ONCE | relation)
         yield from _wait_for_target(axis, target, given_at, timeout, relative)
     except (Cancelled, ProcedureError) as cause:
