@@ -151,12 +151,12 @@ MUTANTS: Final = (
         BLOCKS[:1],
     ),
     Mutant(
-        "empty_copy_is_abort",
+        "copied_last_segment",
         _RECEIVER,
         "if self._state != STARTING and data == self._party._last:",
         "if self._state == STARTING and data == self._party._last:",
-        "the second copy of an empty last segment looks like an abort",
-        FAULTS[:1],
+        "the second copy of a last segment is taken for a request",
+        BLOCKS[1:],
     ),
     Mutant(
         "block_size_of_1",
@@ -269,6 +269,22 @@ MUTANTS: Final = (
         "server.max_download",
         "what goes in pieces is limited like what is held whole",
         PIECES,
+    ),
+    Mutant(
+        "stragglers_unknown",
+        _SERVER,
+        "self._straggler = self._transfer.straggler",
+        "self._straggler = 0",
+        "the rest of a paused client's queue is taken for requests",
+        FAULTS[1:],
+    ),
+    Mutant(
+        "overtaken_stays",
+        _RECEIVER,
+        "            self._forget_sub_block()\n",
+        "",
+        "a segment that others overtook stays where another belongs",
+        FAULTS[:1],
     ),
     Mutant(
         "straggler_behind_an_abort",

@@ -7,7 +7,8 @@ frames the link has lost, copied, held up or damaged. So it can say what must be
   of their order or damaged (docs/limits.md tells what the others cannot promise);
 - what was executed is never called refused, and an aborted write is not executed unless it says `not_confirmed`;
 - some faults cost nothing: second copies; pauses below the time-out, which cause no frame; in block transfer with CRC and size a
-  segment or an acknowledgement that was lost;
+  segment or an acknowledgement that was lost, and a segment that others overtook;
+- a segment is never taken for a request;
 - everything ends, in bounded time, and the next transfers work.
 
     bytes 0..9      the plan: see `plan_of`
@@ -271,6 +272,7 @@ class Scene:
         if fates == {Fate.PAUSED} and not plan.second and self._survives_pauses():
             assert self.frames == Scene(replace(plan, faults={})).frames, "a pause causes no frame"
         self._check_next()
+        assert not is_order_kept or not self.store.others, "a segment is taken for a request"
 
     def _check_truth(self, outcome: Outcome, content: bytes) -> None:
         written = self.store.written
@@ -306,6 +308,8 @@ class Scene:
             return self._survives_pauses()
         if not plan.is_guarded or max(met) >= self.first_end:
             return False
+        if fates == {Fate.LATE} and len(met) == 1:
+            return self._is_segment(min(met))
         lost = [place for place, fate in met.items() if fate is Fate.LOST]
         if not all(place in lost or self._is_copy_held_off(place) for place in met):
             return False

@@ -30,6 +30,7 @@ class Store:
     def __init__(self, content: bytes) -> None:
         self.content = content
         self.written: list[bytes] = []
+        self.others: list[int] = []  # what else somebody wanted to write: a segment that is taken for a request
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
         return PENDING if index == BY_HOST else self.content if index == INDEX else AbortCode.NO_SUCH_OBJECT
@@ -40,7 +41,8 @@ class Store:
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
         if index == BY_HOST:
             return PENDING
-        if index != INDEX:  # a late copy of a segment, taken for a request
+        if index != INDEX:
+            self.others.append(index)
             return AbortCode.NO_SUCH_OBJECT
         self.written.append(data)
         return None

@@ -12,14 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Machine, Time
-from canopen_proto.sdo.abort import AbortCode
-from canopen_proto.sdo.access import Pending
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEQUENCE, silence_limit
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded
 from canopen_proto.sdo.codec import EXPEDITED
 from canopen_proto.sdo.server import ObjectAccessPending
 from tests.examples import examples
-from tests.proto.block_pair import BY_HOST, INDEX, BlockPair, Store, pattern
+from tests.proto.block_pair import BY_HOST, INDEX, BlockPair, pattern
 from tests.proto.bus import Bus, Fate
 
 
@@ -105,23 +103,6 @@ SPELLS = b"".join(EXPEDITED.pack(0, OTHER, 0, number.to_bytes(4, "little"))[1:] 
 """Content of which each segment names another object, as an expedited download does."""
 
 
-class Device(Store):
-    """Every object of it may be written."""
-
-    def __init__(self) -> None:
-        super().__init__(b"\x01")
-        self.others: list[int] = []
-
-    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
-        return super().check_write(index, subindex, size) if index in (INDEX, BY_HOST) else None
-
-    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        if index in (INDEX, BY_HOST):
-            return super().write(index, subindex, data, now)
-        self.others.append(index)
-        return None
-
-
 class Host(Machine):
     """It takes each piece `time` after it was asked to."""
 
@@ -165,12 +146,11 @@ def test_a_download_writes_its_object_and_no_other_whatever_pause_and_however_fu
     bus = Bus(fates=fates, pause=round(pause * SECOND), frame_time=frame_time)
     server = {"block_size": block_size, "max_download": len(SPELLS)}
     pair = BlockPair(bus, client={"crc": crc, "max_burst": MAX_BLOCK_SIZE}, server=server)
-    pair.store = pair.server._store = device = Device()
     bus.attach(Host(pair, host_time))
     pair.download(content, index=index)
     pair.settle()
-    assert device.others == []
-    assert set(device.written) <= {content}
+    assert pair.store.others == []
+    assert set(pair.store.written) <= {content}
     said = [str(frame) for _, frame in bus.sent if frame.can_id == 0x58C]
     assert sum(frame.startswith("58C#80") for frame in said) <= 2, "one for the transfer, one for an end frame behind it"
     list(fates)  # no more of them
@@ -178,4 +158,4 @@ def test_a_download_writes_its_object_and_no_other_whatever_pause_and_however_fu
     if isinstance(pair.settle(), SdoAborted):  # it looked like the next segment; who asks again is heard
         pair.download(b"next", False)
         assert isinstance(pair.settle(), SdoDownloaded)
-    assert device.written[-1] == b"next"
+    assert pair.store.written[-1] == b"next"

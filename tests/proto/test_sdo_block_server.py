@@ -317,6 +317,16 @@ def test_second_copies_in_a_download() -> None:
     assert bench.store.written == [content]
 
 
+@pytest.mark.parametrize("count", [0x20, 0x24, 0x40, 0x44])
+def test_the_second_copy_of_a_last_segment_is_no_request_though_its_number_is_one(count: int) -> None:
+    bench, content = ServerBench(), pattern(count * 7)
+    bench.tell("C6 00 20 00" + len(content).to_bytes(4, "little").hex())
+    sent = segments(content)
+    assert bench.tell_at_once(*sent, sent[-1]) == frames(f"A2 {count:02X} 7F")
+    assert bench.tell("C1" + crc_bytes(content)) == frames("A1")
+    assert bench.store.written == [content]
+
+
 @pytest.mark.parametrize("request_", ["40 00 20 00", "21 00 20 00 0D", "2F 00 20 00 01", UPLOAD, "C6 00 20 00 0E", DOWNLOAD])
 def test_a_client_that_did_not_get_the_answer_begins_anew(request_: str) -> None:
     """Before the first segment an initiate is none, though it bears the number of one; its immediate copy is a copy."""
