@@ -50,4 +50,5 @@ class HeldRpdos:
         return [each for each in (*rpdos, *self._by_hand) if self._may_be_held(each) and mux in each.mapping.muxes]
 
     def _may_be_held(self, producer: PdoProducer) -> bool:
-        return producer.is_synchronous and producer.sent_at >= self._since
+        sent_at = producer.sent_at
+        return producer.is_synchronous and sent_at is not None and sent_at >= self._since

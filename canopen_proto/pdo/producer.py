@@ -22,8 +22,8 @@ used.
 The inhibit time is the least time between two event-driven transmissions. A trigger within it is not lost: the PDO goes when
 the time is over, once, with the values of that moment. A late event timer sends once and reports the periods that it skipped.
 
-`send` sends at once, whatever the type: it is for a master that sends its RPDOs by its own cycle. `sent_at` tells when that
-last was, whoever caused it.
+`send` sends at once, whatever the type: it is for a master that sends its RPDOs by its own cycle. `sent_at` tells when it
+was last sent, whoever caused that; None: never.
 
 PDOs live in NMT state Operational only. The owner says so by `set_enabled`, which starts the event timer; the first SYNC counted
 is the first one after it. A PDO that is not valid, or whose mapping is empty, is never sent.
@@ -115,7 +115,7 @@ class PdoProducer(Machine):
         self.enabled = False
         self.key: int | None = None
         self.answers_requests = False
-        self.sent_at: Time = -NEVER
+        self.sent_at: Time | None = None
         self._sample: bytes | None = None  # of type 252: the data of the last SYNC
         self._triggered = False  # of type 0: waits for the next SYNC
         self._syncs = 0  # since it was sent last

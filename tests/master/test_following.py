@@ -24,7 +24,12 @@ from canopen_proto.cia402.axis import SCHUNK_POWERBALL, HomingStyle
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.objects import FOLLOWING_ERROR_WINDOW, PROFILE_DECELERATION, QUICK_STOP_DECELERATION
+from canopen_proto.cia402.objects import (
+    FOLLOWING_ERROR_WINDOW,
+    MODES_OF_OPERATION_DISPLAY,
+    PROFILE_DECELERATION,
+    QUICK_STOP_DECELERATION,
+)
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.frame import Frame
@@ -379,6 +384,20 @@ async def test_a_joint_that_is_held_is_told_with_the_limit_and_where_it_comes_fr
         assert caught.value.reason.endswith(f"by {source}")
         expected = 1_500 / 180_000 * math.pi if limit is None else limit
         assert abs(arm.desired_positions[0] - held_at) <= expected + 6 * SPEED * PERIOD
+
+
+@virtual_time
+async def test_a_joint_that_answers_no_sdo_blinds_nobody_for_another() -> None:
+    """A mode that shows in nothing but 0x6061 is seen when the joint was asked: a cycle for each joint, and the answer."""
+    async with scene() as here:
+        here.links[OTHER].copies = lambda frame, is_sent: 0 if frame.can_id == 0x580 + OTHER else 1
+        await trio.sleep(0.1)
+        here.node(VICTIM).values.store[MODES_OF_OPERATION_DISPLAY] = 1
+        await trio.sleep(3 * PERIOD)
+        with pytest.raises(ChainFault, match="changed its mode of operation: 0x6061 shows profile position") as caught:
+            here.arm.set_positions([0.0, 0.0])
+        assert caught.value.node_id == VICTIM
+        here.links[OTHER].copies = lambda frame, is_sent: 1
 
 
 @virtual_time

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.servo import Shape
 from canopen_proto.cia402.states import ControlBit, State
@@ -23,7 +24,7 @@ from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import FRESH
+from canopen_proto.remote_node import FRESH, RemoteNode
 from tests.examples import examples
 from tests.proto.rig import CYCLE, STREAMED, Rig
 
@@ -158,6 +159,18 @@ def test_a_set_point_that_a_sync_of_ours_has_taken_costs_no_frame(shape: Shape) 
     rig.bus.sent.clear()
     rig.run(drive.halt(rig.axis))
     assert not [frame for _, frame in rig.bus.sent if frame.can_id == hands.producer.key]
+
+
+def test_an_rpdo_that_was_never_sent_is_not_held() -> None:
+    """Of a node that was never heard to boot, on a bus without SYNC."""
+    rig = Rig(Shape.SCHUNK_POWERBALL)
+    rig.master.detach(rig.remote)
+    remote = RemoteNode(rig.master.out, 5, rig.node.dictionary)
+    rig.master.attach(remote)
+    rig.run(use_device_pdo(remote, Direction.RPDO, 1))
+    rig.bus.sent.clear()
+    rig.run(drive.enable(Axis(remote)))
+    assert {frame.can_id for _, frame in rig.bus.sent} == {0x605, 0x585}
 
 
 def test_an_rpdo_that_was_not_taken_when_sync_ended_is_replaced_before_the_next_command() -> None:
