@@ -90,7 +90,7 @@ STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position}
 @pytest.mark.parametrize("doing", DOINGS)
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1000))
 @example(reaction=0, later=700)
-@settings(max_examples=3)
+@settings(max_examples=2)
 def test_following_begins_with_a_drive_that_stands(doing: str, start: str, reaction: int, later: int) -> None:
     """Whatever the drive was doing, the start changes its velocity by no more than its ramps."""
     is_following = doing == "interpolation"  # set-points end with it: a late drive would stop dead at the last one
@@ -120,7 +120,7 @@ MOTIONS: dict[str, Callable[[Rig], object]] = {"velocity": run_velocity, "move":
 @given(reaction=st.integers(0, 900), later=st.integers(0, 900))
 @example(reaction=100, later=565)
 @example(reaction=900, later=100)
-@settings(max_examples=8)
+@settings(max_examples=5)
 def test_a_halt_returns_with_a_drive_that_stands(motion: str, reaction: int, later: int) -> None:
     """Whenever it is given, and however late the drive acts on it."""
     rig = rig_of(reaction * MILLISECOND)
@@ -150,7 +150,7 @@ def halted_move(rig: Rig, later: int) -> float:
 @pytest.mark.parametrize("relative", [False, True])
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1500), target=st.floats(-0.5, 1.5))
 @example(reaction=0, later=700, target=0.0)
-@settings(max_examples=5)
+@settings(max_examples=4)
 def test_a_move_after_a_cancelled_one_goes_straight_to_its_own_target(
     relative: bool, reaction: int, later: int, target: float
 ) -> None:
