@@ -33,7 +33,7 @@ ENDS = {
 @virtual_time
 async def test_a_sync_that_comes_late_undoes_nothing(way: str) -> None:
     chosen = random.Random(way)
-    for moment in (None, 0.0, *(chosen.uniform(0, 0.02) for _ in range(4))):
+    for moment in (None, 0.0, *(chosen.uniform(0, 0.02) for _ in range(3))):
         await run(way, moment, is_ours=chosen.random() < 0.5)
 
 

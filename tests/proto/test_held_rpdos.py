@@ -83,7 +83,7 @@ def microseconds(most: int) -> st.SearchStrategy[Time]:
 
 
 @pytest.mark.parametrize("way", WAYS)
-@examples(15)
+@examples(10)
 @given(
     shape=st.sampled_from((Shape.STANDARD, Shape.SCHUNK_POWERBALL)),
     delay=st.sampled_from((50 * MICROSECOND, 2 * MILLISECOND)),
