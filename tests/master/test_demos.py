@@ -1,11 +1,10 @@
-"""The manual's demos, each run as a user runs it: a real process, on a virtual bus with simulated drives."""
+"""The manual's demos on a virtual bus with simulated drives: in this process, and as a user runs them, as programs."""
 
 import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from types import ModuleType
 
 import pytest
 
@@ -42,6 +41,12 @@ RUNS = {
     ],
 }
 
+DEMOS = {
+    "homing": homing,
+    "single_device": single_device,
+    "multiple_devices": multiple_devices,
+    "canopenmaster_single_device": canopenmaster_single_device,
+}
 
 WARNING = "will not stop by itself if this program dies: no 0x6007"
 """Of the simulated Powerball, as of the real one."""
@@ -66,19 +71,20 @@ def start(command: str) -> subprocess.Popen[str]:
     )
 
 
-@pytest.fixture(scope="module")
-def processes() -> dict[str, subprocess.Popen[str]]:
-    """All of them at the same time: most of it is waiting."""
-    return {command: start(command) for command in RUNS}
-
-
-@pytest.mark.parametrize("command", RUNS)
-def test_a_demo_does_what_the_manual_says(processes: dict[str, subprocess.Popen[str]], command: str) -> None:
-    output, errors = processes[command].communicate(timeout=LIMIT)
-    assert processes[command].returncode == 0, errors
-    assert all(WARNING in line for line in errors.splitlines()), errors
+def assert_as_in_the_manual(command: str, output: str) -> None:
     assert without_numbers(output) == without_numbers("\n".join([*RUNS[command], ""]))
     assert numbers(output) == pytest.approx(numbers("\n".join(RUNS[command])), abs=5)  # the axis follows with a lag
+
+
+PROGRAM = "multiple_devices 3 4 --bus virtual:arm --cycles 1 --steps 10"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def program() -> Iterator[subprocess.Popen[str]]:
+    """A demo that takes its time while the other tests run; the last test waits for it."""
+    with start(PROGRAM) as process:
+        yield process
+        process.kill()
 
 
 def test_ctrl_c_halts_and_says_so() -> None:
@@ -159,15 +165,14 @@ def test_another_device_of_the_masters_demo(capsys: pytest.CaptureFixture[str]) 
     assert "node 7" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("demo", [homing, single_device, multiple_devices, canopenmaster_single_device])
-def test_a_demo_runs_here_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, demo: ModuleType) -> None:
+@pytest.mark.parametrize("command", RUNS)
+def test_a_demo_does_what_the_manual_says(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
     monkeypatch.setattr(connection, "powerballs", near_home)
-    short = ["--cycles", "1", "--steps", "2"]
-    arguments = {homing: [], canopenmaster_single_device: ["--steps", "2", "--pause", "0"]}.get(demo, short)
-    assert demo.main(["12", "--bus", "virtual", *arguments]) == ExitCode.OK
-    output = capsys.readouterr().out
-    assert output.startswith("homing")
-    assert "mdeg" in output
+    name, *arguments = command.split()
+    assert DEMOS[name].main(arguments) == ExitCode.OK
+    assert_as_in_the_manual(command, capsys.readouterr().out)
 
 
 def test_an_interrupt_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,3 +198,10 @@ def test_a_fault_in_the_middle_of_a_move(capsys: pytest.CaptureFixture[str], mon
         monkeypatch.setattr(direct, "send_sync", send_sync)
         assert single_device.main(["12", "--bus", arm.bus]) == ExitCode.DRIVE_FAULT
         assert "0x8611" in capsys.readouterr().err
+
+
+def test_a_demo_is_a_program(program: subprocess.Popen[str]) -> None:
+    output, errors = program.communicate(timeout=LIMIT)
+    assert program.returncode == 0, errors
+    assert all(WARNING in line for line in errors.splitlines()), errors
+    assert_as_in_the_manual(PROGRAM, output)

@@ -169,8 +169,15 @@ async def _leave(scenario: Scenario, scope: trio.CancelScope) -> None:
             assert isinstance(await again.node(3).read("device_type"), int)
 
 
-@pytest.mark.parametrize("milliseconds", [*range(0, 100, 7), 150, 333, 640, 1000, 1300, 1640, 1670, 1700, 2500])
-@pytest.mark.parametrize("scenario", [_home, _follow, _by_hand])
+BEGINNING = [*range(0, 100, 7), 150, 333]
+"""In milliseconds. Nothing new comes behind them, but for homing, which ends."""
+HOMING = [640, 1300, 1640, 1670, 2500]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "milliseconds"),
+    [(scenario, each) for scenario in (_home, _follow, _by_hand) for each in BEGINNING + (HOMING if scenario is _home else [])],
+)
 def test_cancelled_at_any_time_the_drives_stand(scenario: Scenario, milliseconds: int) -> None:
     @virtual_time
     async def test() -> None:
@@ -252,8 +259,9 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.0005, 0.009])
-@pytest.mark.parametrize("at", [0.012, 0.5, 1.64])
-@pytest.mark.parametrize("scenario", [_home, _follow, _by_hand])
+@pytest.mark.parametrize(
+    ("scenario", "at"), [*((scenario, at) for scenario in (_home, _follow, _by_hand) for at in (0.012, 0.5)), (_home, 1.64)]
+)
 def test_further_ctrl_c_come_out_when_the_drives_stand(scenario: Scenario, at: float, gap: float) -> None:
     async def press() -> None:
         await trio.sleep(at)
