@@ -233,6 +233,30 @@ def test_an_upload_stream_waits_for_its_reader() -> None:
     ]
 
 
+def test_a_server_that_only_paused_goes_on_while_the_reader_is_busy() -> None:
+    bench = ClientBench()
+    bench.client.upload_stream(0x2000, 0, 0)
+    sent = segments(pattern(300))
+    bench.tell("C6 00 20 00 2C 01", *sent[:5])
+    assert bench.wait() == []
+    assert isinstance(bench.outcome(), SdoChunk)
+    assert bench.tell(sent[5]) == frames("80 00 20 00 03 00 04 05")
+    assert bench.aborted() == (0x05040003, AbortOrigin.LOCAL)
+
+
+def test_late_segments_while_the_reader_is_busy_cost_nothing() -> None:
+    """Frames that others overtook, behind a gateway."""
+    bench, content = ClientBench(block_size=3), pattern(30)
+    request_id = bench.client.upload_stream(0x2000, 0, 0)
+    sent = segments(content, 3, final=False)
+    bench.tell("C6 00 20 00 1E", *sent)
+    assert bench.tell(*sent[:2]) == []
+    bench.client.proceed(request_id, bench.now)
+    assert bench.said() == frames("A2 03 03")
+    end = "D5" + crc_hqx(content, 0).to_bytes(2, "little").hex()
+    assert bench.tell(*segments(content[21:]), sent[0], end) == frames("A2 02 03", "A1")
+
+
 def test_a_reader_that_does_not_come_back() -> None:
     bench = ClientBench(block_size=3)
     bench.client.upload_stream(0x2000, 0, 0)
