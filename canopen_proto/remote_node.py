@@ -6,7 +6,7 @@ us. It holds
 - `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
   by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read). What we
   command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`. What was written by
-  bytes, past `write`, is not known there: `written_by_bytes` has it;
+  bytes, past `write`, or was not confirmed, is not known there: `in_doubt` has it;
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, and would undo what is written by SDO before it. So a
   `write` of an object in `commanded` (a controlword) first sends each of these that carries it once more, with the new value:
   whenever a SYNC comes then, it brings what was commanded last;
@@ -73,6 +73,7 @@ class RemoteNode(Group):
         "heard_at",
         "heartbeat",
         "held",
+        "in_doubt",
         "last_sync",
         "nmt_state",
         "node_id",
@@ -81,7 +82,6 @@ class RemoteNode(Group):
         "sdo_channels",
         "tpdos",
         "values",
-        "written_by_bytes",
     )
 
     def __init__(
@@ -111,7 +111,7 @@ class RemoteNode(Group):
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
         self.commanded: set[int] = set()
-        self.written_by_bytes: set[int] = set()
+        self.in_doubt: set[int] = set()
         self.held = HeldRpdos()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
@@ -420,7 +420,7 @@ class RemoteNode(Group):
 
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
         self.heard_at.clear()
-        self.written_by_bytes.clear()
+        self.in_doubt.clear()
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
@@ -464,10 +464,12 @@ class RemoteNode(Group):
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)
         if written is None:
-            self.written_by_bytes.add(report.index << 8 | report.subindex)
+            self.in_doubt.add(report.index << 8 | report.subindex)
         else:
-            self.written_by_bytes.discard(written[0].mux)
+            self.in_doubt.discard(written[0].mux)
             self.values.store[written[0].mux] = written[1]
 
     def _on_aborted(self, report: SdoAborted, now: Time) -> None:
         self._writes.pop(report.request_id, None)
+        if report.not_confirmed:
+            self.in_doubt.add(report.index << 8 | report.subindex)

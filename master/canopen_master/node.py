@@ -58,7 +58,7 @@ class Node:
         remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
         self._pdos: NodePdos | None = None
-        master.watch((SdoDownloaded, SdoAborted), self._on_written, bus, remote.node_id)
+        master.watch((SdoDownloaded,), self._on_written, bus, remote.node_id)
 
     def __repr__(self) -> str:
         return f"<Node {self.node_id} on {self.bus}>"
@@ -89,7 +89,7 @@ class Node:
     @property
     def was_enabled(self) -> bool:
         """Whether the last controlword that we know of, or that was written here, enables operation: a drive that may move."""
-        may_be = self._enabled_by_hand or CONTROLWORD in self.remote.written_by_bytes
+        may_be = self._enabled_by_hand or CONTROLWORD in self.remote.in_doubt
         return may_be or _enables(self.remote.values.store.get(CONTROLWORD))
 
     def supervise_heartbeat(self, timeout: float) -> None:
@@ -173,6 +173,10 @@ class Node:
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, whether the dictionary has it or not. Of controlwords: see `write`."""
+        is_controlword = (index, subindex, len(data)) == (CONTROLWORD >> 8, 0, 2)
+        if is_controlword and self.dictionary.get(index) is not None:
+            await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
+            return
         shown = data.hex() if len(data) <= MAX_SHOWN else f"{len(data)} bytes"
         async with self._commanding(index << 8 | subindex, int.from_bytes(data[:2], "little")):
             await self._download(
@@ -356,7 +360,7 @@ class Node:
         self._enabled_by_hand = self._enabled_by_hand or enables
         yield
         self._enabled_by_hand = enables
-        self.remote.written_by_bytes.discard(CONTROLWORD)
+        self.remote.in_doubt.discard(CONTROLWORD)
 
     def _may_enable(self) -> None:
         """What is sent next may enable the drive, and waits for nothing."""
@@ -365,13 +369,9 @@ class Node:
             raise NotHeldError(f"{self.where} is not held, and Grip.required says that it must; try `await node.hold()` before")
         grips.hold_beside(self)
 
-    def _on_written(self, report: SdoDownloaded | SdoAborted) -> None:
+    def _on_written(self, report: SdoDownloaded) -> None:
         """Somebody wrote a controlword, perhaps past `write`: by `remote.write`, or a procedure of the core."""
-        if report.index << 8 | report.subindex != CONTROLWORD:
-            return
-        if isinstance(report, SdoAborted):
-            self._enabled_by_hand = self._enabled_by_hand or report.not_confirmed  # the word is not known here
-        elif self.was_enabled:
+        if report.index << 8 | report.subindex == CONTROLWORD and self.was_enabled:
             self._master.grips.hold_beside(self)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:

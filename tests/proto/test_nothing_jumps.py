@@ -137,6 +137,26 @@ def test_a_halt_returns_with_a_drive_that_stands(motion: str, reaction: int, lat
     assert rig.drive._servo.demand_position == position, "it moved afterwards"
 
 
+@given(reaction=st.integers(0, 900), later=st.integers(0, 2500), pdos=st.booleans())
+@example(reaction=500, later=1300, pdos=False)
+@example(reaction=500, later=1100, pdos=True)
+@example(reaction=50, later=101, pdos=False)
+@settings(max_examples=10)
+def test_a_halt_that_comes_while_a_drive_is_being_enabled_finds_it(reaction: int, later: int, pdos: bool) -> None:
+    """It stands at the end, and goes on standing: no command that it got before the halt moves it."""
+    rig = rig_of(reaction * MILLISECOND, pdos=pdos)
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(write(rig.remote, "0x60FF", 25_000))
+    request = rig.master.run(drive.enable(rig.axis), rig.bus.now)
+    rig.bus.run(later * MILLISECOND)
+    rig.master.cancel(request, rig.bus.now)
+    rig.bus.run(MILLISECOND)
+    rig.run(drive.halt(rig.axis))
+    assert velocity_of(rig) == 0
+    rig.bus.run(2 * SECOND)
+    assert velocity_of(rig) == 0
+
+
 def halted_move(rig: Rig, later: int) -> float:
     """A move that was cancelled; where the drive stands."""
     request = run_move(rig)

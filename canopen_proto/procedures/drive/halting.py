@@ -14,6 +14,7 @@ from typing import Final
 from canopen_proto.cia402.axis import Axis, HomingStyle
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import (
+    CONTROLWORD,
     HALT_OPTION_CODE,
     MODES_OF_OPERATION_DISPLAY,
     POSITION_ACTUAL_VALUE,
@@ -22,7 +23,7 @@ from canopen_proto.cia402.objects import (
     QUICK_STOP_DECELERATION,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, state_of
+from canopen_proto.cia402.states import COMMAND_BITS, POWERED, Command, ControlBit, State, StatusBit, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
 from canopen_proto.procedures.drive.failures import name_of
@@ -55,6 +56,9 @@ _SHOWS_STANDSTILL: Final = (
 )
 """Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Others reserve it."""
 
+_CAN_BE_ENABLED: Final = (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
+"""From these, one controlword leads to Operation enabled (from the first in drives that take two steps at once)."""
+
 _SLOWER: Final = 0.02
 """What a drive whose ramp is not known has to lose of its speed in a step, as a share, to be one that slows down."""
 _OF_ITS_RAMP: Final = 0.25
@@ -64,10 +68,11 @@ _OF_ITS_RAMP: Final = 0.25
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
-    A drive that is not enabled is not commanded; one that brakes is waited for. An RPDO that the drive holds for a SYNC is
-    replaced: by the halt, or by what leaves a drive that is not enabled as it is. Any later command without bit 8 ends the halt.
-    It waits as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not
-    become slower within a step, or shows no state for `reaction_time`; SdoFailed, NodeLost.
+    A drive that is not enabled is not commanded; one that brakes is waited for. One that was told to be enabled, and is not yet,
+    is watched for `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced: by the halt, or by what
+    leaves a drive that is not enabled as it is. Any later command without bit 8 ends the halt. It waits as long as the drive
+    slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not become slower within a step,
+    or shows no state for `reaction_time`; SdoFailed, NodeLost.
     """
     yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
     try:
@@ -86,6 +91,8 @@ def halt(axis: Axis) -> Procedure[None]:
             accept_fault=True,
         )
     state = state_of(statusword)
+    if state in _CAN_BE_ENABLED and _may_be_enabled(axis):
+        state = yield from _late_state(axis)
     if state is State.OPERATION_ENABLED:
         yield from command(axis, _halt_word(axis))
     else:
@@ -93,6 +100,23 @@ def halt(axis: Axis) -> Procedure[None]:
         if state not in POWERED:
             return
     yield from _wait_for_standstill(axis)
+
+
+def _may_be_enabled(axis: Axis) -> bool:
+    """Whether the last controlword enables operation, or may do so: one that was not confirmed may have arrived."""
+    return axis.controlword & COMMAND_BITS == Command.ENABLE_OPERATION or CONTROLWORD in axis.node.in_doubt
+
+
+def _late_state(axis: Axis) -> Procedure[State]:
+    """The state of a drive that may be on its way to Operation enabled, once it is there or `reaction_time` is over."""
+    goal = "operation enabled, which it was told"
+    try:
+        word = yield from wait_for_statusword(
+            axis, lambda word: state_of(word) in POWERED, axis.settings.reaction_time, goal, accept_fault=True
+        )
+    except StepTimeout:
+        return axis.state
+    return state_of(word)
 
 
 def _halt_word(axis: Axis) -> int:
