@@ -125,7 +125,7 @@ def hostile(kind: str, size: int) -> str:
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_memory_is_bounded_by_the_size_of_the_file(kind: str) -> None:
     """Tens of times the file; most where every line is a section. The bounds of ini.py limit this for large files."""
-    data = "[1000]\n" + hostile(kind, MEBIBYTE // 16)
+    data = "[1000]\n" + hostile(kind, MEBIBYTE // 32)
     tracemalloc.start()
     description = read_eds(data, "x")
     _, peak = tracemalloc.get_traced_memory()
