@@ -94,6 +94,8 @@ FINAL: Final = 0x80
 SEQUENCE: Final = 0x7F
 LEAST_INITIATE: Final = 0x20
 """The lowest sequence number that the first byte of an initiate request looks like."""
+MOST_LOST: Final = 2
+"""Segments that may be missing in a run of them that comes out of place: the one behind them is still known."""
 CRC_BIT: Final = 0x04
 BLOCK_SIZE_BIT: Final = 0x02
 """The size of the data is indicated, in an initiate frame of the sender."""
@@ -149,6 +151,17 @@ def is_initiate(command: int) -> bool:
     if specifier == BLOCK_DOWNLOAD:
         return not command & 1
     return specifier in (INITIATE_DOWNLOAD, INITIATE_UPLOAD)
+
+
+def is_next(command: int, due: int) -> bool:
+    """Whether a frame that comes out of place goes on with a run of segments, of which number `due` is next, or begins one."""
+    sequence = command & SEQUENCE
+    return 0 < sequence < LEAST_INITIATE or due <= sequence <= due + MOST_LOST
+
+
+def next_number(command: int) -> int:
+    """The number behind that segment in its sub-block; above MAX_BLOCK_SIZE if it is the last."""
+    return MAX_BLOCK_SIZE + 1 if command & FINAL else (command & SEQUENCE) + 1
 
 
 def sender_initiate(specifier: int, index: int, subindex: int, size: int | None, crc: bool) -> bytes:

@@ -18,8 +18,8 @@ CRC and size have to guard it.
 
 On CAN the numbers of a sub-block only rise. A number that was received already, with other data, shows a frame out of its order:
 one of the two is of another sub-block. With a CRC all of the sub-block is asked for again; without one that is an abort. Between
-two sub-blocks, and when all have come, segments with numbers that no request has are late ones, and ignored. A segment of less
-than eight bytes counts as lost.
+two sub-blocks, and when all have come, segments with numbers that no request has, and those that go on behind them, are late, or
+their sender is a sub-block ahead: they are ignored. A segment of less than eight bytes counts as lost.
 
 A transfer is right if the CRC is (where both sides support it) and the size is (where it was announced). The CRC begins with 0,
 so zeros at the beginning of the data do not count in it: while it is 0 it guards nothing, unless the size is known too.
@@ -44,13 +44,14 @@ from canopen_proto.sdo.block import (
     END,
     FINAL,
     KIND,
-    LEAST_INITIATE,
     MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
     SEQUENCE,
     Party,
     chosen_block_size,
+    is_next,
+    next_number,
     silence_limit,
 )
 from canopen_proto.sdo.codec import ABORT
@@ -103,10 +104,10 @@ class BlockReceiver:
     def straggler(self) -> int:
         """If the transfer ends now: the number of the segment that may be next in the sender's queue.
 
-        0: the queue is empty. Above MAX_BLOCK_SIZE: the sub-block is over, but the sender may have begun another.
+        Above MAX_BLOCK_SIZE: the sub-block is over, but the sender may have begun another.
         """
-        if self._state == _ENDING:
-            return 0
+        if self._state >= HELD and not self._paused_behind:
+            return self._due
         heard = max(self._received, self._heard) or self._paused_behind
         return heard + 1 if heard < self._block_size else MAX_BLOCK_SIZE + 1
 
@@ -121,7 +122,8 @@ class BlockReceiver:
                 self._party._ignore(frame, "second copy of the last frame")
             elif self._state == HELD and 0 < self._paused_behind < sequence <= self._block_size:
                 self._refuse_number(sequence, now)
-            elif self._state >= HELD and 0 < sequence < LEAST_INITIATE:
+            elif self._state >= HELD and is_next(command, self._due):
+                self._due = next_number(command)
                 self._party._ignore(frame, "segment out of its order")
             else:
                 self._on_other(command, data, frame, now)
@@ -242,12 +244,14 @@ class BlockReceiver:
         elif is_final:
             self._acknowledge()
             self._state = _ENDING
+            self._due = MAX_BLOCK_SIZE + 1
             party._arm(now + self._silence)
         elif self._stalls > MAX_STALLS:  # without this a transfer might never end
             party._fail(AbortCode.TIMED_OUT, AbortOrigin.LOCAL, now)
         elif self._is_stream and self._received:
             self._check(len(self._buffer))
             self._state = HELD
+            self._due = MAX_BLOCK_SIZE + 1
             party._arm(now + party.stream_timeout)
             piece, self._buffer, self._checked = bytes(self._buffer), bytearray(), 0
             offset, self.offset = self.offset, self.offset + len(piece)

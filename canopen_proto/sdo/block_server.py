@@ -97,6 +97,7 @@ class BlockServerDownload(BlockReceiver):
 
     def _complete(self, now: Time) -> None:
         server = self._server
+        server._transfer = None  # behind its end nothing is on the way
         answer = Frame(server._send_can_id, _END_RESPONSE_PAYLOAD, server._send_flags, 8)
         content = bytes(self._buffer)
         if self._is_stream:

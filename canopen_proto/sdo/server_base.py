@@ -12,7 +12,7 @@ from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Fram
 from canopen_proto.machine import NEVER, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import ObjectStore
-from canopen_proto.sdo.block import FINAL, LEAST_INITIATE, MAX_BLOCK_SIZE, MAX_BURST, SEQUENCE
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_next, next_number
 from canopen_proto.sdo.codec import ABORT, DOWNLOAD_SEGMENT_RESPONSE, INITIATE, TOGGLE
 from canopen_proto.sdo.events import ObjectAccessPending, SdoServerAborted
 
@@ -22,9 +22,6 @@ ACCESS_TIMEOUT: Final = 5 * SECOND
 """How long the host may take for an access: storing parameters in flash takes seconds."""
 MAX_DOWNLOAD: Final = 16 << 20
 """Largest value that is accepted: a firmware image fits, and a client gone mad does not fill the memory."""
-
-MOST_LOST: Final = 2
-"""Segments that may be missing among those of a block download that has ended: the one behind them is still known."""
 
 IDLE: Final = 0
 """The state in which no transfer is under way."""
@@ -216,9 +213,8 @@ class ServerBase(Machine):
         The sender may have all of it in a queue that stands still, so time tells nothing. Its order does: a request comes behind
         all segments. A request that looks like the next segment is lost, and heard when it comes again.
         """
-        sequence = command & SEQUENCE
-        if 0 < sequence < LEAST_INITIATE or self._straggler <= sequence <= self._straggler + MOST_LOST:
-            self._straggler = MAX_BLOCK_SIZE + 1 if command & FINAL else sequence + 1
+        if is_next(command, self._straggler):
+            self._straggler = next_number(command)
             self._ignore(frame, "segment of a block download that has ended")
             return True
         self._straggler = 0

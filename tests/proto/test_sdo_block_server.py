@@ -392,6 +392,28 @@ def test_a_piece_that_the_host_refuses_while_the_client_goes_on(is_full: bool) -
         assert bench.store.written == []
 
 
+@pytest.mark.parametrize("in_pieces", [True, False])
+@pytest.mark.parametrize("ends_by", ["abort", "host"])
+def test_a_client_that_is_a_sub_block_ahead_says_no_request(in_pieces: bool, ends_by: str) -> None:
+    """A silence, our repeated acknowledgement, and its queue goes on: it takes that for the acknowledgement of what is in it."""
+    bench, content = ServerBench(bytes(4)), bytes.fromhex("00 20 00 01 02 03 04") * MAX_BLOCK_SIZE
+    whole = segments(content, final=not in_pieces)
+    assert len(bench.tell("C4 01 20 00" if in_pieces else "C4 00 20 00", *whole)) == (1 if in_pieces else 2)
+    reports = bench.events()
+    said = bench.tell(*whole[:0x30])  # in the place of the end, or while the host has the piece
+    if ends_by == "abort":
+        bench.server.reset()
+    elif in_pieces:
+        assert isinstance(reports[0], ObjectAccessPending)
+        bench.server.complete(reports[0].access_id, AbortCode.HARDWARE_ERROR, bench.now)
+    else:
+        bench.wait()
+        bench.wait()
+    bench.said()
+    assert bench.tell(*whole[0x30:], *whole) == said == []
+    assert bench.store.written == []
+
+
 def test_a_client_that_goes_on_while_the_host_takes_a_piece_has_paused() -> None:
     bench, content = ServerBench(bytes(4)), bytes.fromhex("00 20 00 01 02 03 04") * MAX_BLOCK_SIZE
     bench.tell("C4 01 20 00", *segments(content, 0x22, final=False))
