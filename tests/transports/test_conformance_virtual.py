@@ -82,7 +82,7 @@ SITES = {
     "virtual": Site(at("virtual:kit"), openings("virtual:demo@500", "virtual:demo?fd=false"), virtual_time=True),
     "virtual in real time": Site(at("virtual:kit")),
     "physics": Site(at("virtual:kit?bitrate=1M&ack=false&queue_size=32"), PHYSICS, virtual_time=True, burst=1_000),
-    "physics with acknowledge": Site(at("virtual:kit@1M"), virtual_time=True),
+    "physics with acknowledge": Site(at("virtual:kit@1M"), virtual_time=True, burst=1_000),
     "physics in real time": Site(at("virtual:kit@1M"), burst=500),
     "recorded": Site(recorded, virtual_time=True),
     "replayed": Site(replayed, RECORDINGS, virtual_time=True),
