@@ -20,8 +20,10 @@ from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import SECOND
 
 LATER = 10**9 * SECOND
+SHORT = ("--seconds", "0.5", "--cycle", "20ms")
 TWO_JOINTS = ("--chains", str(Path(__file__).parents[1] / "data" / "two_joints.csv"))
 """Of `canopen demo`: where the six of its own say no more, in a third of the time."""
+TWO = (*SHORT, *TWO_JOINTS)
 
 
 class Outcome(NamedTuple):

@@ -27,11 +27,8 @@ from canopen_master.session import open_master
 from canopen_proto.cia402 import axis
 from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.cia402.states import State
-from tests.master.cli_support import TWO_JOINTS, Alarm, Run, runner, stands, watched_fleets
+from tests.master.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, runner, stands, watched_fleets
 from tests.master.test_cli_demo_eds import written
-
-SHORT = ("--seconds", "0.5", "--cycle", "20ms")
-TWO = (*SHORT, *TWO_JOINTS)
 
 
 @pytest.fixture

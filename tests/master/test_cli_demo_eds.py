@@ -16,9 +16,7 @@ from canopen_proto.dictionary.description import Commissioning, DeviceInfo, File
 from canopen_proto.dictionary.eds.writer import write_eds
 from canopen_proto.procedures.described_pdos import described_pdos
 from tests import vendor_files
-from tests.master.cli_support import Alarm, Run, runner, watched_fleets
-
-SHORT = ("--seconds", "0.5", "--cycle", "20ms")
+from tests.master.cli_support import SHORT, TWO, Alarm, Run, runner, watched_fleets
 
 
 @pytest.fixture
@@ -61,18 +59,18 @@ def test_drives_made_of_a_file_home_and_move(run: Run, tmp_path: Path, shape: Sh
 
 def test_a_dcf_says_which_pdos_and_defaults_leave_that_out(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
     path = written(tmp_path / "drive.dcf", values={0x1A0000: 2, 0x1A0002: 0x60640020})
-    assert run("demo", *SHORT, "--eds", path).status == 0
-    assert run("demo", *SHORT, "--eds", path, "--defaults").status == 0
+    assert run("demo", *TWO, "--eds", path).status == 0
+    assert run("demo", *TWO, "--eds", path, "--defaults").status == 0
     assert [tpdos(fleet) for fleet in fleets] == [{1: [0x6041, 0x6064]}, {1: [0x6041, 0x6077, 0x6064]}]
 
 
 def test_only_one_joint_of_a_file(run: Run, tmp_path: Path) -> None:
-    outcome = run("demo", *SHORT, "--eds", f"5={written(tmp_path / 'drive.dcf')}")
+    outcome = run("demo", *TWO, "--eds", f"4={written(tmp_path / 'drive.dcf')}")
     assert outcome.status == 0, outcome.err
 
 
 def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, tmp_path: Path) -> None:
-    outcome = run("demo", *SHORT, "--eds", written(tmp_path / "drive.dcf", values={0x160000: 1}))
+    outcome = run("demo", *TWO, "--eds", written(tmp_path / "drive.dcf", values={0x160000: 1}))
     assert outcome.status == 12
     assert "carries the set-points (0x60C1:01)" in outcome.err
 
@@ -99,7 +97,7 @@ def test_defaults_of_nothing(run: Run) -> None:
 )
 def test_the_schunk_arm(run: Run, fleets: list[Fleet], options: tuple[str, ...], carried: dict[int, list[int]]) -> None:
     path = vendor_files.path_of("schunk-powerball-lwa4p.dcf")
-    outcome = run("demo", *SHORT, "--eds", str(path), *options)
+    outcome = run("demo", *TWO, "--eds", str(path), *options)
     assert outcome.status == 0, outcome.err
     assert all("yes" in line for line in joints(outcome.out))
     seen = tpdos(fleets[0])
