@@ -5,8 +5,8 @@ us. It holds
 
 - `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
   by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read). What we
-  command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`. What was written by
-  bytes, past `write`, or was not confirmed, is not known there: `in_doubt` has it;
+  command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`. What else of
+  these the device may hold, `may_hold` tells: what was written by bytes, past `write`, and what was not confirmed;
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, and would undo what is written by SDO before it. So a
   `write` of an object in `commanded` (a controlword) first sends each of these that carries it once more, with the new value:
   whenever a SYNC comes then, it brings what was commanded last;
@@ -26,6 +26,7 @@ Directions have the device's point of view: an RPDO is sent by us, a TPDO is rec
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection
 from typing import Final
 
@@ -61,6 +62,7 @@ class RemoteNode(Group):
     __slots__ = (
         "_boot_listeners",
         "_commanded_at",
+        "_in_doubt",
         "_listeners",
         "_mpdo_listener",
         "_mpdo_rpdos",
@@ -73,7 +75,6 @@ class RemoteNode(Group):
         "heard_at",
         "heartbeat",
         "held",
-        "in_doubt",
         "last_sync",
         "nmt_state",
         "node_id",
@@ -111,7 +112,7 @@ class RemoteNode(Group):
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
         self.commanded: set[int] = set()
-        self.in_doubt: set[int] = set()
+        self._in_doubt: dict[int, set[Value | None]] = defaultdict(set)
         self.held = HeldRpdos()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
@@ -319,6 +320,11 @@ class RemoteNode(Group):
         self.held.sent_by_hand(producer)
         return producer.send(now)
 
+    def may_hold(self, mux: int) -> set[Value | None]:
+        """What the device may hold in an object of `commanded`, by what was commanded; None: something that is not known."""
+        image = {self.values.store[mux]} if mux in self.values.store else set()
+        return image | self._in_doubt.get(mux, set())
+
     def replace_held(self, mux: int, value: Value, now: Time) -> bool:
         """Command an object in each RPDO that carries it and that the device may hold for the next SYNC: it is sent once more.
 
@@ -420,7 +426,7 @@ class RemoteNode(Group):
 
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
         self.heard_at.clear()
-        self.in_doubt.clear()
+        self._in_doubt.clear()
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
@@ -463,13 +469,15 @@ class RemoteNode(Group):
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)
-        if written is None:
-            self.in_doubt.add(report.index << 8 | report.subindex)
-        else:
-            self.in_doubt.discard(written[0].mux)
-            self.values.store[written[0].mux] = written[1]
+        mux = report.index << 8 | report.subindex
+        self._in_doubt.pop(mux, None)
+        if written is not None:
+            self.values.store[mux] = written[1]
+        elif mux in self.commanded:
+            self._in_doubt[mux].add(None)
 
     def _on_aborted(self, report: SdoAborted, now: Time) -> None:
-        self._writes.pop(report.request_id, None)
-        if report.not_confirmed:
-            self.in_doubt.add(report.index << 8 | report.subindex)
+        written = self._writes.pop(report.request_id, None)
+        mux = report.index << 8 | report.subindex
+        if report.not_confirmed and mux in self.commanded:
+            self._in_doubt[mux].add(None if written is None else written[1])

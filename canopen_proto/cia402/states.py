@@ -139,6 +139,11 @@ COMMAND_BITS: Final = 0x8F
 """The bits of a controlword that carry the command."""
 
 
+def enables_operation(controlword: object) -> bool:
+    """Whether a controlword enables operation. One that is not known (None) may do so."""
+    return controlword is None or (isinstance(controlword, int) and controlword & COMMAND_BITS == Command.ENABLE_OPERATION)
+
+
 def _command_by_pattern(word: int) -> Command:
     return next(command for command, (mask, value) in COMMANDS.items() if word & mask == value)
 

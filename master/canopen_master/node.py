@@ -18,7 +18,7 @@ from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.subscription import Subscription
 from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
-from canopen_proto.cia402.states import COMMAND_BITS, Command
+from canopen_proto.cia402.states import Command, enables_operation
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
@@ -89,8 +89,7 @@ class Node:
     @property
     def was_enabled(self) -> bool:
         """Whether the last controlword that we know of, or that was written here, enables operation: a drive that may move."""
-        may_be = self._enabled_by_hand or CONTROLWORD in self.remote.in_doubt
-        return may_be or _enables(self.remote.values.store.get(CONTROLWORD))
+        return self._enabled_by_hand or any(map(enables_operation, self.remote.may_hold(CONTROLWORD)))
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for that long (seconds), from its first one on; 0 ends that."""
@@ -245,7 +244,7 @@ class Node:
         Of controlwords: see `enable_rpdo`.
         """
         variable, meant, _ = self.remote.encode(key, value)
-        if variable.mux == CONTROLWORD and _enables(meant):
+        if variable.mux == CONTROLWORD and enables_operation(meant):
             self._may_enable()
             self._enabled_by_hand = True
         is_sent = self.remote.send_mpdo(number, key, value, self.now())
@@ -354,13 +353,12 @@ class Node:
         if mux != CONTROLWORD:
             yield
             return
-        enables = _enables(value)
+        enables = enables_operation(value)
         if enables and not self.was_enabled:
             await self.hold()
         self._enabled_by_hand = self._enabled_by_hand or enables
         yield
         self._enabled_by_hand = enables
-        self.remote.in_doubt.discard(CONTROLWORD)
 
     def _may_enable(self) -> None:
         """What is sent next may enable the drive, and waits for nothing."""
@@ -408,7 +406,3 @@ class Node:
         cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
         known = missing_frame(self._bus.network, self.remote, self._master.now(), cause, (), pdo=False)
         raise NodeSilent(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
-
-
-def _enables(controlword: object) -> bool:
-    return isinstance(controlword, int) and controlword & COMMAND_BITS == Command.ENABLE_OPERATION

@@ -23,7 +23,7 @@ from canopen_proto.cia402.objects import (
     QUICK_STOP_DECELERATION,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.cia402.states import COMMAND_BITS, POWERED, Command, ControlBit, State, StatusBit, state_of
+from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
 from canopen_proto.procedures.drive.failures import name_of
@@ -104,7 +104,7 @@ def halt(axis: Axis) -> Procedure[None]:
 
 def _may_be_enabled(axis: Axis) -> bool:
     """Whether the last controlword enables operation, or may do so: one that was not confirmed may have arrived."""
-    return axis.controlword & COMMAND_BITS == Command.ENABLE_OPERATION or CONTROLWORD in axis.node.in_doubt
+    return any(map(enables_operation, axis.node.may_hold(CONTROLWORD)))
 
 
 def _late_state(axis: Axis) -> Procedure[State]:
