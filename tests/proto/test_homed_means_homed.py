@@ -26,6 +26,8 @@ MARGIN = 20 * MILLISECOND
 """What lies between a drive's answer and our hearing of it: frames, and the pause between two looks."""
 TRACK = Track(home_switch=(-2_000.0, 2_000.0), index_distance=1_500.0)
 METHODS = [19, 21, 33, 34, 35, 37]
+PAIRS = [(first, then) for first in METHODS for then in METHODS if not (first in (33, 34) and then in (19, 21))]
+"""Two homings in a row. Behind an index pulse the axis may stand beyond the home switch; 19 and 21 do not turn round there."""
 
 
 def ways_of_commands() -> st.SearchStrategy[Time | None]:
@@ -62,14 +64,14 @@ def home_and_judge(rig: Rig) -> None:
 @given(
     reaction=st.integers(0, (REACTION_TIME - MARGIN) // MILLISECOND).map(lambda ms: ms * MILLISECOND),
     cycle=ways_of_commands(),
-    methods=st.lists(st.sampled_from(METHODS), min_size=2, max_size=2),
+    pair=st.sampled_from(PAIRS),
 )
-@example(reaction=80 * MILLISECOND, cycle=MILLISECOND, methods=[33, 35])
-@example(reaction=900 * MILLISECOND, cycle=200 * MILLISECOND, methods=[33, 33])
+@example(reaction=80 * MILLISECOND, cycle=MILLISECOND, pair=(33, 35))
+@example(reaction=900 * MILLISECOND, cycle=200 * MILLISECOND, pair=(33, 33))
 @examples(8)
-def test_a_drive_is_homed_when_it_stands_at_its_new_reference(reaction: Time, cycle: Time | None, methods: list[int]) -> None:
+def test_a_drive_is_homed_when_it_stands_at_its_new_reference(reaction: Time, cycle: Time | None, pair: tuple[int, int]) -> None:
     rig = rig_of(Shape.STANDARD, reaction, cycle)
-    for method in methods:
+    for method in pair:
         rig.axis.settings = replace(rig.axis.settings, homing_method=method)
         home_and_judge(rig)
 
