@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.machine import SECOND
 from canopen_proto.procedures import drive
+from tests.examples import examples
 from tests.proto.rig import MILLIDEGREES, Rig
 
 LIMITS = replace(MILLIDEGREES, min_position=-0.2, max_position=0.5)
@@ -18,7 +19,7 @@ LIMITS = replace(MILLIDEGREES, min_position=-0.2, max_position=0.5)
 
 @given(direction=st.sampled_from([1, -1]), relative=st.booleans(), amount=st.floats(-1, 1))
 @example(direction=1, relative=False, amount=1.0)
-@settings(max_examples=8)
+@examples(8)
 def test_no_move_goes_beyond_the_limits_of_the_settings(direction: int, relative: bool, amount: float) -> None:
     """A move that would is refused, with nothing sent."""
     rig = Rig(Shape.STANDARD, pdos=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.cia402 import objects
@@ -18,6 +18,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFinished
+from tests.examples import examples
 from tests.proto.rig import CYCLE, Ended, Rig
 
 RAMP = 40_000
@@ -90,7 +91,7 @@ STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position}
 @pytest.mark.parametrize("doing", DOINGS)
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1000))
 @example(reaction=0, later=700)
-@settings(max_examples=2)
+@examples(2)
 def test_following_begins_with_a_drive_that_stands(doing: str, start: str, reaction: int, later: int) -> None:
     """Whatever the drive was doing, the start changes its velocity by no more than its ramps."""
     is_following = doing == "interpolation"  # set-points end with it: a late drive would stop dead at the last one
@@ -120,7 +121,7 @@ MOTIONS: dict[str, Callable[[Rig], object]] = {"velocity": run_velocity, "move":
 @given(reaction=st.integers(0, 900), later=st.integers(0, 900))
 @example(reaction=100, later=565)
 @example(reaction=900, later=100)
-@settings(max_examples=5)
+@examples(5)
 def test_a_halt_returns_with_a_drive_that_stands(motion: str, reaction: int, later: int) -> None:
     """Whenever it is given, and however late the drive acts on it."""
     rig = rig_of(reaction * MILLISECOND)
@@ -141,7 +142,7 @@ def test_a_halt_returns_with_a_drive_that_stands(motion: str, reaction: int, lat
 @example(reaction=500, later=1300, pdos=False)
 @example(reaction=500, later=1100, pdos=True)
 @example(reaction=50, later=101, pdos=False)
-@settings(max_examples=10)
+@examples(10)
 def test_a_halt_that_comes_while_a_drive_is_being_enabled_finds_it(reaction: int, later: int, pdos: bool) -> None:
     """It stands at the end, and goes on standing: no command that it got before the halt moves it."""
     rig = rig_of(reaction * MILLISECOND, pdos=pdos)
@@ -170,7 +171,7 @@ def halted_move(rig: Rig, later: int) -> float:
 @pytest.mark.parametrize("relative", [False, True])
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1500), target=st.floats(-0.5, 1.5))
 @example(reaction=0, later=700, target=0.0)
-@settings(max_examples=4)
+@examples(4)
 def test_a_move_after_a_cancelled_one_goes_straight_to_its_own_target(
     relative: bool, reaction: int, later: int, target: float
 ) -> None:
@@ -189,7 +190,7 @@ def test_a_move_after_a_cancelled_one_goes_straight_to_its_own_target(
 @pytest.mark.parametrize("mode", [Mode.PROFILE_VELOCITY, Mode.HOMING, Mode.INTERPOLATED_POSITION])
 @given(reaction=st.integers(0, 300), later=st.integers(0, 300))
 @example(reaction=200, later=10)
-@settings(max_examples=3)
+@examples(3)
 def test_a_halt_stays_in_force_while_the_mode_changes(mode: Mode, reaction: int, later: int) -> None:
     rig = rig_of(reaction * MILLISECOND)
     position = halted_move(rig, later)
