@@ -171,8 +171,8 @@ class Axis:
     """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing.
 
     settings: those in force; what the user left open is filled in once `is_identified`. grip: asked before the drive is enabled,
-    and once it is shut down. started_at: when a rising bit 4 of the controlword, which starts a
-    motion, was last brought to the drive; OBEYED once it has shown that it took it.
+    and once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which starts a motion; OBEYED
+    once the drive has shown that it took it.
     """
 
     __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state")

@@ -80,7 +80,7 @@ class LateOrEarly(Violation):
 
 
 class NotInTime(StepTimeout):
-    """What was waited for did not come. excuse: the lateness of our own, in ns, beyond which that says nothing of the device."""
+    """A frame or an answer did not come. excuse: the lateness of our own (ns) from which on that is not the device's fault."""
 
     def __init__(self, message: str, waited: Time) -> None:
         """waited: for how long, in ns."""
@@ -93,7 +93,7 @@ class NotApplicable(ProcedureError):
 
 
 class Notes:
-    """What a body has found so far. failures: each with the lateness of our own that excuses it, in ns; NEVER: it is certain."""
+    """The findings of a body so far. failures: each with the lateness of our own (ns) that excuses it; NEVER: it is certain."""
 
     __slots__ = ("failures", "remarks", "strict")
 
@@ -128,7 +128,7 @@ class Notes:
         return tuple(text for text, excuse in self.failures if lateness > excuse)
 
     def verdict(self, lateness: Time, seen: str = "") -> Verdict:
-        """What they come to. lateness: of our own process, in ns. seen: what the body returned."""
+        """The verdict of these findings. lateness: of our own process, in ns. seen: the result of the body."""
         certain = tuple(text for text, excuse in self.failures if lateness <= excuse)
         excused, remarks = self.excused(lateness), tuple(self.remarks)
         late = f"this computer was late by {lateness / MILLISECOND:.0f} ms, so that the timing cannot be judged"

@@ -1,8 +1,8 @@
 """Chapter 3 of the conformance test: PDO. What its parameters hold, and when TPDOs are sent (CiA 301 v4.2.0, 7.2.2, 7.5.2.37).
 
 The cases 3 to 8 set each TPDO up in one way and look at it in Operational; 9 to 14 do the same in Stopped and 15 to 20 in
-Pre-operational, where nothing may come. The state is commanded each time. Where SYNCs are
-counted, the device's own are silenced first. What is written to mappings is in pdo_mapping_cases.py.
+Pre-operational, where nothing may come. The state is commanded each time. Where SYNCs are counted, the device's own are silenced
+first. pdo_mapping_cases.py has the cases that write to mappings.
 """
 
 from __future__ import annotations

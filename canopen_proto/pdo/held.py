@@ -42,7 +42,7 @@ class HeldRpdos:
         self._by_hand.clear()
 
     def forget(self, number: int) -> None:
-        """RPDO `number` is exchanged no more, or becomes another."""
+        """RPDO `number` is no longer exchanged, or becomes another."""
         self._by_hand = {each for each in self._by_hand if each.number != number}
 
     def carrying(self, mux: int, rpdos: Iterable[PdoProducer]) -> list[PdoProducer]:

@@ -13,12 +13,11 @@ dictionary of the node says; each is read first, and read back after it was writ
 
 The master's heartbeat has to run before that (`OwnHeartbeat`): a drive watches from the first heartbeat that it hears.
 
-What was there before is kept in `Hold.before`; `release` writes it back, when the drive stands. `release` frees an entry that
-`take_hold` found as it would write it: a master that died has left it. A drive that boots has what it has at power-on, and is
-held no more. Its boot-up may be lost: so whoever enables a drive that is held takes hold of it again, which writes only what the
-drive has no longer.
+`Hold.before` keeps the old values. `release` writes them back, when the drive stands. It frees an entry that `take_hold` found
+as it would write it: a master that died has left it. A drive that boots has its values of power-on, and is no longer held. Its
+boot-up may be lost. So `take_hold` runs each time that the drive is enabled, and writes only what the drive has lost.
 
-Guarding that runs already is somebody else's: the drive is then told those times, and the guarding stays as it is.
+Guarding that runs already belongs to somebody else: the drive is told those times, and the guarding stays as it is.
 
 `Hold.gap` says why a drive will not stop by itself: it has none of these objects, or refuses what is written, or shows something
 else when it is read back. That is no failure here; `Grip.required` makes it one.

@@ -62,7 +62,7 @@ def _bring(axis: Axis, controlword: int) -> Procedure[None]:
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:
     """Put a controlword into each RPDO that the drive holds for a SYNC. A drive that holds none is not commanded.
 
-    For what is not commanded by `command`, or not before something else is known: whenever a SYNC comes, no older word acts.
+    It is for a drive that `command` does not command, or not yet. Whenever a SYNC comes, no older word acts.
     """
     yield from act(lambda now: axis.node.replace_held(CONTROLWORD, controlword, now))
 
