@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +29,15 @@ def test_the_number_is_that_of_the_test_or_of_the_profile() -> None:
     settings.load_profile("search")
     assert (examples(7).max_examples, examples(7).derandomize) == (2000, False)
     assert examples(7, steps=20).stateful_step_count == 20
+
+
+def test_so_it_is_on_a_build_server_too() -> None:
+    """There hypothesis has other defaults, which it chooses when it is imported."""
+    line = "from tests import conftest; from hypothesis import settings; print(settings.get_profile('search').derandomize)"
+    command = [sys.executable, "-c", line]
+    server = {**os.environ, "CI": "true"}
+    run = subprocess.run(command, env=server, cwd=Path(__file__).parents[1], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"
 
 
 def test_no_test_sets_another_number() -> None:
