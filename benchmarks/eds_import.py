@@ -20,8 +20,8 @@ from canopen import ObjectDictionary as TheirDictionary
 from canopen.objectdictionary import ODVariable, import_od
 from measure import Case
 
+from canopen_data.eds import read_eds
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.dictionary.eds import read_eds
 
 FOLDER = Path(os.environ.get("CANOPEN_VENDOR_EDS") or Path(__file__).parents[1] / ".." / "shared" / "eds")
 FILES = ("canopen-sample.eds", "inovance-e35.eds")

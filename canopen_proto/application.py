@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import Time
-from canopen_proto.sdo.abort import AbortCode
 
 
 class Application(Protocol):

@@ -31,6 +31,8 @@ from __future__ import annotations
 import datetime
 from typing import Final
 
+from canopen_data.device_notices import Notice, notices_of
+from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.application import Application
 from canopen_proto.communication_errors import (
     COMMUNICATION_ERROR_BIT,
@@ -41,7 +43,6 @@ from canopen_proto.communication_errors import (
 )
 from canopen_proto.communication_objects import COB_ID_TIME, ERROR_REGISTER, CommunicationObjects
 from canopen_proto.datatypes import Value
-from canopen_proto.device_notices import Notice, notices_of
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable, mux
 from canopen_proto.emcy import EmcySent
 from canopen_proto.frame import REMOTE, Frame
@@ -61,7 +62,6 @@ from canopen_proto.pdo.consumer import (
 from canopen_proto.pdo.multiplexed import MpdoNotProcessed, MpdoReceived
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.pdo.settings import place_of
-from canopen_proto.sdo.abort import AbortCode, text_of
 from canopen_proto.sdo.channels import SdoChannels
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, ObjectWritten, Pending, SdoServerAborted

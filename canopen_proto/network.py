@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from typing import Final, Protocol, TypeVar, runtime_checkable
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
 from canopen_proto.frame import Frame
 from canopen_proto.group import Members, Reaction
@@ -28,7 +29,6 @@ from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, O
 from canopen_proto.nmt import NmtCommand, NmtCommandSent
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 

@@ -34,9 +34,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, range_of
 from canopen_proto.dictionary import Values, Variable
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.channels import is_dynamic
 
 STORE: Final = 0x1010

@@ -30,6 +30,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
@@ -46,7 +47,6 @@ from canopen_proto.pdo.multiplexed import MpdoReceived, destination_frame, suits
 from canopen_proto.pdo.multiplexed_listener import MpdoListener
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import MAX_PDOS
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 
 FRESH: Final = 100 * MILLISECOND

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
+from canopen_data.csv import load_csv
+from canopen_data.eds import read_eds
+from canopen_data.eds.ini import MAX_FINDINGS
+from canopen_data.findings import DictionaryError
+from canopen_data.xdd import read_xdd
 from canopen_proto.dictionary import Values
-from canopen_proto.dictionary.csv import load_csv
-from canopen_proto.dictionary.eds import read_eds
-from canopen_proto.dictionary.eds.ini import MAX_FINDINGS
-from canopen_proto.dictionary.findings import DictionaryError
-from canopen_proto.dictionary.xdd import read_xdd
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, HeartbeatRecovered, NodeBooted
 from canopen_proto.machine import SECOND, LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
@@ -25,8 +25,8 @@ from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from fuzz.steps import decode
 from fuzz.two_ended import sdo_pair
+from tests.data.subjects import LocalSubject, RemoteSubject, held
 from tests.proto.devices import io_device
-from tests.proto.subjects import LocalSubject, RemoteSubject, held
 
 LARGEST_TRANSFER: Final = 64
 MOST_STEPS: Final = 2000

@@ -21,9 +21,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Outcome, Time
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.access import Pending
 from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, KIND, MAX_BLOCK_SIZE, SEGMENT_SIZE, SEQUENCE
 from canopen_proto.sdo.client import AUTO_BLOCK, Block, SdoAborted, SdoDownloaded, SdoStreamUploaded, SdoUploaded

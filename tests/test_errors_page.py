@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from canopen_cli.app import CLOSED_PIPE
+from canopen_cli.demonstration import MAX_LATE_SHARE
+from canopen_cli.problem import KINDS, ExitCode, problem_of
 from canopen_master import errors
-from canopen_master.cli.app import CLOSED_PIPE
-from canopen_master.cli.demonstration import MAX_LATE_SHARE
-from canopen_master.cli.problem import KINDS, ExitCode, problem_of
 from canopen_master.direct.connection import AlreadyConnected, NotConnected
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted
-from tests.master.test_cli_problem import test_each_error_has_its_status as table_of_errors
+from tests.cli.test_problem import test_each_error_has_its_status as table_of_errors
 
 PATH = Path(__file__).parent.parent / "docs" / "errors.md"
 PACKAGES = ("canopen_proto", "canopen_transports", "canopen_master", "canopen_data")

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import ALLOWED_VALUES
 from canopen_proto.cia402.drive_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
@@ -37,7 +38,6 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Event, Machine, Outbox, Time, event
-from canopen_proto.sdo.abort import AbortCode
 
 STEP: Final = 10 * MILLISECOND
 """How often a drive looks at itself while it moves: following error, switches, target window. Positions do not depend on it."""

@@ -23,7 +23,7 @@ reached at SYNC n + `lag`, whose PDO shows it. That pairing is right to some cyc
 buffer set-points. So what is compared with the limit is the distance from the position to the nearest set-point of UNCERTAIN
 cycles before or behind.
 
-What is in no PDO has to be read (`unsent`): `canopen_proto.procedures.following` does that, and finds the limit.
+What is in no PDO has to be read (`unsent`): `canopen_proto.procedures.drive.following` does that, and finds the limit.
 
     limit = yield from following_limit(axis, (yield from read_limits(axis)))
     yield from start_interpolation(axis, cycle_time)

@@ -7,7 +7,7 @@ A device is a drive when the lower half of its device type (1000h) is 402; where
 standard"), when it has a controlword and a statusword. Several axes stand 0x800 apart.
 
 Bits 10, 12 and 13 of the statusword mean something else in each mode and are left out but for bit 10; bits 8, 14 and 15 are the
-manufacturer's. A side file (dictionary/overlay.py) may name them. Where a dictionary names the same bit for several modes, as
+manufacturer's. A side file (canopen_data/overlay.py) may name them. Where a dictionary names the same bit for several modes, as
 constants.csv does, `names_in_mode` picks the names of the mode that is active.
 
 Source: IEC 61800-7-201 (CiA 402-2), controlword, statusword, modes of operation; CiA 301 v4.2.0, 7.5.2.1 (device type).

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
@@ -42,7 +43,6 @@ from canopen_proto.pdo.settings import (
     mapping_index,
     place_of,
 )
-from canopen_proto.sdo.abort import AbortCode
 
 INHIBIT_UNIT: Final = 100 * MICROSECOND
 SYNC_WINDOW: Final = 0x1007

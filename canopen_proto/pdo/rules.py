@@ -32,6 +32,7 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID
@@ -58,7 +59,6 @@ from canopen_proto.pdo.settings import (
     mapping_index,
     place_of,
 )
-from canopen_proto.sdo.abort import AbortCode
 
 RESTRICTED_CAN_IDS: Final = (
     range(0x080),  # NMT; reserved

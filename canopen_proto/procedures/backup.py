@@ -27,13 +27,13 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.machine import Event, event
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act, upload
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import Block
 
 MAX_SILENT: Final = 3

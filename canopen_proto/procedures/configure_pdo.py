@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.machine import LocalProtocolError
@@ -18,7 +19,6 @@ from canopen_proto.pdo.settings import PdoSettings, RemapStep, objects_to_read
 from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, act, download, upload
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortOrigin
 
 _FAILURES: Final = (SdoFailed, LocalProtocolError)
 """How a step can fail: the transfer, or before that the client whose queue is full."""

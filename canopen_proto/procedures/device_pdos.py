@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.machine import Time
@@ -21,7 +22,6 @@ from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, des
 from canopen_proto.procedures.objects import ABSENT, read_if_present
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortOrigin
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,12 +30,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.guarding import MAX_LIFE_TIME_FACTOR, GuardingAnswered
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time, check_node_id
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, act, download, upload
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortOrigin
 
 CONSUMER_HEARTBEAT: Final = 0x1016
 PRODUCER_HEARTBEAT: Final = 0x1017

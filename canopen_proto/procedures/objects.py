@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, Variable
 from canopen_proto.machine import Outcome
 from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoFailed
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)

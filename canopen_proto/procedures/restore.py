@@ -35,6 +35,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.download_order import download_order, switches_of
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
@@ -57,7 +58,6 @@ from canopen_proto.procedures.steps import (
     wait_for_event,
 )
 from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import Block
 
 STORE_TIMEOUT: Final = 10 * SECOND

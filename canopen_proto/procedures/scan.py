@@ -21,13 +21,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, text_for_people
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame
 from canopen_proto.group import Group
 from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id, event
 from canopen_proto.nmt import SERVICES, STATE_OF_BYTE, NmtState, Service
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act, all_of, sleep, upload
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import SdoClient
 
 ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)

@@ -20,8 +20,8 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, Final, Protocol, TypeAlias, TypeVar
 
+from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.events import SdoProgress
 from canopen_proto.sdo.request import Buffer

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final, Protocol
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.machine import Time
-from canopen_proto.sdo.abort import AbortCode
 
 
 class Pending:

@@ -51,9 +51,9 @@ from __future__ import annotations
 import struct
 from typing import Final, Protocol
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Outbox, Time
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.codec import (
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,

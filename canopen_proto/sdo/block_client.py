@@ -17,9 +17,9 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import (
     ACKNOWLEDGEMENT,
     BLOCK_SIZE_BIT,

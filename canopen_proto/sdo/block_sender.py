@@ -15,9 +15,9 @@ from __future__ import annotations
 from binascii import crc_hqx
 from typing import Final
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import (
     ACKNOWLEDGEMENT,
     END,

@@ -44,9 +44,9 @@ from __future__ import annotations
 
 from typing import Final, Literal, TypeAlias
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, LocalProtocolError, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT, silence_limit
 from canopen_proto.sdo.block_client import (
     BlockDownload,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from canopen_proto.abort import AbortOrigin, text_of
 from canopen_proto.machine import Event, Outcome, Time, event
-from canopen_proto.sdo.abort import AbortOrigin, text_of
 
 # ---- a client ----
 

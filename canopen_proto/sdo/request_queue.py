@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.machine import (
     MILLISECOND,
@@ -25,7 +26,6 @@ from canopen_proto.machine import (
     Time,
     check_node_id,
 )
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.codec import ABORT, INITIATE, INITIATE_DOWNLOAD_RESPONSE, INITIATE_UPLOAD_RESPONSE
 from canopen_proto.sdo.events import SdoAborted
 from canopen_proto.sdo.request import Request

@@ -36,9 +36,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, TypeAlias
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, Outbox, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, SUB_BLOCK_SIZE, is_initiate
 from canopen_proto.sdo.block_server import (

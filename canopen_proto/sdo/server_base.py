@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.machine import NEVER, SECOND, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.access import ObjectStore
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_next, next_number
 from canopen_proto.sdo.codec import ABORT, DOWNLOAD_SEGMENT_RESPONSE, INITIATE, TOGGLE

@@ -12,11 +12,11 @@ either what the next one needs or an abort code.
 
 from __future__ import annotations
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import Time
-from canopen_proto.sdo.abort import AbortCode
 
 
 class ValuesStore:

@@ -18,8 +18,8 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Final
 
-from canopen_proto.dictionary.csv import load_csv
-from canopen_proto.dictionary.findings import DictionaryError, Finding, Severity
+from canopen_data.csv import load_csv
+from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_proto.dictionary.model import ObjectDictionary
 
 __all__ = [

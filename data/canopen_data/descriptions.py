@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Final
 
 from canopen_data import DataError, content_of, expanded, load_dictionary
+from canopen_data.description import DeviceDescription
+from canopen_data.reading import read_description
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.dictionary.model import ObjectDictionary
-from canopen_proto.dictionary.reading import read_description
 
 __all__ = ["load_description", "load_description_with_names", "read_file", "samples", "with_names"]
 

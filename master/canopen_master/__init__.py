@@ -9,10 +9,6 @@ For scripts without async there is `canopen_master.direct`, the manual's blockin
 """
 
 from canopen_master.bus import BusChanged, FramesLost, FramesNotSent
-from canopen_master.chain import Chain, ChainSettings, ChainState
-from canopen_master.chain_file import ChainDescription, JointDescription, parse_chains, read_chains
-from canopen_master.cycles import Cycle, Cycles
-from canopen_master.device import Device
 from canopen_master.errors import (
     BusError,
     ChainError,
@@ -35,6 +31,10 @@ from canopen_master.errors import (
 )
 from canopen_master.grip import NodeIdTaken, NotHeld
 from canopen_master.master import Master
+from canopen_master.motion.chain import Chain, ChainSettings, ChainState
+from canopen_master.motion.chain_file import ChainDescription, JointDescription, parse_chains, read_chains
+from canopen_master.motion.cycles import Cycle, Cycles
+from canopen_master.motion.device import Device
 from canopen_master.node import Node
 from canopen_master.node_pdos import PdoDiffers
 from canopen_master.session import MasterSession, open_master

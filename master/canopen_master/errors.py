@@ -15,13 +15,13 @@ from collections.abc import Iterable
 from typing import Final
 
 from canopen_master.silence import sdo_silence
+from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import NOT_CONFIRMED
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.sdo.client import SdoAborted
 from canopen_transports import TransportError
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from canopen_master.device import Device
-from canopen_master.joint_procedures import awake, stop
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import awake, stop
 from canopen_master.node import Node
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of

@@ -44,6 +44,7 @@ from typing import Any, Final, NoReturn, Protocol
 
 import trio
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, NotInDictionary, ObjectDictionary
 from canopen_proto.error_codes import register_bits_of
@@ -52,7 +53,6 @@ from canopen_proto.machine import SECOND, Event, LocalProtocolError, Time
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.multiplexed import MpdoReceived
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
 
 PERIOD: Final = 0.01

@@ -27,13 +27,13 @@ from trio.lowlevel import enable_ki_protection
 from canopen_data import load_dictionary
 from canopen_data.descriptions import load_description_with_names
 from canopen_master.bus import Bus
-from canopen_master.chain import Chain, ChainSettings
-from canopen_master.chain_file import ChainDescription, on_buses, parse_chains, read_chains
-from canopen_master.device import Device
 from canopen_master.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, UnknownChain
 from canopen_master.grip import Grips, NodeGrip
 from canopen_master.halting import Halt, halts_needed
+from canopen_master.motion.chain import Chain, ChainSettings
+from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
+from canopen_master.motion.device import Device
 from canopen_master.node import Node
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest

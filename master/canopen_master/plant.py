@@ -9,7 +9,7 @@
     profile = "402"                 # a simulated drive behind it; "none": plain memory; by default what its device type says
     shape = "standard"              # of that drive, or "schunk"
     script = "animate.py"           # see hooks.py
-    overlay = "units.toml"          # or several: units, names; see dictionary/overlay.py
+    overlay = "units.toml"          # or several: units, names; see canopen_data/overlay.py
     defaults = true                 # not what a DCF has configured, but the defaults of its EDS
 
     [device.values]                 # what objects hold at power-on
@@ -26,9 +26,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from canopen_proto.dictionary.findings import DictionaryError, Finding, Severity
+from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_data.overlay import parse_toml
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.dictionary.overlay import parse_toml
 from canopen_proto.frame import MAX_NODE_ID
 
 MAX_DEVICES: Final = MAX_NODE_ID

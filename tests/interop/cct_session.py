@@ -20,10 +20,10 @@ from typing import Final, NamedTuple
 
 import pytest
 
+from canopen_data.description import DeviceDescription
+from canopen_data.reading import read_description
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.dictionary.description import DeviceDescription
-from canopen_proto.dictionary.reading import read_description
 from canopen_proto.frame import EMCY, ERROR_CONTROL, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, Time

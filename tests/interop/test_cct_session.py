@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections import Counter
 
-from canopen_proto.conformance.case import Result
-from canopen_proto.conformance.catalogue import run_all
+from canopen_check.case import Result
+from canopen_check.catalogue import run_all
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox
+from tests.check.certified_nodes import certified
+from tests.check.conformance_rig import Fault, Site
 from tests.interop.cct_session import Difference, Replay, load_device, load_session, unexplained, with_application
-from tests.proto.certified_nodes import certified
-from tests.proto.conformance_rig import Fault, Site
 
 REGISTER = "0x1001 has the bits of the error as long as it lasts (7.5.2.2); the recorded device clears them at once"
 SYNC_TIME_OUT = "the recorded device tells of a SYNC that does not come (0x8100); no clause asks for that"

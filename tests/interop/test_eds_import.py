@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import pytest
 from canopen.objectdictionary import ODArray, ODVariable, import_od
 
+from canopen_data.description import DeviceDescription
+from canopen_data.eds import read_eds
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Variable
-from canopen_proto.dictionary.description import DeviceDescription
-from canopen_proto.dictionary.eds import read_eds
 from tests.vendor_files import INI_NAMES, load
 
 

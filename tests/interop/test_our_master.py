@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import canopen
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.emcy import EmcyReceived
@@ -18,7 +19,6 @@ from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.configure_pdo import configure_pdo, define_pdo, use_device_pdo
 from canopen_proto.procedures.objects import read, read_if_present, write
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived
 from tests.interop.driver import Driver

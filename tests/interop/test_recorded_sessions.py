@@ -16,6 +16,7 @@ import inspect
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import EMCY, ERROR_CONTROL, NMT, RPDO1, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, TPDO1, TPDO2
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, HeartbeatRecovered, NmtStateReported, NodeBooted
@@ -23,7 +24,6 @@ from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.nmt import NmtCommand, NmtState, NmtStateChanged
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.time_stamp import TimeReceived
 from tests.interop.demo_device import NUMBERS, OUTPUTS, TEXT, demo_device

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox, Time
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoUploaded
 from canopen_proto.sdo.server import SdoServer
 from tests.interop.pcap import TSHARK, Packet, Reading, Session, Sessions, check_whole

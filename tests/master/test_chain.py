@@ -14,7 +14,7 @@ from canopen_master import (
     open_master,
     standard_drives,
 )
-from canopen_master.cycles import SetPoints
+from canopen_master.motion.cycles import SetPoints
 from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, AxisSettings, HomingStyle
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import LocalProtocolError

@@ -7,10 +7,10 @@ import logging
 import pytest
 import trio
 
+from canopen_data.configured import configure
 from canopen_data.descriptions import load_description_with_names
 from canopen_master import DeviceModel, PdoDiffers, open_master
 from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.dictionary.configured import configure
 from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_data.findings import DictionaryError
 from canopen_master.plant import DeviceEntry, parse_plant
-from canopen_proto.dictionary.findings import DictionaryError
 
 TEXT = """
 bus = "udp_multicast"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from binascii import crc_hqx
 from typing import Any
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Event, Outbox, Time
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoClient
 from canopen_proto.sdo.server import SdoServer, SdoServerAborted
 from tests.proto.block_pair import Store

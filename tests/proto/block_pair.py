@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND, NEVER, Event, Outbox, Outcome, Time
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.access import PENDING, Pending
 from canopen_proto.sdo.block import SUB_BLOCK_SIZE
 from canopen_proto.sdo.client import SdoChunk, SdoClient, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded

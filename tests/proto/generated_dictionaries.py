@@ -9,10 +9,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from canopen_proto.datatypes import EPOCH, DataType, Value, bit_length_of, is_number, range_of
-from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
-from canopen_proto.dictionary.describing import describe
-from canopen_proto.dictionary.description import (
+from canopen_data.describing import describe
+from canopen_data.description import (
     BIT_RATES,
     Commissioning,
     DeviceDescription,
@@ -22,6 +20,8 @@ from canopen_proto.dictionary.description import (
     FileKind,
     Module,
 )
+from canopen_proto.datatypes import EPOCH, DataType, Value, bit_length_of, is_number, range_of
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 
 CHARACTERS = st.sampled_from("abcXYZ019 ;=[]#%$\"'\\/:,.()+-_~|&<>{}@^°µ²äß")
 """What stands in names, and what a careless reader trips over."""

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
@@ -17,7 +18,6 @@ from canopen_proto.procedures.restore import Restoration, plan_restore, restore
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.events import ObjectAccessPending
 from canopen_proto.sdo.server import PENDING, Pending
 from tests.proto.bus import Bus, Fate

@@ -10,12 +10,12 @@ import random
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Variable
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.network import Network
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TABLE, whole_device
 

@@ -13,8 +13,8 @@ from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, SECOND
+from tests.data.subjects import DriveSubject, LocalSubject, RemoteSubject, Subject, held
 from tests.examples import examples
-from tests.proto.subjects import DriveSubject, LocalSubject, RemoteSubject, Subject, held
 
 YEAR = 365 * 24 * 3600 * SECOND
 

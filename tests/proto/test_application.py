@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Machine, Outbox, Time
-from canopen_proto.sdo.abort import AbortCode
 from tests.proto.device_bench import (
     PRE_OPERATIONAL,
     RESET_COMMUNICATION,

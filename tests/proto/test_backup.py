@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.frame import Frame
@@ -11,7 +12,6 @@ from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.backup import MAX_SILENT, Backup, ObjectRead, ReadResult, back_up, same_value
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.procedures.walk import MAX_OBJECTS, WalkProgress, back_up_by_names, walk
-from canopen_proto.sdo.abort import AbortCode
 from tests.proto.devices import TEXT
 from tests.proto.restore_bench import FACTORY, GAIN, HIDDEN, IMAGE, SECRET, Bench, device
 

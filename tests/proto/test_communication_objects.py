@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.sdo.abort import AbortCode
 from tests.proto.device_bench import PRE_OPERATIONAL, RESET_COMMUNICATION, START, STOP, DeviceBench
 from tests.proto.devices import io_device
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.frame import COB_ID_INVALID
@@ -20,7 +21,6 @@ from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import PENDING, Pending
 from tests.proto.bus import Bus
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, io_device

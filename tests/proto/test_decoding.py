@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType
-from canopen_proto.decoding import Decoder
 from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.dictionary.objects import Object, ObjectType
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
-from canopen_proto.sdo.overheard import MAX_KEPT, OverheardChannel, bytes_text
+from canopen_proto.observer.decoding import Decoder
+from canopen_proto.observer.sdo import MAX_KEPT, OverheardChannel, bytes_text
 from tests.examples import examples
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.emcy import EmcyReceived, EmcySent
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.nmt import NmtState, NmtStateChanged
-from canopen_proto.sdo.abort import AbortCode
 from tests.proto.device_bench import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP, DeviceBench
 from tests.proto.devices import io_device
 

@@ -27,7 +27,7 @@ from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures import drive
-from canopen_proto.procedures.following import READ_INTERVAL, following_limit, read_unsent
+from canopen_proto.procedures.drive.following import READ_INTERVAL, following_limit, read_unsent
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore

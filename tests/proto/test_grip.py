@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_data.descriptions import load_description
+from canopen_data.drive_from_file import drive_dictionary_of
+from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_from_file import drive_dictionary_of
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
@@ -25,7 +26,6 @@ from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip, Hold, NotHeldError
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import Pending
 from tests.examples import examples
 from tests.proto.bus import Bus

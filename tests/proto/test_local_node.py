@@ -6,6 +6,7 @@ import dataclasses
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
@@ -14,7 +15,6 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, LocalProtocolError, Outbox
 from canopen_proto.network import Network
 from canopen_proto.nmt import SERVICES, NmtCommand, NmtState, NmtStateChanged, Service
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import SdoServerAborted
 from tests.proto.device_bench import (
     PRE_OPERATIONAL,

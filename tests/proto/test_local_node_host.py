@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten
 from tests.proto.device_bench import RESET_NODE, DeviceBench
 from tests.proto.devices import TEXT, io_device

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError
 from canopen_proto.pdo import MpdoMode, MpdoNotProcessed, MpdoReceived, PdoLengthError, PdoNotSent
-from canopen_proto.sdo.abort import AbortCode
 from tests.proto.device_bench import PRE_OPERATIONAL, RESET_COMMUNICATION, START, SYNC, DeviceBench
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, io_device
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import NotInDictionary, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
@@ -12,7 +13,6 @@ from canopen_proto.procedures.objects import UnexpectedLength, read, read_if_pre
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from tests.proto.devices import LIMITED, OUTPUT, Pair, io_device
 
 

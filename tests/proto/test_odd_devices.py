@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_data.device_notices import MAX_NOTICES
+from canopen_data.eds.reader import read_eds
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, encode, is_integer, range_of
-from canopen_proto.device_notices import MAX_NOTICES
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
-from canopen_proto.dictionary.eds.reader import read_eds
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Outbox
 from canopen_proto.nmt import NmtState
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending
 from tests.examples import examples
 from tests.proto.device_bench import RESET_NODE, START, SYNC, DeviceBench

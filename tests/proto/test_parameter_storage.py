@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object, standard_variable
 from canopen_proto.parameter_storage import ParameterStorage
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten
 from tests.proto.device_bench import RESET_COMMUNICATION, RESET_NODE, START, STOP, DeviceBench
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device

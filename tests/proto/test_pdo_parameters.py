@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Machine, Outbox
@@ -17,7 +18,6 @@ from canopen_proto.pdo import (
 )
 from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
 from canopen_proto.pdo.settings import communication_index
-from canopen_proto.sdo.abort import AbortCode
 from tests.proto.pdo_device import NODE_ID, OFF, Device, communication, dictionary, mapping
 
 RPDO, TPDO = Direction.RPDO, Direction.TPDO

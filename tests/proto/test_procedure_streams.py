@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Cancelled, Procedure, Request, SdoFailed, download, upload
 from canopen_proto.procedures.streams import download_stream, upload_stream
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.events import SdoAborted

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionary, ObjectDictionary, PdoDescription
 from canopen_proto.emcy import EmcyReceived
@@ -19,7 +20,6 @@ from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoNotSent
 from canopen_proto.remote_node import FRESH, NMT_REACTION_TIME, RemoteNode
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import KEY_EXTENDED
 from canopen_proto.heartbeat import NodeBooted
@@ -13,7 +14,6 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster
 from canopen_proto.pdo import MpdoReceived, PdoLengthError
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.proto.bus import Bus
 from tests.proto.devices import INPUT, OUTPUT

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
@@ -20,7 +21,6 @@ from canopen_proto.procedures.restore import (
     restore,
 )
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.sdo.abort import AbortCode
 from tests.examples import examples
 from tests.proto.bus import CAN_FATES
 from tests.proto.devices import LIMITED, TEXT

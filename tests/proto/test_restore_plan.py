@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectNotFound
 from canopen_proto.frame import COB_ID_INVALID, Frame
 from canopen_proto.machine import LocalProtocolError, Time
@@ -15,7 +16,6 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.backup import back_up
 from canopen_proto.procedures.restore import plan_restore
 from canopen_proto.procedures.steps import SdoFailed
-from canopen_proto.sdo.abort import AbortCode
 from tests.examples import examples
 from tests.proto.devices import LIMITED, OUTPUT
 from tests.proto.restore_bench import CHANGES, FACTORY, GAIN, HIDDEN, SECRET, Bench, changed, device, nmt_commands

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, FrameIgnored, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import LEAST_SILENCE
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.proto.block_bench import ClientBench, crc_bytes, frames, segments

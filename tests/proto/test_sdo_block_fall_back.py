@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.proto.block_bench import ClientBench, frames
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, FrameIgnored
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.block import COPY_TIME, LEAST_SILENCE, MAX_BLOCK_SIZE
 from canopen_proto.sdo.server import ObjectAccessPending, ObjectWritten, SdoServerAborted
 from tests.proto.block_bench import ServerBench, crc_bytes, frames, segments

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ACCESS_TIMEOUT, ObjectAccessPending, ObjectWritten, SdoServerAborted
 from tests.proto.block_bench import ServerBench, crc_bytes, frames, segments
 from tests.proto.block_pair import pattern

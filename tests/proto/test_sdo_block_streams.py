@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.block import MAX_BURST, STREAM_TIMEOUT, least_frames
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
@@ -12,7 +13,6 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import upload
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.events import ObjectAccessPending, ObjectWritten, SdoServerAborted
 from tests.proto.bus import Bus

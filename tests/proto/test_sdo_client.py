@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import EXTENDED, KEY_EXTENDED, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError, Outbox, Time
 from canopen_proto.network import Network
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import TIMEOUT, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from tests.proto.bus import take_events, take_frames
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import TIMEOUT, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from tests.proto.bus import Bus, take_events
 from tests.proto.test_sdo_client import Bench

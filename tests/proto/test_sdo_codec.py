@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.sdo.abort import AbortCode, text_of
+from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.sdo.codec import EXPEDITED_BITS, LEAST_REQUEST, LEAST_RESPONSE, complete, segment
 
 TABLE_22 = """

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, Outbox, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import LATE_GUARD, TIMEOUT, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.request_queue import MAX_OVERDUE
 from tests.proto.bus import take_events

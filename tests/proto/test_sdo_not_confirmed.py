@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.machine import NEVER
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted
 from tests.proto.block_bench import ClientBench
 from tests.proto.block_pair import BlockPair, pattern

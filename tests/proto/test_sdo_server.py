@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.values import Values
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, FrameIgnored, Outbox, Time
 from canopen_proto.network import Network
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import (
     PENDING,
     TIMEOUT,

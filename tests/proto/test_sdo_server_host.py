@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.machine import NEVER, FrameIgnored, LocalProtocolError
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import ACCESS_TIMEOUT, TIMEOUT, ObjectAccessPending, ObjectWritten, SdoServerAborted
 from tests.proto.test_sdo_server import Bench, response
 

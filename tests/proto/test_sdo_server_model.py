@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, SECOND, Event, FrameIgnored, Outbox, Time
-from canopen_proto.sdo.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.server import (
     ACCESS_TIMEOUT,
     PENDING,

@@ -9,8 +9,8 @@ from itertools import product
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND, Outcome, Time
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from tests.proto.block_pair import INDEX, BlockPair, pattern
 from tests.proto.bus import Bus, Fate

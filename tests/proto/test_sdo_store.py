@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.values import Values
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.server import ObjectStore
 from canopen_proto.sdo.store import ValuesStore
 

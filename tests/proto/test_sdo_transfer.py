@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, FrameIgnored, Outbox, Outcome, Time
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending, SdoServer
 from tests.examples import examples

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import EXTENDED, KEY_EXTENDED, Frame
 from canopen_proto.machine import FrameIgnored, LocalProtocolError, Outbox
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer, TimeReceived, TimeSent
 from tests.proto.bus import Bus, take_events, take_frames
 from tests.proto.device_bench import PRE_OPERATIONAL, RESET_COMMUNICATION, START, STOP, DeviceBench

@@ -9,18 +9,18 @@ from functools import cache
 
 import pytest
 
+from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
-from canopen_proto.cia402.drive_from_file import drive_dictionary_of, drive_obstacle
+from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
+from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.names import is_drive
 from canopen_proto.cia402.servo import DriveSettings, Shape
-from canopen_proto.dictionary.description import DeviceDescription
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.sdo.abort import AbortCode
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoUploaded
 from tests.vendor_files import ALL_NAMES, path_of
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_proto.conformance.case import Result
+from canopen_check.case import Result
 from canopen_proto.frame import Frame
 from canopen_transports import Transport, TransportError
 from canopen_transports.conformance import CASES, Bus, Case, NotApplicable, Site, Violation, run_all

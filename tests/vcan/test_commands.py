@@ -15,7 +15,7 @@ from tests.vcan.support import needs_vcan, raw_socket
 
 pytestmark = needs_vcan
 
-CANOPEN = [sys.executable, "-c", "import sys; from canopen_data.entry import main; sys.exit(main())"]
+CANOPEN = [sys.executable, "-c", "import sys; from canopen_cli.entry import main; sys.exit(main())"]
 LIMIT = 90.0
 
 
@@ -81,5 +81,5 @@ def test_a_command_that_finds_nobody_says_so_and_fails(drives: None) -> None:
 )
 def test_the_manuals_demos(drives: None, demo: str, line: str) -> None:
     name, *arguments = demo.split()
-    said = run(sys.executable, "-m", f"canopen_master.demos.{name}", *arguments, "--bus", "socketcan:vcan0")
+    said = run(sys.executable, "-m", f"canopen_cli.demos.{name}", *arguments, "--bus", "socketcan:vcan0")
     assert line in said

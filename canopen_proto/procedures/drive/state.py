@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
@@ -16,7 +17,6 @@ from canopen_proto.procedures.drive.halting import halt
 from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, current_time
-from canopen_proto.sdo.abort import AbortOrigin
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; all others: 0."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final, Generic, TypeVar
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
@@ -26,7 +27,6 @@ from canopen_proto.procedures.drive.failures import fault_of, is_loss_of, mode_l
 from canopen_proto.procedures.objects import read_int, value_of
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, StepTimeout, Wait, current_time
 from canopen_proto.remote_node import FRESH
-from canopen_proto.sdo.abort import AbortOrigin
 from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
 T = TypeVar("T")

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from typing import TypeVar
 
-from canopen_master.chain import Chain, ChainState
-from canopen_master.chain_file import ChainDescription
-from canopen_master.cycles import Cycle, Cycles
 from canopen_master.direct.connection import Connection
 from canopen_master.master import Master
+from canopen_master.motion.chain import Chain, ChainState
+from canopen_master.motion.chain_file import ChainDescription
+from canopen_master.motion.cycles import Cycle, Cycles
 from canopen_proto.machine import LocalProtocolError
 
 R = TypeVar("R")

@@ -15,6 +15,7 @@ from typing import Final, TypeVar
 import trio
 
 from canopen_data import DataError, load_dictionary
+from canopen_data.findings import DictionaryError
 from canopen_master.direct.background import Background
 from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
@@ -22,7 +23,6 @@ from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.dictionary.findings import DictionaryError
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import TransportError, open_transport

@@ -25,11 +25,11 @@ from typing import Final, TypeVar
 
 import trio
 
-from canopen_master.device import Device
 from canopen_master.errors import NOT_HEARD, NodeSilent
-from canopen_master.joint_procedures import awake, follow, quietly, stop
 from canopen_master.master import Master
-from canopen_master.set_point_check import check_limits
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
+from canopen_master.motion.set_point_check import check_limits
 from canopen_master.silence import missing_frame
 from canopen_proto.cia402.axis import AxisSettings
 from canopen_proto.cia402.following import FollowingLost
@@ -44,9 +44,9 @@ from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
-from canopen_proto.procedures.following import read_unsent
-from canopen_proto.procedures.identity import identify
-from canopen_proto.procedures.limits import read_limits
+from canopen_proto.procedures.drive.following import read_unsent
+from canopen_proto.procedures.drive.identity import identify
+from canopen_proto.procedures.drive.limits import read_limits
 from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 from canopen_proto.sync import SyncReceived, SyncSent

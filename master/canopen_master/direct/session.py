@@ -30,13 +30,13 @@ from typing import Final, TypeVar
 
 import trio
 
-from canopen_master.chain import ChainSettings
-from canopen_master.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import COUNTS, DirectDrive
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.motion.chain import ChainSettings
+from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary

@@ -1,6 +1,0 @@
-"""EDS and DCF: the files of CiA 306 that describe a type of device, and one device."""
-
-from canopen_proto.dictionary.eds.ini import MAX_FILE_SIZE, EdsDocument
-from canopen_proto.dictionary.eds.reader import read_eds
-
-__all__ = ["MAX_FILE_SIZE", "EdsDocument", "read_eds"]

@@ -1,6 +1,0 @@
-"""XDD and XDC: device descriptions in XML (CiA 311)."""
-
-from canopen_proto.dictionary.xdd.document import XddDocument
-from canopen_proto.dictionary.xdd.reader import read_xdd
-
-__all__ = ["XddDocument", "read_xdd"]

@@ -1,0 +1,106 @@
+"""A backup as a DCF.
+
+Theory of operation
+-------------------
+The file holds what was read, and nothing else: an object without a value in the backup has none in the file, even if the
+description (an old backup, say) configures one. Its section says why (`_NotRead`, see `Variable.not_read`).
+
+Whether the file says the same as the device is not believed but looked up: the finished bytes are read as `restore` will read
+them, and each value is compared with the bytes that the device sent. What differs is in `BackupFile.lost`. That happens with
+bytes that no value of the object's type stands for (a BOOLEAN of 0xFF, a REAL32 that is a signalling NaN), and with files beyond
+the size that is read.
+
+Source: CiA 306-1 v1.4.0, 5 (device configuration file).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from canopen_data.configured import with_configured
+from canopen_data.describing import describe
+from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_data.eds.reader import read_eds
+from canopen_data.eds.writer import encode_eds, write_eds
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary.download_order import settings_of
+from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
+from canopen_proto.procedures.backup import Backup, Reading, ReadResult
+
+
+@dataclass(frozen=True, slots=True)
+class BackupFile:
+    """data: the bytes of the file. lost: what was read, but stands in the file as another value, or not at all."""
+
+    data: bytes
+    lost: tuple[Reading, ...]
+
+
+def backup_file(
+    backup: Backup, description: DeviceDescription | None, file_info: FileInfo | None = None, bit_rate: int | None = None
+) -> BackupFile:
+    """Make a DCF of a backup.
+
+    description: of the device's own file; None: there is none, and the objects are those that the device has shown. file_info: of
+    the new file; None: that of the description. bit_rate: kbit/s, where it is known.
+    """
+    whole = describe(_shown(backup)) if description is None else description
+    commissioning = whole.commissioning or Commissioning()
+    if commissioning.node_id != backup.node_id:
+        commissioning = Commissioning(node_id=backup.node_id)
+    if bit_rate is not None:
+        commissioning = replace(commissioning, bit_rate=bit_rate)
+    bare = replace(whole, dictionary=_without_others(whole.dictionary, backup))
+    configured = with_configured(bare, backup.values, commissioning, file_info=file_info or whole.file_info)
+    text = write_eds(configured, FileKind.DCF)
+    file = _encoded(backup, text, whole.encoding)
+    return _encoded(backup, text, "utf-8") if file.lost else file  # the description's encoding may be one that nobody guesses
+
+
+def _encoded(backup: Backup, text: str, encoding: str) -> BackupFile:
+    data = encode_eds(text, encoding)
+    return BackupFile(data, _lost(backup, data))
+
+
+def _shown(backup: Backup) -> ObjectDictionary:
+    """What the device has shown that it has: the data files describe more than one device has."""
+    by_index: dict[int, dict[int, Variable]] = {}
+    for each in backup.readings:
+        if each.data is not None or each.result.is_missing:
+            by_index.setdefault(each.variable.index, {})[each.variable.subindex] = each.variable
+    objects = backup.dictionary.objects
+    return ObjectDictionary(replace(objects[index], variables=variables) for index, variables in by_index.items())
+
+
+def _without_others(dictionary: ObjectDictionary, backup: Backup) -> ObjectDictionary:
+    """The dictionary without configured values of objects that the backup does not have, and with the reason for each."""
+    results = {each.variable.mux: each.result for each in backup.readings}
+
+    def renewed(each: Object) -> Object:
+        variables = {
+            variable.subindex: replace(
+                variable, configured=None, configured_adds_node_id=False, not_read=str(results.get(variable.mux, "not asked for"))
+            )
+            if results.get(variable.mux) is not ReadResult.READ
+            else variable
+            for variable in each.variables.values()
+        }
+        return replace(each, variables=MappingProxyType(variables))
+
+    return dictionary.with_objects(map(renewed, dictionary.objects.values()))
+
+
+def _lost(backup: Backup, data: bytes) -> tuple[Reading, ...]:
+    dictionary = read_eds(data).dictionary
+    held = settings_of(dictionary, backup.node_id)
+    read = (each for each in backup.readings if each.result is ReadResult.READ)
+    return tuple(each for each in read if _bytes_in(dictionary, held, each.variable.mux) != each.data)
+
+
+def _bytes_in(dictionary: ObjectDictionary, held: Mapping[int, Value], key: int) -> bytes | None:
+    try:
+        return dictionary.variable((key >> 8, key & 0xFF)).encode(held[key]) if key in held else None
+    except ValueRangeError:
+        return None

@@ -1,0 +1,63 @@
+"""The linter of device descriptions: what in an EDS, DCF, XDD or XDC contradicts the standards, or itself, or common sense.
+
+Theory of operation
+-------------------
+The readers report what they could not read as it stands. `check` looks at what was read: it takes a `DeviceDescription` of any
+kind and tells what is wrong with the device that it describes. Each rule has a code, a severity and a line of text (`RULES`):
+
+    error      a tool or master that believes the file will fail, or this device cannot work so
+    warning    legal or tolerable, but somebody will be surprised
+    notice     form
+
+Every rule has come from the standards or from files in the field; what real devices do for good reason is not reported. The
+families are structure (objects, lists, names), values (defaults, limits), profiles (standard objects), mappings (PDOs), cob_ids
+and device (identity, commissioning, the file's head).
+
+The CSV files of the product have a linter of their own (lint.py): their rows know neither limits nor defaults.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
+from typing import Final
+
+from canopen_data.checks import cob_ids, device, mappings, profiles, structure, values
+from canopen_data.checks.subject import Rule, Subject
+from canopen_data.description import DeviceDescription
+from canopen_data.findings import Finding
+
+__all__ = ["RULES", "Rule", "check"]
+
+_FAMILIES: Final = (device, structure, values, profiles, mappings, cob_ids)
+
+RULES: Final[tuple[Rule, ...]] = tuple(rule for family in _FAMILIES for rule in family.RULES)
+"""All rules, by family. Codes are unique."""
+
+_CHECKS: Final = tuple(each for family in _FAMILIES for each in family.CHECKS)
+
+
+def check(description: DeviceDescription) -> list[Finding]:
+    """All findings of all rules, in the order of the file where there is one. What the reader found is not repeated.
+
+    A line that stands for many sub-objects (CompactSubObj) has one finding of each rule, which tells how many it is about.
+    """
+    subject = Subject(description, RULES)
+    found = [finding for each in _CHECKS for finding in each(subject)]
+    return sorted(_once(found, subject.shared), key=lambda finding: (finding.line, finding.column))
+
+
+def _once(found: Iterable[Finding], shared: Collection[tuple[str, int, int]]) -> Iterator[Finding]:
+    """One finding for each place in `shared`, and all others."""
+    first: dict[tuple[str, int, int], Finding] = {}
+    more: Counter[tuple[str, int, int]] = Counter()
+    for finding in found:
+        place = finding.code, finding.line, finding.column
+        if place not in shared:
+            yield finding
+        elif first.setdefault(place, finding) is not finding:
+            more[place] += 1
+    for place, finding in first.items():
+        told = f"; the same of {more[place]} more sub-objects" if more[place] else ""
+        yield replace(finding, message=finding.message + told)

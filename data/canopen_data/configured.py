@@ -1,0 +1,144 @@
+"""From the description of a type of device (EDS, XDD) to that of one device with its settings (DCF, XDC), and back.
+
+`with_configured` is what a configuration tool does: it notes the node-ID, the bit rate and the values that the device is to have.
+`without_configured` takes all of that off again. `moved_to` makes the settings of one node those of another. None of them changes
+what it is given: a description is never changed.
+
+Source: CiA 306-1 v1.4.0, 5 (device configuration file); CiA 301 v4.2.0, 7.3.3 (predefined connection set).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final
+
+from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.objects import Object, Variable
+from canopen_proto.frame import COB_ID_EXTENDED, EMCY, RPDO1, RPDO2, RPDO3, RPDO4, TPDO1, TPDO2, TPDO3, TPDO4
+from canopen_proto.machine import LocalProtocolError, check_node_id
+
+_CAN_ID: Final = 0x7FF
+_EMCY_COB_ID: Final = 0x1014
+_PDO_RECORDS: Final = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
+_PDO_BASES: Final = (TPDO1, RPDO1, TPDO2, RPDO2, TPDO3, RPDO3, TPDO4, RPDO4)
+_OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
+
+
+def with_configured(
+    description: DeviceDescription,
+    values: Mapping[int, Value],
+    commissioning: Commissioning | None = None,
+    *,
+    file_info: FileInfo | None = None,
+) -> DeviceDescription:
+    """A DCF's description: these values, by mux, are what the device is to be set to, besides what is configured already.
+
+    commissioning: node-ID, bit rate and so on; None: those that the description has. A value that is configured in another form
+    ($NODEID) already keeps that form. file_info: of the new file (its name, who made it, when: the core has no clock); None: that
+    of the old one, which also becomes the LastEDS of a DCF that is made of an EDS.
+
+    Raises ObjectNotFound for a mux that the dictionary does not have, ValueRangeError where a value does not fit its object, and
+    LocalProtocolError where nobody says the node-ID. Limits are not looked at: a device may hold what its EDS does not allow.
+    """
+    commissioning = commissioning or description.commissioning
+    if commissioning is None or commissioning.node_id is None:
+        raise LocalProtocolError("a DCF is of one device: its commissioning needs a node-ID")
+    check_node_id(commissioning.node_id)
+    if file_info is None:
+        file_info = description.file_info
+        if description.kind not in _OF_ONE_DEVICE:
+            file_info = replace(file_info, last_eds=file_info.file_name)
+    return replace(
+        description,
+        dictionary=configure(description.dictionary, values, commissioning.node_id),
+        kind=FileKind.DCF,
+        file_info=file_info,
+        commissioning=commissioning,
+    )
+
+
+def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id: int) -> ObjectDictionary:
+    """The dictionary with these values, by mux, as the configured ones. Raises ObjectNotFound, ValueRangeError."""
+    changed: dict[int, dict[int, Variable]] = {}
+    for key, value in values.items():
+        variable = dictionary.variable((key >> 8, key & 0xFF))
+        variable.encode(value)
+        if not variable.configured_adds_node_id or variable.initial_of(node_id) != value:
+            new = replace(variable, configured=value, configured_adds_node_id=False, not_read="")
+            changed.setdefault(variable.index, {})[variable.subindex] = new
+    return _with_variables(dictionary, changed)
+
+
+def moved_to(dictionary: ObjectDictionary, old: int, new: int) -> ObjectDictionary:
+    """The dictionary of a DCF of node `old`, configured for node `new`.
+
+    The COB-IDs of PDOs and of EMCY that are `old`'s in the predefined connection set become `new`'s, with their flag bits. All
+    others stay: they are an agreement of the whole network. Values that depend on the node-ID ($NODEID) follow by themselves.
+    Raises LocalProtocolError for a node-ID outside 1..127. Source: CiA 301 v4.2.0, 7.3.3.
+    """
+    check_node_id(old)
+    check_node_id(new)
+    values: dict[int, Value] = {}
+    for variable in dictionary:
+        cob_id = variable.configured
+        if not isinstance(cob_id, int) or variable.configured_adds_node_id or cob_id & COB_ID_EXTENDED:
+            continue
+        if (cob_id & _CAN_ID) - old in _own_bases(variable):
+            values[variable.mux] = cob_id - old + new
+    return configure(dictionary, values, new)
+
+
+def _own_bases(variable: Variable) -> tuple[int, ...]:
+    """The CAN-IDs that the predefined connection set gives a COB-ID of node 0; none for objects that are no COB-ID of a node."""
+    if variable.index == _EMCY_COB_ID and variable.subindex == 0:
+        return (EMCY,)
+    is_pdo = variable.subindex == 1 and any(variable.index in each for each in _PDO_RECORDS)
+    return _PDO_BASES if is_pdo else ()
+
+
+def without_configured(description: DeviceDescription) -> DeviceDescription:
+    """An EDS's description: what is the same for all devices of this type.
+
+    Configured values, commissioning, connected modules, denotations, the files of DOMAINs and LastEDS are gone.
+    """
+    return replace(
+        description,
+        dictionary=without_configured_values(description.dictionary),
+        kind=FileKind.EDS,
+        file_info=replace(description.file_info, last_eds=""),
+        commissioning=None,
+        connected_modules=(),
+    )
+
+
+def without_configured_values(dictionary: ObjectDictionary) -> ObjectDictionary:
+    """The dictionary as an EDS has it: a device made of it has its defaults."""
+    changed: dict[int, dict[int, Variable]] = {}
+    for variable in dictionary:
+        plain = replace(
+            variable,
+            configured=None,
+            configured_adds_node_id=False,
+            denotation="",
+            upload_file="",
+            download_file="",
+            not_read="",
+        )
+        if plain != variable:
+            changed.setdefault(variable.index, {})[variable.subindex] = plain
+    denoted = (each for each in dictionary.objects.values() if each.denotation)
+    return _with_variables(dictionary.with_objects(replace(each, denotation="") for each in denoted), changed)
+
+
+def _with_variables(dictionary: ObjectDictionary, changed: Mapping[int, Mapping[int, Variable]]) -> ObjectDictionary:
+    """The dictionary with other variables, by index and subindex, in the places of these."""
+
+    def renewed(index: int) -> Object:
+        each = dictionary.objects[index]
+        return replace(each, variables=MappingProxyType({**each.variables, **changed[index]}))
+
+    return dictionary.with_objects(map(renewed, changed)) if changed else dictionary

@@ -1,0 +1,84 @@
+"""A description around a dictionary that came without one: of CSV files, of a simulated device, made by hand.
+
+What a file has to say of a device beyond its objects follows from the objects as far as it can: the three lists,
+the number of PDOs, the identity. The rest (vendor, bit rates, boot-up) is the caller's to say; nothing is made up.
+
+Source: CiA 306-1 v1.4.0, 4.4 to 4.6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final
+
+from canopen_data.description import DeviceDescription, DeviceInfo, FileInfo, FileKind
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary.model import ObjectDictionary
+
+EDS_VERSION: Final = "4.0"
+"""Of the files that are written: "4.0" is what CiA 306 names."""
+MANDATORY: Final = (0x1000, 0x1001, 0x1018)
+"""The objects that every device has. CiA 301 v4.2.0, 7.5.1."""
+IDENTITY: Final = 0x1018
+MANUFACTURER: Final = range(0x2000, 0x6000)
+_RPDOS: Final = range(0x1400, 0x1600)
+_TPDOS: Final = range(0x1800, 0x1A00)
+_PDO_GRANULARITY: Final = 8
+"""Bits: entries of a mapping that are whole bytes. CiA 306-1: 0 is no mapping at all, 1 single bits."""
+
+
+def describe(
+    dictionary: ObjectDictionary, *, device_info: DeviceInfo | None = None, file_info: FileInfo | None = None
+) -> DeviceDescription:
+    """The description of a device with these objects; its kind is CSV, "no file of the standard".
+
+    device_info: what it says is taken; where it does not, identity, number of PDOs and granularity come from the dictionary.
+    """
+    info = device_info or DeviceInfo()
+    indices = tuple(sorted(dictionary.objects))
+    names = (info.vendor_number, info.product_number, info.revision_number)
+    identity = [_identity(dictionary, subindex) if given is None else given for subindex, given in enumerate(names, start=1)]
+    rpdos = sum(index in _RPDOS for index in indices)
+    tpdos = sum(index in _TPDOS for index in indices)
+    info = replace(
+        info,
+        vendor_number=identity[0],
+        product_number=identity[1],
+        revision_number=identity[2],
+        granularity=info.granularity or (_PDO_GRANULARITY if rpdos or tpdos else 0),
+        rpdo_count=rpdos if info.rpdo_count is None else info.rpdo_count,
+        tpdo_count=tpdos if info.tpdo_count is None else info.tpdo_count,
+    )
+    return DeviceDescription(
+        dictionary,
+        FileKind.CSV,
+        source=dictionary.source,
+        file_info=file_info or FileInfo(file_version=1, eds_version=EDS_VERSION),
+        device_info=info,
+        mandatory=tuple(index for index in indices if index in MANDATORY),
+        optional=tuple(index for index in indices if index not in MANDATORY and index not in MANUFACTURER),
+        manufacturer=tuple(index for index in indices if index in MANUFACTURER),
+    )
+
+
+def identified(description: DeviceDescription) -> ObjectDictionary:
+    """The dictionary with the identity (0x1018:01 to 03) that the file names for the device as a whole, where the object itself
+    says none: many files leave it out there, and a device made of them would be nobody's."""
+    dictionary, info = description.dictionary, description.device_info
+    identity = dictionary.objects.get(IDENTITY)
+    if identity is None:
+        return dictionary
+    variables = dict(identity.variables)
+    for subindex, number in enumerate((info.vendor_number, info.product_number, info.revision_number), start=1):
+        variable = variables.get(subindex)
+        if variable is not None and number and not variable.initial_of(0):
+            variables[subindex] = replace(variable, default=number, configured=None)
+    return dictionary.with_objects([replace(identity, variables=MappingProxyType(variables))])
+
+
+def _identity(dictionary: ObjectDictionary, subindex: int) -> int | None:
+    """A number of the identity object (0x1018), where the dictionary says it."""
+    variable = dictionary.get(IDENTITY, subindex)
+    value: Value | None = None if variable is None else variable.default
+    return value if isinstance(value, int) else None

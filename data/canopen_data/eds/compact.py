@@ -1,0 +1,148 @@
+"""What an EDS does not write out: arrays in compact form, and the PDO parameters of a device that has many.
+
+Theory of operation
+-------------------
+CompactSubObj=n in the section of an object stands for subindex 0, which holds n, and for subindices 1 to n, which are all like
+the object's own section. [1234Name], [1234Value] and [1234Denotation] give single ones a name, a value and a denotation of their
+own (the value is that of a DCF: it configures); a sub-object that has a section of its own is as that says. An entry without a
+name is called as the object, with its number behind.
+
+CompactPDO in [DeviceInfo], if it is not 0, stands for the communication and mapping parameters of NrOfRXPDO and NrOfTXPDO PDOs,
+in so far as they have no sections: bit n - 1 for subindex n of the communication parameter record. Their values are those of the
+predefined connection set for the first four PDOs; all others begin invalid. The mapping is empty, and has MAPPED entries.
+
+A small file could stand for millions of variables so: all of them together are bounded.
+
+Source: CiA 306-1 v1.4.0, 4.4.2 and 4.6 (compact storage).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import MappingProxyType
+from typing import Any, Final
+
+from canopen_data.description import DeviceInfo
+from canopen_data.eds.ini import EdsDocument, Findings, Section
+from canopen_data.eds.variables import Variables
+from canopen_data.findings import Severity
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
+
+MAX_MADE: Final = 100_000
+"""Variables that are in no section of their own. A device with all 512 PDOs both ways has 15 000 of them."""
+MAX_SUBINDEX: Final = 254
+"""255 tells the structure of an object (CiA 301 v4.2.0, 7.4.1)."""
+MAX_PDOS: Final = 512
+"""In each direction (CiA 301 v4.2.0, table 41)."""
+MAPPED: Final = 8
+"""Objects that a PDO may carry at the least granularity of 8 bits."""
+
+_COUNT: Final = "NrOfObjects"
+_INVALID: Final = 0x8000_0000
+_COMMUNICATION: Final = (
+    (2, "Transmission type", DataType.UNSIGNED8, 254),
+    (3, "Inhibit time", DataType.UNSIGNED16, 0),
+    (5, "Event timer", DataType.UNSIGNED16, 0),
+    (6, "SYNC start value", DataType.UNSIGNED8, 0),
+)
+"""CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38; subindex 4 is reserved."""
+
+
+class Compact:
+    """Makes the variables that a file does not write out, until there are too many."""
+
+    def __init__(self, document: EdsDocument, variables: Variables, findings: Findings) -> None:
+        self._document = document
+        self._variables = variables
+        self._findings = findings
+        self._made = 0
+        self._refused = False
+
+    def array(self, section: Section, index: int, own: dict[int, Variable]) -> dict[int, Variable]:
+        """All variables of an object with CompactSubObj. own: those that have sections."""
+        count = self._variables.number(section, "CompactSubObj", 0xFFFF_FFFF)
+        if count > MAX_SUBINDEX:
+            message = f"CompactSubObj is {count}; there are {MAX_SUBINDEX} subindices"
+            self._variables.warn(section, "CompactSubObj", "count", message)
+            count = MAX_SUBINDEX
+        if not self._may_make(count + 1, section.line):
+            return own
+        like = self._variables.read(section, index, 1)
+        first = Variable(index, 0, _COUNT, DataType.UNSIGNED8, Access.RO, default=count)
+        names, values, denotations = (self._document.lists.get((index, kind)) for kind in ("name", "value", "denotation"))
+        called = {} if names is None else names.values
+        denoted = {} if denotations is None else denotations.values
+        before = (
+            like.data_type,
+            like.access,
+            like.default,
+            like.low_limit,
+            like.high_limit,
+            like.pdo_mappable,
+            (),
+            like.adds_node_id,
+        )
+        behind = like.object_flags, like.unit, like.factor, like.description
+        variables = {0: own.get(0, first)}
+        for subindex in range(1, count + 1):
+            if subindex in own:
+                variables[subindex] = own[subindex]
+                continue
+            key = str(subindex)
+            configured = like.configured, like.configured_adds_node_id
+            if values is not None and (text := values.get(key)):
+                configured = self._variables.value(values, key, text, like.data_type)
+                self._variables.has_configured |= configured[0] is not None
+            name = called.get(key) or f"{like.name}{key}"
+            said: tuple[Any, ...] = (*before, *configured, *behind, denoted.get(key, ""))
+            variables[subindex] = Variable(index, subindex, name, *said)
+        return variables | own
+
+    def pdos(self, info: DeviceInfo, known: dict[int, Object]) -> Iterator[Object]:
+        """The PDO parameters that CompactPDO stands for, without those that the file has."""
+        if not info.compact_pdo:
+            return
+        bases = ((0x1400, 0x200, info.rpdo_count, "RPDO"), (0x1800, 0x180, info.tpdo_count, "TPDO"))
+        for index, cob_base, count, what in bases:
+            for number in range(min(count or 0, MAX_PDOS)):
+                if index + number not in known and self._may_make(2 + len(_COMMUNICATION), 0):
+                    cob_id = cob_base + 0x100 * number if number < 4 else _INVALID
+                    name = f"{what} {number + 1} communication parameter"
+                    yield _communication(index + number, name, cob_id, number < 4, info.compact_pdo)
+                if index + 0x200 + number not in known and self._may_make(1 + MAPPED, 0):
+                    yield _mapping(index + 0x200 + number, f"{what} {number + 1} mapping parameter")
+
+    def _may_make(self, count: int, line: int) -> bool:
+        self._made += count
+        if self._made <= MAX_MADE:
+            return True
+        if not self._refused:
+            self._refused = True
+            message = f"compact forms stand for more than {MAX_MADE} variables; the rest was not made"
+            self._findings.add(Severity.ERROR, "too-long", message, line, 1 if line else 0)
+        return False
+
+
+def _communication(index: int, name: str, cob_id: int, adds_node_id: bool, mask: int) -> Object:
+    variables = [Variable(index, 1, "COB-ID", DataType.UNSIGNED32, default=cob_id, adds_node_id=adds_node_id)]
+    variables += [
+        Variable(index, subindex, field, data_type, default=default)
+        for subindex, field, data_type, default in _COMMUNICATION
+        if mask >> subindex - 1 & 1 and (subindex != 6 or index >= 0x1800)
+    ]
+    return _record(index, name, variables, variables[-1].subindex, Access.RO)
+
+
+def _mapping(index: int, name: str) -> Object:
+    entries = [
+        Variable(index, subindex, f"Mapped object {subindex}", DataType.UNSIGNED32, default=0)
+        for subindex in range(1, MAPPED + 1)
+    ]
+    return _record(index, name, entries, 0, Access.RW)
+
+
+def _record(index: int, name: str, entries: list[Variable], count: int, access: Access) -> Object:
+    first = Variable(index, 0, "Highest sub-index supported", DataType.UNSIGNED8, access, default=count)
+    variables = {each.subindex: each for each in (first, *entries)}
+    return Object(index, name, ObjectType.RECORD, MappingProxyType(variables))

@@ -1,0 +1,187 @@
+"""Numbers and values as an EDS writes them.
+
+Theory of operation
+-------------------
+CiA 306-1 v1.4.0, 4.2: a number is decimal, hexadecimal with 0x, or octal with a leading 0. A value may depend on the node-ID:
+`$NODEID+0x180`, or the other way round. Text stands as it is, octets are pairs of hexadecimal digits.
+
+What devices' files have beyond that is read where only one reading is likely, with a remark, of which the reader makes a finding:
+
+- `08`, which is no octal number, is decimal; `010`, which is one, is 8, though who wrote it may have meant 10;
+- `0000 0080h` is hexadecimal, its digits may be in groups;
+- what stands behind `#` or `;` in a number is a comment;
+- a signed number may be written as its two's complement (0xFFFFFFFF is -1); an unsigned one as the negative of it (-1);
+- a REAL may be written as the bits of it: 0x and as many digits as it has (0x3F800000 is 1.0).
+
+A time is a number of 48 bits, or six octets. What is none of these, or does not fit its type, is no value; there the remark is
+an error.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from typing import Final, TypeAlias
+
+from canopen_data.eds.ini import quoted
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, range_of
+
+_NUMBER: Final = re.compile(r"([+-]?)(?:0[xX]([0-9A-Fa-f]{1,32})|([0-9]{1,40}))", re.ASCII)
+_OCTAL: Final = re.compile(r"0[0-7]+", re.ASCII)
+_SUFFIXED: Final = re.compile(r"([0-9A-Fa-f]{1,32})[hH]", re.ASCII)
+_NODE_ID: Final = re.compile(r"\$NODEID", re.IGNORECASE | re.ASCII)
+_REAL: Final = re.compile(
+    r"[+-]?(?:[0-9]{1,400}(?:\.[0-9]{0,400})?|\.[0-9]{1,400})(?:[eE][+-]?[0-9]{1,9})?|[+-]?inf(?:inity)?",
+    re.IGNORECASE | re.ASCII,
+)
+_BITS: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
+_NO_DATA: Final = ("0", "0x0", "0x00")
+"""What tools write as the default of a DOMAIN, which has none."""
+_COMMENT: Final = re.compile(r"[#;]")
+
+_LIMITS: Final = {data_type: range_of(data_type) for data_type in DataType}
+_TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
+_REALS: Final = {DataType.REAL32: struct.Struct(">f"), DataType.REAL64: struct.Struct(">d")}
+_TIMES: Final = (DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)
+_WORDS: Final = {"true": 1, "false": 0}
+
+
+Reading: TypeAlias = tuple[Value | None, bool, str, bool]
+"""What a text was read as: the value (None = nothing); whether the node-ID is added to it; a remark, what is odd about it, or "";
+whether something was lost, which is why there is no value."""
+
+NOTHING: Final[Reading] = (None, False, "", False)
+
+
+def read_number(text: str) -> tuple[int | None, str]:
+    """A whole number, and what is odd about it ("" = nothing). None: it is none, and the remark says so."""
+    match = _NUMBER.fullmatch(text)
+    if match is not None:
+        sign, digits, decimal = match.groups()
+        if digits is not None:
+            number, remark = int(digits, 16), ""
+        elif decimal[0] != "0" or decimal == "0":
+            number, remark = int(decimal), ""
+        elif _OCTAL.fullmatch(decimal):
+            number = int(decimal, 8)
+            remark = "" if number < 8 else f"a leading 0 means octal; read as {number}"
+        else:
+            number = int(decimal)
+            remark = f"a leading 0 means octal, which it cannot be; read as decimal {number}" if number else ""
+        return (-number if sign == "-" else number), remark
+    bare = text.strip()
+    cut = _COMMENT.search(bare)
+    if cut is not None and cut.start():
+        number_before, _ = read_number(bare[: cut.start()].rstrip())
+        if number_before is not None:
+            return number_before, "the comment behind it was left out; a comment has a line of its own"
+    suffixed = _SUFFIXED.fullmatch("".join(bare.split()))
+    if suffixed is not None:
+        return int(suffixed[1], 16), "a hexadecimal number begins with 0x"
+    return None, "is no number"
+
+
+def read_value(text: str, data_type: DataType) -> Reading:
+    """A default or configured value of that type. An empty text is nothing."""
+    if not text:
+        return NOTHING
+    limits = _LIMITS[data_type]
+    if limits is not None:
+        return _integer(text, data_type, *limits)
+    if data_type in _TEXTS:
+        return text, False, "", False
+    if data_type in _REALS:
+        return _real(text, data_type)
+    if data_type in _TIMES and (time := _time(text, data_type)) is not None:
+        return time, False, "", False
+    if data_type is DataType.DOMAIN and text in _NO_DATA:
+        return NOTHING
+    try:
+        return decode(bytes.fromhex(text[2:] if text[:2] in ("0x", "0X") else text), data_type), False, "", False
+    except ValueError:  # ValueRangeError, or no digits
+        pass
+    return _lost(text, f"is no {data_type.name}{'' if data_type in _TIMES else ' in pairs of hexadecimal digits'}")
+
+
+def _integer(text: str, data_type: DataType, low: int, high: int) -> Reading:
+    adds_node_id = "$" in text
+    number, remark = _relative(text) if adds_node_id else read_number(text)
+    if number is None:
+        if data_type is not DataType.BOOLEAN or text.lower() not in _WORDS:
+            return _lost(text, remark)
+        number, remark = _WORDS[text.lower()], "a BOOLEAN is 0 or 1"
+    if not low <= number <= high:
+        size = high - low + 1
+        if low < 0 and high < number < size:
+            number -= size
+            if text[:2].lower() != "0x" and not remark:
+                remark = f"read as {number}, of which it is the two's complement"
+        elif low == 0 and -size // 2 <= number < 0 and data_type is not DataType.BOOLEAN:
+            number += size
+            remark = f"an {data_type.name} is not negative; read as 0x{number:X}"
+        else:
+            return _lost(text, f"is outside {low}..{high} ({data_type.name})")
+    if data_type is DataType.BOOLEAN:
+        return _lost(text, "depends on the node-ID") if adds_node_id else (bool(number), False, _with(text, remark), False)
+    return number, adds_node_id, remark and _with(text, remark), False
+
+
+def _with(text: str, remark: str) -> str:
+    return f"{quoted(text)!r}: {remark}" if remark else ""
+
+
+def _relative(text: str) -> tuple[int | None, str]:
+    """What is added to the node-ID."""
+    parts = _NODE_ID.split(text)
+    if len(parts) != 2:
+        return None, "is no number"
+    before, behind = parts[0].strip(), parts[1].strip()
+    if not before and not behind:
+        return 0, ""
+    if not before and behind[0] in "+-":
+        number, remark = read_number(behind[1:].strip())
+        return (-number if number is not None and behind[0] == "-" else number), remark
+    if before[-1:] == "+" and not behind:
+        return read_number(before[:-1].strip())
+    if before[-1:] == "+" or behind[:1] in ("#", ";"):
+        return _relative(text[: cut.start()]) if (cut := _COMMENT.search(text)) is not None else (None, "is no number")
+    return None, "is neither $NODEID plus a number nor a number plus $NODEID"
+
+
+def _real(text: str, data_type: DataType) -> Reading:
+    remark = ""
+    if _REAL.fullmatch(text):
+        value = float(text)
+    else:
+        bits = _BITS.fullmatch(text)
+        layout = _REALS[data_type]
+        if bits is not None and len(bits[1]) == 2 * layout.size:
+            (value,) = layout.unpack(bytes.fromhex(bits[1]))
+            remark = f"{quoted(text)!r}: read as the bits of {value!r}"
+        else:
+            number, remark = read_number(text)
+            if number is None:
+                return _lost(text, f"is no {data_type.name}")
+            value = float(number)
+            remark = f"{quoted(text)!r}: {remark or f'read as {value!r}'}"
+    try:
+        encode(value, data_type)
+    except ValueRangeError:
+        return _lost(text, f"is too large for {data_type.name}")
+    return _lost(text, "is not a number (NaN)") if math.isnan(value) else (value, False, remark, False)
+
+
+def _time(text: str, data_type: DataType) -> Value | None:
+    """A number of 48 bits, as 0x000000000000."""
+    number = int(text, 16) if (bits := _BITS.fullmatch(text)) is not None and len(bits[1]) <= 12 else None
+    if number is None:
+        return None
+    try:
+        return decode(number.to_bytes(6, "little"), data_type)
+    except ValueRangeError:
+        return None
+
+
+def _lost(text: str, reason: str) -> Reading:
+    return None, False, f"{quoted(text)!r} {reason}; left out", True

@@ -1,0 +1,241 @@
+"""EDS and DCF: CANopen device descriptions as sections, keys and values (CiA 306-1).
+
+Theory of operation
+-------------------
+An EDS describes a type of device, a DCF one device of it, with its node-ID and what its objects are to be set to
+(ParameterValue). Both are read into a `DeviceDescription`: the objects here and in variables.py and compact.py, the rest in
+device.py, out of the sections of ini.py.
+
+Files in the field are hardly ever quite right. The reader loads what it can, and tells in one pass all that is wrong:
+
+- error: something was left out, a section, a key or a value;
+- warning: something was read, but the file does not say it as CiA 306 wants it, or something had to be guessed;
+- notice: what was done, where two readings are possible and tools differ.
+
+An object is what has a section, whether a list names it or not; the order of sections does not matter. A sub-object without its
+object makes one, without a name. ObjectType, where it is missing, is VAR, as the standard has it, or RECORD where there are
+sub-objects. Everything that a file can multiply is bounded (ini.py, compact.py), so that 5 MiB of anything take seconds.
+
+Left out: [Tools] and object links, which are for people; fixed objects of modules, but for their indices.
+
+Source: CiA 306-1 v1.4.0.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Final
+
+from canopen_data.description import DeviceDescription, FileKind
+from canopen_data.eds import device
+from canopen_data.eds.compact import Compact
+from canopen_data.eds.encodings import text_of
+from canopen_data.eds.ini import MAX_FILE_SIZE, EdsDocument, Findings, Section, quoted
+from canopen_data.eds.numbers import read_number
+from canopen_data.eds.unused import report_unused
+from canopen_data.eds.variables import OBJECT_FLAGS, Variables
+from canopen_data.findings import DictionaryError, Severity
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.objects import Object, ObjectType, Variable
+
+_TYPES: Final = {int(each): each for each in DataType}
+_OBJECT_TYPES: Final[dict[str | None, ObjectType]] = {
+    text: each for each in ObjectType for text in (str(int(each)), f"0x{int(each):X}", f"0x0{int(each):X}")
+}
+_CODES: Final = {int(each) for each in ObjectType}
+_WITH_SUBS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
+_NO_SUBS: Final[dict[int, Section]] = {}
+
+
+def read_eds(data: bytes | str, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
+    """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = to be found out.
+
+    All that is wrong with it stands in the description's findings, whatever the bytes are; with strict, the first error is raised
+    as a DictionaryError. The kind is DCF where the file commissions a device or configures one of its objects. An object without
+    a default has None; a default that depends on the node-ID is kept as what is added to it.
+    Source: CiA 306-1 v1.4.0.
+    """
+    findings = Findings(source)
+    if len(data) > MAX_FILE_SIZE:
+        message = f"the file has more than {MAX_FILE_SIZE >> 20} MiB; only its beginning was read"
+        findings.add(Severity.ERROR, "too-long", message)
+        data = data[:MAX_FILE_SIZE]
+    if isinstance(data, str):
+        text, encoding = data.removeprefix("\ufeff"), "utf-8"
+    else:
+        text, encoding, remark = text_of(data, encoding)
+        if remark is not None:
+            findings.add(Severity.NOTICE, "encoding", *remark)
+    document = EdsDocument(text, encoding, findings)
+    variables = Variables(document, findings)
+    info = device.device_info(document, findings)
+    objects = _Objects(document, variables, findings)
+    objects.read()
+    compact_pdos = objects.compact.pdos(info, objects.found)
+    objects.found.update({each.index: each for each in list(compact_pdos)})
+    report_unused(document, findings, variables.types)
+    if not objects.found:
+        findings.add(Severity.ERROR, "no-objects", "there is no section of an object in this file")
+    commissioning = device.commissioning(document, findings)
+    description = DeviceDescription(
+        ObjectDictionary(objects.found.values(), source=source),
+        FileKind.DCF if commissioning is not None or variables.has_configured else FileKind.EDS,
+        source,
+        file_info=device.file_info(document, findings),
+        device_info=info,
+        commissioning=commissioning,
+        dummies=device.dummies(document, findings),
+        comments=device.Fields(document.named.get("comments"), findings).comments(),
+        mandatory=_list(document, "mandatoryobjects", findings),
+        optional=_list(document, "optionalobjects", findings),
+        manufacturer=_list(document, "manufacturerobjects", findings),
+        modules=device.modules(document, findings),
+        connected_modules=device.connected_modules(document, findings),
+        dynamic_channels=device.dynamic_channels(document, findings),
+        findings=findings.all(),
+        encoding=encoding,
+        document=document,
+    )
+    errors = [each for each in description.findings if each.severity is Severity.ERROR]
+    if strict and errors:
+        raise DictionaryError(errors[:1])
+    return description
+
+
+def _list(document: EdsDocument, name: str, findings: Findings) -> tuple[int, ...]:
+    return device.Fields(document.named.get(name), findings).indices("SupportedObjects")
+
+
+class _Objects:
+    """Reads the objects. found: by index."""
+
+    def __init__(self, document: EdsDocument, variables: Variables, findings: Findings) -> None:
+        self.found: dict[int, Object] = {}
+        self.compact = Compact(document, variables, findings)
+        self._document = document
+        self._variables = variables
+        self._findings = findings
+
+    def read(self) -> None:
+        """All objects that have a section, then those of which only sub-objects have."""
+        subs_of = self._document.subs
+        for index, section in self._document.objects.items():
+            subs = subs_of.get(index, _NO_SUBS)
+            values = section.body.values
+            object_type = _OBJECT_TYPES.get(values.get("objecttype"))
+            if not index:
+                self._refuse(section)
+            elif object_type is ObjectType.VAR and not subs and "compactsubobj" not in values:
+                variable = self._variables.read(section, index, 0)
+                self._put(Object(index, variable.name, object_type, MappingProxyType({0: variable}), *_of_single(variable)))
+            else:
+                self._put(self._object(section, index, subs, object_type or self._object_type(section, bool(subs))))
+        for index, subs in subs_of.items():
+            if index not in self._document.objects:
+                self._orphans(index, subs)
+
+    def _put(self, each: Object) -> None:
+        self.found[each.index] = each
+
+    def _object(self, section: Section, index: int, subs: dict[int, Section], object_type: ObjectType) -> Object:
+        """An object that is no plain VAR."""
+        values = section.body.values
+        is_compact = values.get("compactsubobj", "0") not in ("0", "", "0x0")
+        name = section.title if section.title is not None else values.get("parametername", "")
+        if subs and object_type not in _WITH_SUBS and (object_type is not ObjectType.VAR or set(subs) - {0, 0xFF}):
+            message = f"a {object_type.name} has no sub-objects; taken as RECORD"
+            self._variables.warn(section, "ObjectType", "object-type", message)
+            object_type = ObjectType.RECORD
+        if object_type not in _WITH_SUBS and not subs and not is_compact:
+            if object_type is ObjectType.NULL or (object_type is ObjectType.DEFTYPE and "datatype" not in values):
+                return self._whole(section, index, name, object_type, {}, None)
+            variable = self._variables.read(section, index, 0)
+            return Object(index, name, object_type, MappingProxyType({0: variable}), *_of_single(variable))
+        code = self._variables.number(section, "DataType", 0xFFFF) or None
+        likely = _TYPES.get(code) if code is not None and object_type is ObjectType.ARRAY else None
+        found = self._subs(index, subs, likely)
+        if is_compact:
+            found = self.compact.array(section, index, found)
+        else:
+            self._check_count(section, object_type, found)
+        return self._whole(section, index, name, object_type, found, code)
+
+    def _whole(
+        self,
+        section: Section,
+        index: int,
+        name: str,
+        object_type: ObjectType,
+        variables: dict[int, Variable],
+        code: int | None,
+    ) -> Object:
+        self._variables.foreign(section)
+        flags = self._variables.number(section, "ObjFlags", OBJECT_FLAGS) if "objflags" in section.body.values else 0
+        denotation = section.body.values.get("denotation", "")
+        return Object(index, name, object_type, MappingProxyType(variables), code, flags, denotation)
+
+    def _subs(self, index: int, subs: dict[int, Section], likely: DataType | None) -> dict[int, Variable]:
+        found: dict[int, Variable] = {}
+        read = self._variables.read
+        for subindex, section in subs.items():
+            if subindex > 0xFF:
+                self._refuse(section)
+            else:
+                found[subindex] = read(section, index, subindex, likely, in_array=True)
+        return dict(sorted(found.items()))
+
+    def _orphans(self, index: int, subs: dict[int, Section]) -> None:
+        """Sub-objects of an object that has no section."""
+        first = next(iter(subs.values()))
+        if not index:
+            self._refuse(first)
+            return
+        message = f"[{quoted(first.name)}]: there is no [{index:04X}]; taken as a RECORD without a name"
+        self._findings.add(Severity.WARNING, "no-parent", message, first.line, 1)
+        self._put(Object(index, "", ObjectType.RECORD, MappingProxyType(self._subs(index, subs, None))))
+
+    def _refuse(self, section: Section) -> None:
+        if not self._findings.full(Severity.ERROR):
+            message = f"[{quoted(section.name)}] is no object: indices are 0001 to FFFF, subindices 0 to FF; left out"
+            self._findings.add(Severity.ERROR, "no-object", message, section.line, 1)
+
+    def _object_type(self, section: Section, has_subs: bool) -> ObjectType:
+        """The object type where its text is none that the table has."""
+        text = section.body.values.get("objecttype", "")
+        is_compact = "compactsubobj" in section.body.values
+        likely = ObjectType.ARRAY if is_compact else ObjectType.RECORD if has_subs else ObjectType.VAR
+        if not text:
+            if likely is not ObjectType.VAR:
+                message = f"ObjectType is missing; taken as {likely.name}"
+                self._variables.warn(section, "ObjectType", "object-type", message)
+            return likely
+        number, remark = read_number(text)
+        if number is not None and number in _CODES:
+            if remark:
+                self._variables.warn(section, "ObjectType", "number", f"ObjectType {quoted(text)!r}: {remark}")
+            return ObjectType(number)
+        message = f"ObjectType {quoted(text)!r} is none that there is; taken as {likely.name}"
+        self._variables.warn(section, "ObjectType", "object-type", message)
+        return likely
+
+    def _check_count(self, section: Section, object_type: ObjectType, found: dict[int, Variable]) -> None:
+        """SubNumber: how many sub-objects there are, without 255, which tells the structure."""
+        text = section.body.values.get("subnumber", "")
+        if not text:
+            if object_type in _WITH_SUBS:
+                self._variables.warn(section, "SubNumber", "sub-number", "SubNumber is missing")
+            return
+        count = len(found)
+        if text == str(count):
+            return
+        number, _ = read_number(text)
+        if number is None:
+            self._variables.warn(section, "SubNumber", "sub-number", f"SubNumber {quoted(text)!r} is no number")
+        elif number != count and number != count - (0xFF in found):
+            self._variables.warn(section, "SubNumber", "sub-number", f"SubNumber is {number}, but there are {count} sub-objects")
+
+
+def _of_single(variable: Variable) -> tuple[int, int, str]:
+    """What an object has in common with its only variable."""
+    return int(variable.data_type), variable.object_flags, variable.denotation

@@ -1,0 +1,309 @@
+"""One variable out of the section that describes it: its type, access, values and limits.
+
+Theory of operation
+-------------------
+The section of a VAR, of a sub-object, and of an array in compact form have the same keys (CiA 306-1 v1.4.0, 4.6). What is missing
+or makes no sense is made good, each with a finding:
+
+- DataType: of subindex 0 of an array or record UNSIGNED8; of an entry of an array that of the array; else the type that the
+  standards give the object; else OCTET_STRING, which can hold whatever a device sends;
+- AccessType: that of the standards; else `rw` (the device refuses what it does not allow);
+- a value that cannot be read, or does not fit the type, is left out;
+- PDOMapping is 0.
+
+The first three are warnings, a value that is lost is an error. A name that is missing is the linter's business.
+
+Speed: most sections say what another one says, but for their names (ini.py), and what they come to is made once, unless there was
+a finding, which has its own place each time. Texts repeat too: what each means is looked up in a table that fills as they occur.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from canopen_data.eds.ini import EdsDocument, Findings, Section, quoted
+from canopen_data.eds.numbers import Reading, read_number, read_value
+from canopen_data.eds.writer_values import BYTES_KEY, NOT_READ_KEY, text_beside
+from canopen_data.findings import Severity
+from canopen_proto.datatypes import DataType, Value, decode, is_number, range_of
+from canopen_proto.dictionary.objects import Access, ObjectType, Variable
+from canopen_proto.dictionary.standard import find_standard
+
+PROFILES: Final = 0x2000
+"""Below it an object means the same in all devices (CiA 301 v4.2.0, table 41)."""
+OBJECT_FLAGS: Final = 0xFFFF_FFFF
+"""ObjFlags is an UNSIGNED32."""
+
+_COMMON: Final = frozenset(
+    ("parametername", "objecttype", "datatype", "accesstype", "defaultvalue", "pdomapping", "lowlimit", "highlimit")
+)
+_RARE: Final = frozenset(
+    (
+        "compactsubobj",
+        "denotation",
+        "description",
+        "downloadfile",
+        "factor",
+        "objflags",
+        "parametervalue",
+        "subnumber",
+        "unit",
+        "uploadfile",
+    )
+)
+_KNOWN: Final = _COMMON | _RARE
+_BYTES: Final = BYTES_KEY.lower()
+_NOT_READ: Final = NOT_READ_KEY.lower()
+_FOREIGN: Final = "_"
+"""A key that begins so, or with a semicolon, is a maker's own by custom."""
+_ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
+_FLAGS: Final[dict[str | None, bool]] = {"0": False, "0x0": False, "": False, None: False, "1": True, "0x1": True}
+_NUMBERS: Final = {
+    each: (is_number(each), limits[1] if (limits := range_of(each)) is not None and each is not DataType.BOOLEAN else -1)
+    for each in DataType
+}
+"""Whether a type has limits, and the greatest whole number of it."""
+_DECIMAL: Final = re.compile(r"[1-9][0-9]{0,18}", re.ASCII)
+_TYPES: Final = {int(each): each for each in DataType}
+_TEXTS_OF_TYPES: Final[Mapping[str, DataType]] = {
+    text: each for each in DataType for text in (f"0x{each:04X}", f"0x{each:X}", f"0x{each:04x}", str(int(each)))
+}
+
+
+class _Readings(dict[str, Reading]):
+    """What each text means for one data type. has_limits: it is a number."""
+
+    def __init__(self, data_type: DataType) -> None:
+        super().__init__()
+        self.data_type = data_type
+        self.has_limits, self._highest = _NUMBERS[data_type]
+
+    def __missing__(self, text: str) -> Reading:
+        if _DECIMAL.fullmatch(text) and (number := int(text)) <= self._highest:  # the usual case, shortly
+            reading: Reading = number, False, "", False
+        else:
+            reading = read_value(text, self.data_type)
+        self[text] = reading
+        return reading
+
+
+class Variables:
+    """Makes variables out of sections. has_configured: whether one of them had a ParameterValue. types: the codes of data types
+    that were looked up in the file itself."""
+
+    def __init__(self, document: EdsDocument, findings: Findings) -> None:
+        self.has_configured = False
+        self.types: set[int] = set()
+        self._document = document
+        self._told = 0  # findings; what is made without one can be made again
+        self._findings = findings
+        self._readings: dict[DataType, _Readings] = {}
+        self._by_text: dict[str, _Readings] = {}
+
+    def read(
+        self, section: Section, index: int, subindex: int, likely: DataType | None = None, *, in_array: bool = False
+    ) -> Variable:
+        """The variable of a section. likely: its type where the section has none. in_array: subindex 0 counts the others."""
+        body = section.body
+        name = section.title
+        told = self._told
+        if body.made is not None:
+            return Variable(index, subindex, name or "", *body.made)
+        values = body.values
+        get = values.get
+        if name is None:
+            name = get("parametername", "")
+        type_text = get("datatype", "")
+        readings = self._by_text.get(type_text)
+        if readings is None and (data_type := _TEXTS_OF_TYPES.get(type_text)) is not None:
+            readings = self._by_text[type_text] = self._readings_of(data_type)
+        access = _ACCESSES.get(get("accesstype", ""))
+        is_plain = readings is not None and access is not None
+        if readings is None:
+            readings = self._readings_of(self._odd_type(section, index, subindex, likely, in_array))
+        if access is None:
+            access = self._odd_access(section, index, subindex)
+        mappable = _FLAGS.get(get("pdomapping"))
+        if mappable is None:
+            mappable = bool(self.number(section, "PDOMapping", 1))
+        default: Value | None = None
+        adds_node_id = False
+        if text := get("defaultvalue"):
+            default, adds_node_id, remark, lost = readings[text]
+            if remark:
+                self._remark(section, "DefaultValue", remark, lost)
+        low = self._limit(section, "LowLimit", text, readings) if (text := get("lowlimit")) else None
+        high = self._limit(section, "HighLimit", text, readings) if (text := get("highlimit")) else None
+        made: tuple[Any, ...] = (readings.data_type, access, default, low, high, mappable, (), adds_node_id)
+        if not values.keys() <= _COMMON:
+            made += self._rest(section, readings.data_type)
+        if is_plain and self._told == told:
+            body.made = made
+        return Variable(index, subindex, name, *made)
+
+    def _readings_of(self, data_type: DataType) -> _Readings:
+        readings = self._readings.get(data_type)
+        if readings is None:
+            readings = self._readings[data_type] = _Readings(data_type)
+        return readings
+
+    def _rest(self, section: Section, data_type: DataType) -> tuple[Any, ...]:
+        """The fields of a variable that few sections have."""
+        get = section.body.values.get
+        self.foreign(section)
+        configured: Value | None = None
+        configured_adds = False
+        text = get("parametervalue", "")
+        if (octets := get(_BYTES)) is not None and (configured := self._exact(section, octets, text, data_type)) is not None:
+            self.has_configured = True
+        elif text:
+            configured, configured_adds = self.value(section, "ParameterValue", text, data_type)
+            self.has_configured = True
+        flags = _FLAGS.get(get("objflags"))
+        return (
+            configured,
+            configured_adds,
+            self.number(section, "ObjFlags", OBJECT_FLAGS) if flags is None else int(flags),
+            get("unit", ""),
+            self._factor(section) if get("factor") else 1.0,
+            get("description", ""),
+            get("denotation", ""),
+            get("uploadfile", ""),
+            get("downloadfile", ""),
+            get(_NOT_READ, ""),
+        )
+
+    def _exact(self, section: Section, octets: str, text: str, data_type: DataType) -> Value | None:
+        """The value whose bytes stand in the file; None, and a warning, where they are none or ParameterValue says otherwise."""
+        try:
+            value = decode(bytes.fromhex(octets), data_type)
+        except ValueError:
+            reason = f"is no {data_type.name} in pairs of hexadecimal digits"
+        else:
+            if not text or text == text_beside(value, data_type):
+                return value
+            reason = f"does not agree with ParameterValue {quoted(text)!r}, which counts"
+        self.warn(section, BYTES_KEY, "value", f"{BYTES_KEY} {quoted(octets)!r} {reason}; left out")
+        return None
+
+    def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
+        """A value that stands somewhere in a section, and whether the node-ID is added to it."""
+        value, adds_node_id, remark, lost = self._readings_of(data_type)[text]
+        if remark:
+            self._remark(section, key, remark, lost)
+        return value, adds_node_id
+
+    def number(self, section: Section, key: str, most: int) -> int:
+        """A whole number 0..most; 0, and a warning, where it cannot be read."""
+        text = section.body.values.get(key.lower(), "")
+        if not text:
+            return 0
+        number, remark = read_number(text)
+        if number is None or not 0 <= number <= most:
+            remark, number = remark or f"is outside 0..{most}", 0
+        if remark:
+            self.warn(section, key, "number", f"{key} {quoted(text)!r} {remark}; taken as {number}")
+        return number
+
+    def foreign(self, section: Section) -> None:
+        """A notice of keys that CiA 306 does not have: one of them may be a misspelt one."""
+        values = section.body.values
+        if values.keys() <= _KNOWN:
+            return
+        self._told += 1
+        keys = [key for key in reversed(values) if key not in _KNOWN and not key.startswith(_FOREIGN)]
+        if keys and not self._findings.full(Severity.NOTICE):
+            names = ", ".join(quoted(key) for key in keys[:5])
+            message = f"in [{quoted(section.name)}]: CiA 306 has no {names}{' ...' if len(keys) > 5 else ''}"
+            self._findings.add(Severity.NOTICE, "unknown-key", message, *section.place_of(keys[0]))
+
+    def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
+        """A finding about a key of a section."""
+        self._told += 1
+        if not self._findings.full(severity):
+            line, column = section.place_of(key)
+            self._findings.add(severity, code, f"in [{quoted(section.name)}]: {message}", line, column)
+
+    def _remark(self, section: Section, key: str, remark: str, lost: bool) -> None:
+        self.warn(section, key, "value", f"{key} {remark}", Severity.ERROR if lost else Severity.WARNING)
+
+    def _limit(self, section: Section, key: str, text: str, readings: _Readings) -> int | float | None:
+        if not readings.has_limits:
+            return self._idle_limit(section, key, text)
+        value, adds_node_id, remark, lost = readings[text]
+        if adds_node_id:
+            self._remark(section, key, f"{quoted(text)!r} depends on the node-ID, which a limit cannot; left out", True)
+            return None
+        if remark:
+            self._remark(section, key, remark, lost)
+        return value  # type: ignore[return-value]  # a number, as it has limits
+
+    def _idle_limit(self, section: Section, key: str, text: str) -> int | None:
+        """A limit of what is no number: it has no effect, but the linter shall see it."""
+        number, _ = read_number(text)
+        if number is None:
+            self._remark(section, key, f"{quoted(text)!r} is no number; left out", True)
+        return number
+
+    def _factor(self, section: Section) -> float:
+        text = section.body.values["factor"]
+        try:
+            factor = float(text)
+        except ValueError:
+            factor = 0.0
+        if factor and math.isfinite(factor):
+            return factor
+        self.warn(section, "Factor", "number", f"Factor {quoted(text)!r} is no number other than 0; taken as 1")
+        return 1.0
+
+    def _odd_type(self, section: Section, index: int, subindex: int, likely: DataType | None, in_array: bool) -> DataType:
+        """The type where the text is none that the table has."""
+        text = section.body.values.get("datatype", "")
+        number, remark = read_number(text) if text else (None, "")
+        if number in _TYPES:
+            if remark:
+                self.warn(section, "DataType", "number", f"DataType {quoted(text)!r}: {remark}")
+            return _TYPES[number]
+        described = None if number is None or number < 0x20 else self._described_type(number)
+        if described is not None:
+            return described
+        if in_array and subindex == 0:
+            guess: DataType = DataType.UNSIGNED8
+        elif likely is not None:
+            guess = likely
+        elif not text and read_number(section.body.values.get("objecttype", ""))[0] == ObjectType.DOMAIN:
+            return DataType.DOMAIN
+        else:
+            known = find_standard(index, subindex) if index < PROFILES else None
+            guess = DataType.OCTET_STRING if known is None else known.data_type
+        reason = f"DataType {quoted(text)!r} is none that a value can have" if text else "DataType is missing"
+        self.warn(section, "DataType", "data-type", f"{reason}; taken as {guess.name}")
+        return guess
+
+    def _described_type(self, code: int) -> DataType | None:
+        """The type for which a DEFTYPE of this file stands. One of the tools gives it in the default of subindex 1."""
+        text = None
+        self.types.add(code)
+        if (sub := self._document.subs.get(code, {}).get(1) or self._document.section(f"{code:X}sub1")) is not None:
+            text = sub.get("DefaultValue")
+        elif (whole := self._document.objects.get(code)) is not None:
+            text = whole.get("DataType")
+        number = read_number(text)[0] if text else None
+        return None if number is None else _TYPES.get(number)
+
+    def _odd_access(self, section: Section, index: int, subindex: int) -> Access:
+        text = section.body.values.get("accesstype", "")
+        bare = text.partition("#")[0].partition(";")[0].strip().lower()
+        access = _ACCESSES.get(bare)
+        if access is not None:
+            if len(bare) != len(text):
+                self.warn(section, "AccessType", "access", "the comment behind AccessType was left out")
+            return access
+        known = find_standard(index, subindex) if index < PROFILES else None
+        access = Access.RW if known is None else known.access
+        reason = f"AccessType {quoted(text)!r} is none of {', '.join(Access)}" if text else "AccessType is missing"
+        self.warn(section, "AccessType", "access", f"{reason}; taken as {access}")
+        return access

@@ -1,0 +1,109 @@
+"""EDS and DCF out of a description (CiA 306-1).
+
+Theory of operation
+-------------------
+`write_eds` writes everything that CiA 306 can say of a device. Where the description came from an EDS or DCF, the new text is the
+old one with only that changed which the description now says otherwise (writer_document.py); a description that nobody changed
+gives its own text back. Without such a document (CSV, XDD, a dictionary made by hand) it writes in the order and the forms of the
+standard (writer_sections.py).
+
+What was written is read again: if it does not say what it is to say (a file with such faults that a line put into it is read
+otherwise), the whole is written anew, without the old form but with the sections that a description has no field for.
+
+Source: CiA 306-1 v1.4.0; CiA 306 v1.3.0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from canopen_data.configured import without_configured
+from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_data.eds.ini import EdsDocument
+from canopen_data.eds.reader import read_eds
+from canopen_data.eds.writer_document import changed_text, foreign_text
+from canopen_data.eds.writer_sections import Sections, sections_of, sub_name
+from canopen_data.eds.writer_values import one_line
+from canopen_proto.machine import LocalProtocolError, check_node_id
+
+_OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
+
+
+def write_eds(
+    description: DeviceDescription,
+    kind: FileKind | None = None,
+    *,
+    node_id: int | None = None,
+    file_info: FileInfo | None = None,
+) -> str:
+    """The text of an EDS or a DCF.
+
+    kind: EDS or DCF; None: which of the two the description is. An EDS of a DCF is without what is configured
+    (`without_configured`); for a DCF of an EDS see `with_configured`, too. node_id: of the DCF; None: that of its commissioning.
+    file_info: of the new file (its name, who changed it, when: the core has no clock); None: that of the description.
+
+    A variable that has the old file's name for it among its aliases keeps that name in the file. Line breaks, and blanks at the
+    ends of names and texts, have no place in these files; breaks become blanks.
+
+    Raises LocalProtocolError for another kind, a node-ID that is none, and a DCF of something else whose node-ID nobody says.
+    """
+    wanted = _of_kind(description, kind, node_id)
+    if file_info is not None:
+        wanted = replace(wanted, file_info=file_info)
+    after = sections_of(wanted)
+    document = description.document
+    if not isinstance(document, EdsDocument):
+        return text_of(after)
+    before = sections_of(read_eds(document.text))
+    _keep_names(after, before, wanted)
+    if after == before:
+        return document.text
+    text = changed_text(document, before, after)
+    if sections_of(read_eds(text)) == after:
+        return text
+    return (text_of(after) + foreign_text(document, {**before, **after})).replace("\n", document.newline)
+
+
+def _keep_names(after: Sections, before: Sections, description: DeviceDescription) -> None:
+    """A variable that goes by another name now (`with_names_of`), but has the file's name too, is called so in the file."""
+    for variable in description.dictionary:
+        if variable.aliases:
+            own, whole = sub_name(variable.index, variable.subindex), f"{variable.index:04X}"
+            section = own if own in after else whole
+            name = before.get(section, {}).get("ParameterName", "")
+            if name in map(one_line, variable.aliases):
+                after[section]["ParameterName"] = name
+
+
+def text_of(sections: Sections) -> str:
+    """Sections as the text of a file."""
+    blocks = (
+        "\n".join([f"[{name}]", *(f"{key}={text}" for key, text in entries.items()), ""]) for name, entries in sections.items()
+    )
+    return "\n".join(blocks)
+
+
+def encode_eds(text: str, encoding: str = "utf-8") -> bytes:
+    """The bytes of a file: in the encoding that the old one had (`DeviceDescription.encoding`), or UTF-8 where that lacks a
+    character."""
+    try:
+        return text.encode(encoding)
+    except UnicodeEncodeError:
+        return text.encode("utf-8", "replace")  # half of a surrogate pair is no character
+
+
+def _of_kind(description: DeviceDescription, kind: FileKind | None, node_id: int | None) -> DeviceDescription:
+    is_dcf = description.kind in _OF_ONE_DEVICE
+    if kind is None:
+        kind = FileKind.DCF if is_dcf else FileKind.EDS
+    if kind is FileKind.EDS:
+        return without_configured(description) if is_dcf else description
+    if kind is not FileKind.DCF:
+        raise LocalProtocolError(f"an EDS or a DCF can be written here, no {kind}")
+    if node_id is not None:
+        commissioning = replace(description.commissioning or Commissioning(), node_id=check_node_id(node_id))
+        return replace(description, kind=FileKind.DCF, commissioning=commissioning)
+    if not is_dcf and description.commissioning is None:
+        raise LocalProtocolError("a DCF is of one device: it needs a node-ID")
+    return replace(description, kind=FileKind.DCF)

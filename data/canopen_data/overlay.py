@@ -1,0 +1,242 @@
+"""Side files: units, factors, names of values and bits, and aliases, which no EDS has, in TOML.
+
+Theory of operation
+-------------------
+An EDS says that 0x6064 is an INTEGER32; that it counts thousandths of a degree stands in the manual. A side file says it, and is
+laid over the dictionary of any file. Its one table, `objects`, has a table for each object by index, index and subindex, or name:
+
+    [objects.6064]
+    aliases = ["position"]              # further names
+    unit = "deg"                        # of the physical value, which is
+    factor = 0.001                      #   factor * value
+    description = "where the axis is"
+
+    [objects."2001:02".values]          # names of values
+    off = 0
+    on = 1
+
+    [objects.6041.bits]                 # names of bits, by their number ...
+    moving = 8
+    mode_ready = {mask = 0x3000, value = 0x1000}        # ... or of a value of several bits
+
+Numbers of objects are hexadecimal without 0x, as everywhere; all other numbers are TOML's. A name counts in place of one that the
+object has already.
+
+A text that is no TOML has one error, with its line and column. Whatever else is wrong is found in one pass, and named by its path
+("objects.6041.bits.moving"). An object that the dictionary lacks is a warning: one side file may serve several devices.
+
+`tomllib` of the standard library reads; it takes no file here but a text.
+
+Source: the format is ours. TOML v1.0.0.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Final, TypeGuard
+
+from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_proto.datatypes import is_integer, is_number
+from canopen_proto.dictionary.model import Constant, NotInDictionary, ObjectDictionary, Variable, did_you_mean
+
+MAX_TEXT: Final = 1 << 20
+"""Characters of a side file: some thousand objects with all their names. More is another file, taken by mistake."""
+
+_FIELDS: Final = ("aliases", "unit", "factor", "description", "values", "bits")
+_PLACE: Final = re.compile(r".*\(at line ([0-9]+), column ([0-9]+)\)", re.DOTALL)
+_SHOWN: Final = 40
+
+
+@dataclass
+class _Reading:
+    """What is found while a side file is read."""
+
+    source: str
+    findings: list[Finding] = field(default_factory=list)
+
+    def error(self, path: str, message: str) -> None:
+        self.findings.append(Finding(Severity.ERROR, "overlay", f"{path}: {message}", self.source))
+
+    def warn(self, path: str, message: str) -> None:
+        self.findings.append(Finding(Severity.WARNING, "overlay", f"{path}: {message}", self.source))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The tables of a TOML text. Raises DictionaryError with line and column for what is no TOML."""
+    if len(text) > MAX_TEXT:
+        raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = _PLACE.fullmatch(str(error))
+        line, column = (int(place[1]), int(place[2])) if place is not None else (text.count("\n") + 1, 1)
+        raise _failure(source, str(error).partition(" (at ")[0], line, column) from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits; arrays in arrays in arrays
+        raise _failure(source, str(error)) from None
+
+
+def lay_over(dictionary: ObjectDictionary, text: str, source: str = "overlay") -> tuple[ObjectDictionary, list[Finding]]:
+    """The dictionary with what a side file adds, and warnings. source: what findings call the text.
+
+    Raises DictionaryError, which holds every error.
+    """
+    return lay_tables_over(dictionary, parse_toml(text, source), source)
+
+
+def lay_tables_over(
+    dictionary: ObjectDictionary, tables: Mapping[str, Any], source: str = "overlay"
+) -> tuple[ObjectDictionary, list[Finding]]:
+    """As `lay_over`, for tables that are read already."""
+    reading = _Reading(source)
+    for name in tables.keys() - {"objects"}:
+        reading.error(_path(name), f"there is no such table{did_you_mean(name, ['objects'])}")
+    variables: dict[int, Variable] = {}
+    constants: dict[int, list[Constant]] = {}
+    for key, table in _table(reading, "objects", tables.get("objects", {})).items():
+        path = _path("objects", key)
+        try:
+            variable = dictionary.variable(key)
+        except NotInDictionary as error:
+            reading.warn(path, str(error))
+            continue
+        before = variables.get(variable.mux, variable)
+        variables[variable.mux] = _changed(reading, path, before, _table(reading, path, table), dictionary)
+        constants.setdefault(variable.mux, []).extend(_constants(reading, path, variable, table))
+    if any(each.severity is Severity.ERROR for each in reading.findings):
+        raise DictionaryError(each for each in reading.findings if each.severity is Severity.ERROR)
+    by_index: dict[int, dict[int, Variable]] = {}
+    for variable in variables.values():
+        by_index.setdefault(variable.index, {})[variable.subindex] = variable
+    objects = [
+        replace(dictionary.objects[index], variables=MappingProxyType({**dictionary.objects[index].variables, **changed}))
+        for index, changed in by_index.items()
+        if index in dictionary.objects
+    ]
+    names = ObjectDictionary([], constants=constants)
+    return dictionary.with_objects(objects).with_names_of(names), reading.findings
+
+
+def _failure(source: str, message: str, line: int = 0, column: int = 0) -> DictionaryError:
+    return DictionaryError([Finding(Severity.ERROR, "toml", message, source, line, column)])
+
+
+def _path(*keys: str) -> str:
+    """A path as it would be written in the file, cut where a key is long."""
+    return ".".join(key[:_SHOWN] if re.fullmatch("[A-Za-z0-9_-]+", key) else repr(key[:_SHOWN]) for key in keys)
+
+
+def _table(reading: _Reading, path: str, value: object) -> Mapping[str, Any]:
+    if isinstance(value, dict):
+        return value
+    reading.error(path, f"a table is expected, not {_show(value)}")
+    return {}
+
+
+def _show(value: object) -> str:
+    return repr(value)[:_SHOWN]
+
+
+def _changed(
+    reading: _Reading, path: str, variable: Variable, table: Mapping[str, Any], dictionary: ObjectDictionary
+) -> Variable:
+    """The variable with what its table says."""
+    for key in table.keys() - set(_FIELDS):
+        reading.error(f"{path}.{_path(key)}", f"there is no such entry{did_you_mean(key, _FIELDS)}")
+    changes: dict[str, Any] = {}
+    for key, check in _CHECKS.items():
+        if key in table:
+            complaint = check(table[key], variable)
+            if complaint:
+                reading.error(f"{path}.{key}", f"{complaint}, not {_show(table[key])}")
+            else:
+                changes[key] = table[key]
+    if "factor" in changes:
+        changes["factor"] = float(changes["factor"])
+    if "aliases" in changes:
+        _check_free(reading, f"{path}.aliases", changes["aliases"], variable, dictionary)
+        changes["aliases"] = tuple(dict.fromkeys((*variable.aliases, *changes["aliases"])))
+    return replace(variable, **changes)
+
+
+def _check_free(reading: _Reading, path: str, names: list[str], variable: Variable, dictionary: ObjectDictionary) -> None:
+    """A name of something else would lead astray."""
+    for name in names:
+        if name in dictionary and (other := dictionary.variable(name)).mux != variable.mux:
+            reading.error(path, f"{_show(name)} means {other.label} already")
+
+
+def _check_aliases(value: object, variable: Variable) -> str:
+    names = value if isinstance(value, list) else [None]
+    return "" if all(isinstance(name, str) and name.strip() for name in names) else "a list of names is expected"
+
+
+def _check_text(value: object, variable: Variable) -> str:
+    return "" if isinstance(value, str) else "a text is expected"
+
+
+def _check_factor(value: object, variable: Variable) -> str:
+    if not is_number(variable.data_type):
+        return f"a factor is for numbers ({variable.label} is {variable.data_type.name})"
+    is_factor = isinstance(value, int | float) and not isinstance(value, bool) and _is_finite(value) and value != 0
+    return "" if is_factor else "a number other than 0 is expected"
+
+
+def _is_finite(value: int | float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return False
+
+
+_CHECKS: Final[dict[str, Callable[[object, Variable], str]]] = {
+    "aliases": _check_aliases,
+    "unit": _check_text,
+    "factor": _check_factor,
+    "description": _check_text,
+}
+
+
+def _constants(reading: _Reading, path: str, variable: Variable, table: object) -> list[Constant]:
+    """The constants of `values` and `bits`."""
+    if not isinstance(table, dict) or not table.keys() & {"values", "bits"}:
+        return []
+    bits = variable.bit_length
+    if bits is None or not (is_integer(variable.data_type) or bits == 1):
+        reading.error(path, f"names of values and bits are for integers, and {variable.label} is {variable.data_type.name}")
+        return []
+    whole = (1 << bits) - 1
+    found = []
+    for name, value in _table(reading, f"{path}.values", table.get("values", {})).items():
+        if not _is_integer(value, -(whole // 2 + 1), whole):
+            reading.error(f"{path}.values.{_path(name)}", f"a number of {bits} bits is expected, not {_show(value)}")
+            continue
+        found.append(Constant(name, whole, value & whole))
+    for name, value in _table(reading, f"{path}.bits", table.get("bits", {})).items():
+        constant = _bits(name, value, bits)
+        if constant is None:
+            expected = f"a bit number of 0..{bits - 1} or {{mask = ..., value = ...}} of {bits} bits is expected"
+            reading.error(f"{path}.bits.{_path(name)}", f"{expected}, not {_show(value)}")
+            continue
+        found.append(constant)
+    return found
+
+
+def _bits(name: str, value: object, bits: int) -> Constant | None:
+    if _is_integer(value, 0, bits - 1):
+        return Constant(name, 1 << value, 1 << value)
+    if isinstance(value, dict) and "mask" in value and value.keys() <= {"mask", "value"}:
+        mask = value["mask"]
+        if _is_integer(mask, 1, (1 << bits) - 1):
+            pattern = value.get("value", mask)
+            if _is_integer(pattern, 0, mask) and not pattern & ~mask:
+                return Constant(name, mask, pattern)
+    return None
+
+
+def _is_integer(value: object, low: int, high: int) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high

@@ -1,0 +1,409 @@
+"""`Bench`: one device under test, and the tools with which cases ask it.
+
+The device is known by its node-ID and by its object dictionary, which says what it should have: everything that a case looks
+for is found there, so that the cases serve any device on any bus. What an object holds after a reset is its default, and in a
+DCF what that has configured: an EDS describes a type of device, a DCF one device as it is commissioned.
+
+The bench is a participant of its own: it asks by SDO (`read`, `write` ...), by NMT, and by frames made by hand (`send`, `ask`),
+which no well-behaved machine would send.
+
+What a device does at its inputs no bus can bring about. Where a case needs that, it asks for `stimulus`, a function of whoever
+runs the test; without one, these cases check what is left.
+
+Times: a device has ANSWER_TIME for an answer, BOOT_TIME for a restart, REACTION_TIME for what has no answer. Periods may be
+wrong by PERIOD_TOLERANCE on average. The standard gives no figures; these are those of a patient master.
+
+Our own process may be late too, on a loaded computer. All waiting goes through `Bench.sleep` and `Bench.next_frame`, which
+measure that (`lateness`), and a case that fails by its timing meanwhile has not failed (`Case.run`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final, TypeAlias, TypeVar
+
+from canopen_check.case import LateOrEarly, Notes, NotInTime, Violation, does_not_apply, expect, expect_equal
+from canopen_check.probe import FrameHeard, RawProbe
+from canopen_data.description import DeviceDescription
+from canopen_proto.abort import AbortOrigin
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.frame import (
+    COB_ID_INVALID,
+    EMCY,
+    ERROR_CONTROL,
+    REMOTE,
+    SDO_CLIENT_TO_SERVER,
+    SDO_SERVER_TO_CLIENT,
+    SYNC,
+    Frame,
+    frame_for_key,
+    key_of_cob_id,
+)
+from canopen_proto.machine import MILLISECOND, SECOND, Time, check_node_id
+from canopen_proto.network import Network
+from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
+from canopen_proto.procedures.steps import (
+    Procedure,
+    SdoFailed,
+    StepTimeout,
+    act,
+    current_time,
+    download,
+    sleep,
+    upload,
+    wait_for_event,
+)
+from canopen_proto.sdo.client import SdoClient
+
+ANSWER_TIME: Final = 1 * SECOND
+BOOT_TIME: Final = 5 * SECOND
+REACTION_TIME: Final = 100 * MILLISECOND
+PERIOD_TOLERANCE: Final = 0.1
+
+SLICE: Final = 50 * MILLISECOND
+"""Waiting is cut into slices of this length, to see how late our process is."""
+
+SYNC_PRODUCER: Final = 1 << 30
+"""Of 0x1005: the device sends SYNC."""
+
+SUPERVISION_PERIOD: Final = 100 * MILLISECOND
+"""The heartbeat by which the bench sees the device's NMT state."""
+
+T = TypeVar("T")
+
+Stimulus: TypeAlias = Callable[[Variable, Time], None]
+"""Makes the device change the value of an object of its process, now."""
+
+
+class Bench:
+    """See this module's text.
+
+    node_id, dictionary, description: of the device. probe, sdo, nmt: what it is asked with. notes: what the case under way has
+    found. lateness: in ns, the latest that our own process was since it began.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        node_id: int,
+        dictionary: ObjectDictionary,
+        *,
+        description: DeviceDescription | None = None,
+        stimulus: Stimulus | None = None,
+        strict: bool = False,
+    ) -> None:
+        """network: on the device's bus; nobody else should use the device's SDO channel meanwhile. node_id: 1..127.
+
+        description: the device's file, of which the dictionary is; None where there is no file, and so none to be checked.
+        strict: ask for more than CiA's own tool does.
+        """
+        self.node_id = check_node_id(node_id)
+        self.dictionary = dictionary
+        self.description = description
+        self.stimulus = stimulus
+        self.notes = Notes(strict=strict)
+        self.lateness: Time = 0
+        self.probe = RawProbe(network.out)
+        self.sdo = SdoClient(network.out, node_id, timeout=ANSWER_TIME)
+        self.nmt = NmtMaster(network.out)
+        for machine in (self.probe, self.sdo, self.nmt):
+            network.attach(machine)
+
+    @property
+    def strict(self) -> bool:
+        """Whether more is asked than CiA's own tool asks."""
+        return self.notes.strict
+
+    # ---- what is where ----
+
+    @property
+    def request_key(self) -> int:
+        """The CAN-ID of SDO requests to the device."""
+        return SDO_CLIENT_TO_SERVER + self.node_id
+
+    @property
+    def response_key(self) -> int:
+        """The CAN-ID of its answers."""
+        return SDO_SERVER_TO_CLIENT + self.node_id
+
+    @property
+    def error_control_key(self) -> int:
+        """The CAN-ID of its boot-up, heartbeat and guarding."""
+        return ERROR_CONTROL + self.node_id
+
+    @property
+    def emcy_key(self) -> int:
+        """The CAN-ID of its emergencies after a reset; the predefined one where the dictionary does not tell."""
+        return key_of_cob_id(self.default(0x1014)) or EMCY + self.node_id
+
+    @property
+    def sync_key(self) -> int:
+        """The CAN-ID of SYNC after a reset; the predefined one where the dictionary does not tell."""
+        return key_of_cob_id(self.default(0x1005)) or SYNC
+
+    def default(self, index: int, subindex: int = 0) -> int:
+        """The unsigned number that an object holds after a reset. 0 where the dictionary does not tell."""
+        variable = self.dictionary.get(index, subindex)
+        value = 0 if variable is None else variable.initial_of(self.node_id)
+        return max(value, 0) if isinstance(value, int) else 0
+
+    def content_of(self, variable: Variable) -> bytes | None:
+        """The bytes that an object holds after a reset; None where the dictionary does not tell.
+
+        It does not where the object's type cannot hold what stands there, nor where a DCF gives another value than the default to
+        an object that no master can write: that is what somebody once read there.
+        """
+        value = variable.default if variable.configured is None else variable.configured
+        if value is None or (not variable.access.writable and value != variable.default):
+            return None
+        return _encoded(variable, variable.initial_of(self.node_id))
+
+    def restored_content_of(self, variable: Variable) -> bytes | None:
+        """The bytes that an object holds after its default was restored; None where the dictionary does not tell."""
+        return None if variable.default is None else _encoded(variable, variable.default_of(self.node_id))
+
+    def variable(self, index: int, subindex: int = 0) -> Variable:
+        """What the dictionary has there; the case does not apply where that is nothing."""
+        variable = self.dictionary.get(index, subindex)
+        if variable is None:
+            does_not_apply(f"the dictionary has no object 0x{index:04X}:{subindex:02X}")
+        return variable
+
+    def check_emergency(self) -> None:
+        """The case does not apply to a device that sends no emergency messages after a reset."""
+        cob_id = self.default(0x1014)
+        if cob_id & COB_ID_INVALID or not cob_id & 0x1FFF_FFFF:
+            does_not_apply("0x1014:00 has no valid COB-ID by default")
+
+    # ---- NMT ----
+
+    def reset(self, command: NmtCommand = NmtCommand.RESET_NODE) -> Procedure[None]:
+        """Reset the device, by default as after power-on, and have it be pre-operational, also if it starts by itself."""
+        yield from self.restart(command)
+        yield from self.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+
+    def restart(self, command: NmtCommand = NmtCommand.RESET_NODE) -> Procedure[None]:
+        """Reset the device and wait for its boot-up, nothing else."""
+        self.probe.listen((self.response_key, self.error_control_key, self.emcy_key))
+        yield from act(lambda now: self.nmt.send(command, self.node_id, now))
+        yield from self.await_boot_up()
+
+    def await_boot_up(self) -> Procedure[None]:
+        """Wait for the boot-up frame, whatever heartbeats come before it."""
+        begin = yield from current_time()
+        data = b""
+        while data != b"\x00":
+            left = begin + BOOT_TIME - (yield from current_time())
+            heard = yield from self.next_frame(self.error_control_key, max(left, 0), "the boot-up frame")
+            data = heard.frame.data
+        yield from self.sleep(REACTION_TIME)
+
+    def command(self, command: NmtCommand, node_id: int | None = None) -> Procedure[None]:
+        """Send an NMT command, by default to the device, and give it time to obey."""
+        target = self.node_id if node_id is None else node_id
+        yield from act(lambda now: self.nmt.send(command, target, now))
+        yield from self.sleep(REACTION_TIME)
+
+    def supervise(self) -> Procedure[None]:
+        """Make the NMT state visible: by heartbeat where the device has one, else `state` asks by guarding."""
+        if self.dictionary.has_index(0x1017):
+            yield from self.write(0x1017, 0, SUPERVISION_PERIOD // MILLISECOND)
+        elif not self.dictionary.has_index(0x100C):
+            does_not_apply("the device has neither a heartbeat nor guarding: nothing shows its NMT state")
+
+    def state(self) -> Procedure[NmtState]:
+        """The NMT state that the device shows; call `supervise` before."""
+        key = self.error_control_key
+        self.probe.forget(key)
+        if not self.dictionary.has_index(0x1017):
+            yield from self.send_remote(key, 1)
+        heard = yield from self.next_frame(key, ANSWER_TIME, "a sign of the NMT state")
+        data = heard.frame.data
+        state = STATE_OF_BYTE[data[0]] if len(data) == 1 else None
+        if state is None:
+            raise Violation(f"{heard.frame} shows no NMT state")
+        return state
+
+    def expect_state(self, expected: NmtState, when: str) -> Procedure[None]:
+        """Look whether the device shows that NMT state."""
+        state = yield from self.state()
+        expect(state is expected, f"{when}, the device is {state.name}, not {expected.name}")
+
+    # ---- frames made by hand ----
+
+    def send(self, key: int, data: bytes = b"") -> Procedure[None]:
+        """Send a data frame."""
+        yield from act(lambda now: self.probe.send(frame_for_key(key, data), now))
+
+    def send_remote(self, key: int, dlc: int) -> Procedure[None]:
+        """Send a remote frame that asks for `dlc` bytes."""
+        extended = frame_for_key(key, b"").flags
+        yield from act(lambda now: self.probe.send(Frame(key & 0x1FFF_FFFF, b"", extended | REMOTE, dlc), now))
+
+    def sleep(self, duration: Time) -> Procedure[None]:
+        """Wait for `duration` ns, and see how late we are."""
+        due = yield from current_time()
+        end = due + duration
+        while due < end:
+            now = yield from current_time()
+            due = min(max(due, now) + SLICE, end)
+            yield from sleep(max(due - now, 0))
+            yield from self._look_at_the_clock(due)
+
+    def _look_at_the_clock(self, due: Time) -> Procedure[None]:
+        now = yield from current_time()
+        self.lateness = max(self.lateness, now - due)
+
+    def next_frame(self, key: int, timeout: Time, what: str) -> Procedure[FrameHeard]:
+        """The next frame with a key that the probe listens to. Raises NotInTime that names `what`; timeout: ns."""
+        begin = yield from current_time()
+        while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
+            left = begin + timeout - (yield from current_time())
+            try:
+                yield from wait_for_event(self.probe, FrameHeard, max(left, 0), what, lambda report: report.frame.key == key)
+            except StepTimeout:
+                yield from self._look_at_the_clock(begin + timeout)
+                late = self.probe.take(key)  # it came while we were late
+                if late is not None:
+                    return late
+                raise NotInTime(f"{what} did not come within {timeout / SECOND:g} s", timeout) from None
+        return heard
+
+    def frames_within(self, key: int, duration: Time) -> Procedure[list[FrameHeard]]:
+        """All frames with a key within the time from now on."""
+        self.probe.listen_also(key)
+        yield from self.sleep(duration)
+        return self.probe.take_all(key)
+
+    def expect_period(self, key: int, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
+        """Listen for `duration` ns, and look whether frames with that key come once a period; they are returned.
+
+        Measured is the time from the first to the last; how long we listened is known less well. Raises LateOrEarly.
+        """
+        begin = yield from current_time()
+        heard = yield from self.frames_within(key, duration)
+        self.check_period(heard, begin, (yield from current_time()), period, what)
+        return heard
+
+    def check_period(self, heard: Sequence[FrameHeard], begin: Time, end: Time, period: Time, what: str) -> None:
+        """Look whether frames that were heard from `begin` to `end` came once a period. Raises LateOrEarly."""
+        wanted = f"the period is {period / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
+        seen = f"{what} came {len(heard)} times in {(end - begin) / SECOND:.3g} s"
+        if len(heard) < 2:
+            raise LateOrEarly(f"{seen}; {wanted}")
+        first, last = heard[0].at, heard[-1].at
+        average = (last - first) / (len(heard) - 1)
+        if abs(average - period) > period * PERIOD_TOLERANCE:
+            raise LateOrEarly(f"{seen}, one each {average / MILLISECOND:.1f} ms; {wanted}")
+        pause = max(first - begin, end - last)
+        if pause > 2 * period:
+            raise LateOrEarly(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
+
+    def expect_silence(self, key: int, duration: Time, what: str) -> Procedure[None]:
+        """Look whether no frame with that key comes within the time."""
+        heard = yield from self.frames_within(key, duration)
+        if heard:
+            raise Violation(f"{what}: {heard[0].frame} came")
+
+    def sync(self, counter: int | None = None) -> Procedure[None]:
+        """Send a SYNC, and give the device time for what follows from it."""
+        yield from self.send(self.sync_key, b"" if counter is None else bytes((counter,)))
+        yield from self.sleep(REACTION_TIME)
+
+    def silence_sync(self) -> Procedure[None]:
+        """Set the SYNC period to 0, producer or not. A reset puts that back.
+
+        A producer is silent then: our SYNC is to be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). A
+        producer that refuses becomes a consumer by bit 30 of 0x1005.
+        """
+        if not self.dictionary.has_index(0x1006) or not (yield from self.number(0x1006)):
+            return
+        if (yield from self.refusal_of_write(0x1006, 0, 0)) is not None and self.dictionary.has_index(0x1005):
+            cob_id = yield from self.number(0x1005)
+            if cob_id & SYNC_PRODUCER:
+                yield from self.write(0x1005, 0, cob_id & ~SYNC_PRODUCER)
+
+    # ---- objects by SDO ----
+
+    def transfer(self, procedure: Procedure[T]) -> Procedure[T]:
+        """Carry out an SDO transfer. Raises SdoFailed; NotInTime if there is no answer."""
+        try:
+            return (yield from procedure)
+        except SdoFailed as failed:
+            if failed.origin is AbortOrigin.TIMEOUT:
+                raise NotInTime(str(failed), self.sdo.timeout) from failed
+            raise
+
+    def read(self, index: int, subindex: int = 0) -> Procedure[bytes]:
+        """An object's bytes. Raises as `transfer` does."""
+        return (yield from self.transfer(upload(self.sdo, index, subindex)))
+
+    def number(self, index: int, subindex: int = 0) -> Procedure[int]:
+        """An object as an unsigned number. Raises as `transfer` does."""
+        return int.from_bytes((yield from self.read(index, subindex)), "little")
+
+    def write(self, index: int, subindex: int, value: int) -> Procedure[None]:
+        """Write an unsigned number, as wide as the dictionary says. Raises as `transfer` does."""
+        yield from self.transfer(download(self.sdo, index, subindex, self.encode(index, subindex, value)))
+
+    def encode(self, index: int, subindex: int, value: int) -> bytes:
+        """An unsigned number as wide as the dictionary says of that object."""
+        variable = self.variable(index, subindex)
+        if variable.size is None or value.bit_length() > 8 * variable.size:
+            raise Violation(f"{variable.label} is a {variable.data_type.name}, which does not hold the number {value}")
+        return value.to_bytes(variable.size, "little")
+
+    def refusal_of_read(self, index: int, subindex: int) -> Procedure[int | None]:
+        """The abort code with which the device refuses a read; None if it does not. No answer at all raises NotInTime."""
+        try:
+            yield from self.transfer(upload(self.sdo, index, subindex))
+        except SdoFailed as failed:
+            return _code_of_peer(failed)
+        return None
+
+    def refusal_of_write(self, index: int, subindex: int, value: int | bytes) -> Procedure[int | None]:
+        """The abort code with which the device refuses a write; None if it does not. No answer at all raises NotInTime.
+
+        value: bytes as they are, or a number as wide as the dictionary says.
+        """
+        data = value if isinstance(value, bytes) else self.encode(index, subindex, value)
+        try:
+            yield from self.transfer(download(self.sdo, index, subindex, data))
+        except SdoFailed as failed:
+            return _code_of_peer(failed)
+        return None
+
+    def expect_number(self, index: int, subindex: int, expected: int, when: str) -> Procedure[None]:
+        """Look whether an object holds that number."""
+        seen = yield from self.number(index, subindex)
+        expect_equal(seen, expected, f"{when}, 0x{index:04X}:{subindex:02X}")
+
+    def expect_default(self, index: int, subindex: int, when: str) -> Procedure[None]:
+        """Look whether an object can be read, and holds its default where the dictionary tells it."""
+        content = yield from self.read(index, subindex)
+        variable = self.dictionary.get(index, subindex)
+        expected = None if variable is None else self.content_of(variable)
+        if expected is not None:
+            number = int.from_bytes(expected, "little")
+            expect_equal(int.from_bytes(content, "little"), number, f"{when}, 0x{index:04X}:{subindex:02X}")
+
+    def stimulate(self, variable: Variable) -> Procedure[bool]:
+        """Have an object of the process change, if there is somebody who can. Whether there was."""
+        stimulus = self.stimulus
+        if stimulus is None:
+            return False
+        yield from act(lambda now: stimulus(variable, now))
+        return True
+
+
+def _encoded(variable: Variable, value: Value) -> bytes | None:
+    try:
+        return variable.encode(value)
+    except ValueRangeError:
+        return None
+
+
+def _code_of_peer(failed: SdoFailed) -> int:
+    if failed.origin is not AbortOrigin.PEER:
+        raise failed
+    return failed.abort_code

@@ -1,0 +1,31 @@
+"""Chapter 1 of the conformance test: the device's file, without the device (CiA 306-1 v1.4.0, CiA 311).
+
+All other cases go by what the file says, so that a mistake in it may look like one of the device. What is an error, and what is
+only a warning, the reader and the linter decide (canopen_data/checks).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_check.bench import Bench
+from canopen_check.case import Case, Violation, does_not_apply
+from canopen_data.checks import check
+from canopen_data.findings import Severity
+from canopen_proto.procedures.steps import Procedure
+
+
+def check_file(bench: Bench) -> Procedure[str]:
+    """1.0: neither reading the file nor checking it finds an error. How many warnings there are is told."""
+    yield from ()  # no step: the device is not asked
+    if bench.description is None:
+        does_not_apply("there is no file of the device")
+    found = [*bench.description.findings, *check(bench.description)]
+    for each in found:
+        if each.severity is Severity.ERROR:
+            bench.notes.fail(Violation(str(each)))
+    warnings = sum(1 for each in found if each.severity is Severity.WARNING)
+    return f"{warnings} warning{'' if warnings == 1 else 's'}" if warnings else ""
+
+
+CASES: Final = (Case("1.0", "EDS checker", "Check the EDS file", check_file, uses_device=False),)

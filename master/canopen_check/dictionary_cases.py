@@ -1,0 +1,224 @@
+"""Chapter 4 of the conformance test: the object dictionary (CiA 301 v4.2.0, 7.4): what the device has, against what it should
+have.
+
+Not compared with defaults are objects that live: the values of the process, the error objects, and those that do something.
+What an object holds is written back from 0x2000 on, and where the file (ObjFlags) does not say that a download leaves it alone;
+if the test is strict, in the communication area too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from functools import partial
+from typing import Final
+
+from canopen_check.bench import Bench
+from canopen_check.case import Case, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.sdo_cases import (
+    ANY_TIME,
+    NEVER_WRITTEN,
+    READ_ONLY,
+    TOO_HIGH,
+    TOO_LOW,
+    expect_own_value,
+    limited,
+    read_write_only,
+    settings,
+    takes_any_time,
+)
+from canopen_proto.abort import AbortCode
+from canopen_proto.dictionary import Access, Object, ObjectType, Variable
+from canopen_proto.dictionary.download_order import NO_DOWNLOAD
+from canopen_proto.nmt import NmtCommand
+from canopen_proto.procedures.steps import Procedure, SdoFailed
+
+FIRST_OF_MAKER: Final = 0x2000
+"""Where the communication area ends."""
+
+STRUCTURE: Final = 0xFF
+"""The subindex that tells data type and object type."""
+
+LIVING: Final = (0x1001, 0x1002, *NEVER_WRITTEN)
+
+
+def with_default(bench: Bench) -> Iterator[Variable]:
+    """The objects whose value after a reset is known."""
+    for variable in bench.dictionary:
+        is_process = variable.pdo_mappable and variable.access in (Access.RO, Access.RWR)
+        is_alive = is_process or variable.index in LIVING
+        if variable.access.readable and not is_alive and bench.content_of(variable) is not None:
+            yield variable
+
+
+def expect_defaults(bench: Bench, variables: Iterable[Variable]) -> Procedure[str]:
+    """Look whether objects have their defaults."""
+
+    def look(variable: Variable) -> Procedure[None]:
+        seen = yield from bench.read(variable.index, variable.subindex)
+        expect_equal(seen, bench.content_of(variable), variable.label)
+
+    count = yield from for_each(bench, variables, look)
+    return f"{count} objects"
+
+
+def change_settings(bench: Bench) -> Procedure[list[tuple[Variable, bytes]]]:
+    """Give some communication objects other values than they have after a reset; what they had. One that refuses has its own."""
+    before = []
+    for variable in settings(bench):
+        if takes_any_time(variable):
+            place = variable.index, variable.subindex
+            content = yield from bench.read(*place)
+            if (yield from bench.refusal_of_write(*place, ANY_TIME)) is None:
+                before.append((variable, content))
+    return before
+
+
+def expect_put_back(bench: Bench, before: list[tuple[Variable, bytes]]) -> Procedure[None]:
+    """Look whether a reset has undone what `change_settings` did."""
+
+    def look(changed: tuple[Variable, bytes]) -> Procedure[None]:
+        variable, content = changed
+        expect_equal((yield from bench.read(variable.index, variable.subindex)), content, variable.label)
+
+    yield from for_each(bench, before, look)
+
+
+def read_all(bench: Bench) -> Procedure[str]:
+    """4.1: what can be read can be read, with the length of its type."""
+    readable = [variable for variable in bench.dictionary if variable.access.readable]
+    count = yield from for_each(bench, readable, partial(_read, bench))
+    return f"{count} objects"
+
+
+def _read(bench: Bench, variable: Variable) -> Procedure[None]:
+    """Read an object. There may be no data at the moment (an entry of the error history)."""
+    try:
+        content = yield from bench.read(variable.index, variable.subindex)
+    except SdoFailed as failed:
+        if failed.abort_code in (AbortCode.NO_DATA, AbortCode.GENERAL_ERROR):
+            return
+        raise
+    if variable.size is not None:
+        expect_equal(len(content), variable.size, f"the number of bytes of {variable.label}")
+
+
+def compare_defaults(bench: Bench) -> Procedure[str]:
+    """4.2: after power-on each object has its default."""
+    return (yield from expect_defaults(bench, with_default(bench)))
+
+
+def write_read_only(bench: Bench) -> Procedure[str]:
+    """4.3: what is for reading only can't be written, not even with the value that it has."""
+
+    def look(variable: Variable) -> Procedure[None]:
+        value = bench.content_of(variable) or bytes(variable.size or 1)
+        code = yield from bench.refusal_of_write(variable.index, variable.subindex, value)
+        expect_refusal(code, READ_ONLY, f"writing {variable.label}")
+
+    constant = [variable for variable in bench.dictionary if not variable.access.writable]
+    count = yield from for_each(bench, constant, look)
+    return f"{count} objects"
+
+
+def compare_structure(bench: Bench) -> Procedure[str]:
+    """4.5: subindex 255 tells the object type in its lowest byte, above it the data type (of an array: that of its elements)."""
+    found = [described for described in bench.dictionary.objects.values() if STRUCTURE in described.variables]
+    if not found:
+        does_not_apply("no object has a subindex 255")
+
+    def look(described: Object) -> Procedure[None]:
+        structure = yield from bench.number(described.index, STRUCTURE)
+        label = described.variables[STRUCTURE].label
+        expect_equal(structure & 0xFF, int(described.object_type), f"the object type in {label}")
+        if described.object_type is ObjectType.ARRAY and 1 in described.variables:
+            expect_equal(structure >> 8, int(described.variables[1].data_type), f"the data type in {label}")
+
+    count = yield from for_each(bench, found, look)
+    return f"{count} objects"
+
+
+def check_limits(bench: Bench) -> Procedure[str]:
+    """4.6: an object takes the values at its limits, and none beyond.
+
+    In the communication area more is asked of a value than to be within limits: not every COB-ID, number of entries ... is right.
+    In the profile area a device may lack what it does not support (a mode of operation), but not call it too high or too low.
+    """
+    found = limited(bench)
+    if not found:
+        does_not_apply("no object has limits of its own")
+
+    def look(limit: tuple[Variable, int, int | float, Collection[AbortCode]]) -> Procedure[None]:
+        variable, beyond, within, codes = limit
+        place = variable.index, variable.subindex
+        code = yield from bench.refusal_of_write(*place, variable.encode(beyond))
+        expect_refusal(code, codes, f"writing {beyond} to {variable.label}")
+        if not 0x1000 <= variable.index < FIRST_OF_MAKER:
+            code = yield from bench.refusal_of_write(*place, variable.encode(within))
+            is_lacking = variable.index >= 0x6000 and code == AbortCode.INVALID_VALUE
+            expect(code is None or is_lacking, f"writing {within}, its limit, to {variable.label} was refused")
+
+    yield from bench.silence_sync()  # 0x1019 may be among them
+    limits = [
+        (variable, beyond, within, codes)
+        for variable, below, above in found
+        for beyond, within, codes in ((below, variable.low_limit, TOO_LOW), (above, variable.high_limit, TOO_HIGH))
+        if beyond is not None and within is not None
+    ]
+    yield from for_each(bench, limits, look)
+    return f"{len(found)} objects"
+
+
+def write_back(bench: Bench) -> Procedure[str]:
+    """4.9: what can be written takes the value that it has. CiA's tool does not look whether it has it then: it may live."""
+
+    def look(variable: Variable) -> Procedure[None]:
+        content = yield from bench.read(variable.index, variable.subindex)
+        yield from expect_own_value(bench, variable, content)
+        after = yield from bench.read(variable.index, variable.subindex)
+        bench.notes.beyond(after == content, f"{variable.label}, written back, is {after.hex(' ')}, not {content.hex(' ')}")
+
+    found = [
+        variable
+        for variable in bench.dictionary
+        if variable.access.readable
+        and variable.access.writable
+        and variable.index not in NEVER_WRITTEN
+        and (bench.strict or variable.index >= FIRST_OF_MAKER)
+        and not (variable.object_flags | bench.dictionary.objects[variable.index].object_flags) & NO_DOWNLOAD
+    ]
+    count = yield from for_each(bench, found, look)
+    return f"{count} objects"
+
+
+def access_all(bench: Bench) -> Procedure[str]:
+    """4.7: reading, and writing back; if the test is strict, in Operational too."""
+    yield from read_all(bench)
+    seen = yield from write_back(bench)
+    if bench.strict:
+        yield from bench.command(NmtCommand.START)
+        yield from read_all(bench)
+        yield from write_back(bench)
+    return seen
+
+
+def compare_after_reset_communication(bench: Bench) -> Procedure[str]:
+    """4.8: after reset communication the communication objects that can be written have their defaults."""
+    before = yield from change_settings(bench)
+    yield from bench.reset(NmtCommand.RESET_COMMUNICATION)
+    yield from expect_put_back(bench, before)
+    return (yield from expect_defaults(bench, (variable for variable in with_default(bench) if variable.index < 0x2000)))
+
+
+CASES: Final = (
+    Case("4.1", "OD 01", "Access each object by its access type", read_all),
+    Case("4.2", "OD 02", "Compare each object with its default value", compare_defaults),
+    Case("4.3", "OD 03", "Try to write what is read-only", write_read_only),
+    Case("4.4", "OD 04", "Try to read what is write-only", read_write_only),
+    Case("4.5", "OD 05", "Compare subindex 255 with data type and object type", compare_structure),
+    Case("4.6", "OD 06", "Check the limits of objects that can be written", check_limits),
+    Case("4.7", "OD 07", "Access each object by its access type, and write it back", access_all),
+    Case(
+        "4.8", "OD 08", "Compare objects with their default values after reset communication", compare_after_reset_communication
+    ),
+    Case("4.9", "OD 09", "Write back what each rw object holds", write_back),
+)

@@ -1,0 +1,41 @@
+"""Emergency messages of a device under test (CiA 301 v4.2.0, 7.2.7).
+
+"Error reset" (code 0) tells of no error, and is passed over.
+"""
+
+from __future__ import annotations
+
+from canopen_check.bench import Bench
+from canopen_check.case import Violation, expect_equal
+from canopen_check.probe import FrameHeard
+from canopen_proto.machine import Time
+from canopen_proto.procedures.steps import Procedure, current_time
+
+
+def code_of(message: bytes) -> int:
+    """The error code."""
+    return int.from_bytes(message[:2], "little")
+
+
+def errors_told(bench: Bench) -> list[FrameHeard]:
+    """The messages about errors that came and were not taken yet."""
+    return [each for each in bench.probe.take_all(bench.emcy_key) if code_of(each.frame.data)]
+
+
+def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
+    """The next message about an error. Raises NotInTime that names `what`; timeout: ns."""
+    end = (yield from current_time()) + timeout
+    while True:
+        left = max(end - (yield from current_time()), 0)
+        heard = yield from bench.next_frame(bench.emcy_key, left, what)
+        expect_equal(len(heard.frame.data), 8, f"the length of the emergency message ({heard.frame})")
+        if code_of(heard.frame.data):
+            return heard
+
+
+def expect_no_error(bench: Bench, duration: Time, what: str) -> Procedure[None]:
+    """Look whether no message about an error comes within the time."""
+    bench.probe.listen_also(bench.emcy_key)
+    yield from bench.sleep(duration)
+    for each in errors_told(bench):
+        raise Violation(f"{what}: {each.frame} came")

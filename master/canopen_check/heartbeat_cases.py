@@ -1,0 +1,185 @@
+"""Chapter 7.1xx of the conformance test: heartbeat, produced and monitored (CiA 301 v4.2.0, 7.2.8.3.2.2, 7.5.2.19, 7.5.2.20)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
+from canopen_check.case import (
+    Case,
+    LateOrEarly,
+    Violation,
+    does_not_apply,
+    expect_equal,
+    expect_refusal,
+)
+from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
+from canopen_proto.abort import AbortCode
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.steps import Procedure, current_time
+
+CONSUMER: Final = 0x1016
+PRODUCER: Final = 0x1017
+
+PERIOD: Final = 100 * MILLISECOND
+COUNTED: Final = 10 * SECOND
+MONITORED: Final = 500 * MILLISECOND
+
+EMCY_CONNECTION_LOST: Final = 0x8130
+
+TWICE: Final = (AbortCode.PARAMETER_INCOMPATIBLE, AbortCode.GENERAL_ERROR)
+
+
+def highest(bench: Bench, index: int, most: int) -> int:
+    """The highest number that an object takes, of a type that holds `most`."""
+    limit = bench.variable(index).high_limit
+    return most if limit is None else min(int(limit), most)
+
+
+def write_period(bench: Bench) -> Procedure[None]:
+    """7.101: the producer heartbeat time can be written; if the test is strict, up to its last bit, or its limit."""
+    most = (highest(bench, PRODUCER, 0xFFFF),) if bench.strict else ()
+    for milliseconds in (100, *most, 0):
+        yield from bench.write(PRODUCER, 0, milliseconds)
+        yield from bench.expect_number(PRODUCER, 0, milliseconds, "written")
+
+
+def count_heartbeats(bench: Bench) -> Procedure[str]:
+    """7.102: one heartbeat per period, each with the NMT state."""
+    yield from bench.write(PRODUCER, 0, PERIOD // MILLISECOND)
+    heard = yield from bench.expect_period(bench.error_control_key, COUNTED, PERIOD, "the heartbeat")
+    for each in heard:
+        expect_equal(each.frame.data, bytes((NmtState.PRE_OPERATIONAL,)), "the data of a heartbeat in pre-operational")
+    return f"{len(heard)} heartbeats"
+
+
+def stop_heartbeat(bench: Bench) -> Procedure[None]:
+    """7.103: a time of 0 ends it."""
+    yield from bench.write(PRODUCER, 0, PERIOD // MILLISECOND)
+    yield from bench.next_frame(bench.error_control_key, 2 * PERIOD, "a heartbeat")
+    yield from bench.write(PRODUCER, 0, 0)
+    yield from bench.expect_silence(bench.error_control_key, 1 * SECOND, "the heartbeat time is 0, and a heartbeat")
+
+
+def _entries(bench: Bench) -> list[int]:
+    """The subindices of the consumer heartbeat time; the case does not apply where there are none."""
+    found = [subindex for subindex in bench.dictionary.objects[CONSUMER].variables if subindex]
+    if not found:
+        does_not_apply("0x1016 has no entry")
+    return found
+
+
+def _clear_entries(bench: Bench) -> Procedure[list[int]]:
+    """Monitor nobody any more; the subindices."""
+    found = _entries(bench)
+    for subindex in found:
+        yield from bench.write(CONSUMER, subindex, 0)
+    return found
+
+
+def _others(bench: Bench) -> Iterator[int]:
+    """Node-IDs that are not the device's."""
+    return (node_id for node_id in range(1, MAX_NODE_ID + 1) if node_id != bench.node_id)
+
+
+def _entry(node_id: int, timeout: Time) -> int:
+    return node_id << 16 | timeout // MILLISECOND
+
+
+def monitor_twice(bench: Bench) -> Procedure[str | None]:
+    """7.104: an entry takes the value that it has; no two entries may monitor one node."""
+    node_id, (first, *rest) = next(_others(bench)), (yield from _clear_entries(bench))
+    for _ in range(2):
+        yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))
+    if not rest:
+        return "the device monitors one node only"
+    refusal = yield from bench.refusal_of_write(CONSUMER, rest[0], _entry(node_id, MONITORED))
+    expect_refusal(refusal, TWICE, f"monitoring node {node_id} twice")
+    return None
+
+
+def _heartbeat(bench: Bench, node_id: int) -> Procedure[None]:
+    yield from bench.send(ERROR_CONTROL + node_id, bytes((NmtState.OPERATIONAL,)))
+
+
+def monitor_in_time(bench: Bench) -> Procedure[str]:
+    """7.105: heartbeats that come in time make no error, in any entry."""
+    bench.check_emergency()
+    monitored = list(zip((yield from _clear_entries(bench)), _others(bench), strict=False))
+    for subindex, node_id in monitored:
+        yield from bench.write(CONSUMER, subindex, _entry(node_id, MONITORED))
+    bench.probe.forget(bench.emcy_key)
+    for _ in range(8):
+        for _, node_id in monitored:
+            yield from _heartbeat(bench, node_id)
+        yield from bench.sleep(MONITORED // 2)
+    sent = f"heartbeats came each {MONITORED // 2 // MILLISECOND} ms, the consumer time is {MONITORED // MILLISECOND} ms"
+    for each in errors_told(bench):
+        raise LateOrEarly(f"{sent}, and an emergency message came too: {each.frame}")
+    return f"{len(monitored)} entries"
+
+
+def check_not_early(after: Time, time: Time, what: str) -> None:
+    """Look whether something that is due after a time did not come much earlier. Raises LateOrEarly."""
+    if after < time * (1 - PERIOD_TOLERANCE):
+        wanted = f"the time is {time / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
+        raise LateOrEarly(f"{what} after {after / MILLISECOND:.0f} ms; {wanted}")
+
+
+def expect_lost(bench: Bench, node_id: int) -> Procedure[None]:
+    """One heartbeat and no more: look whether an emergency message tells of it, when the consumer time is over and not before."""
+    bench.probe.forget(bench.emcy_key)
+    yield from _heartbeat(bench, node_id)
+    begin = yield from current_time()
+    latest = int(MONITORED * (1 + PERIOD_TOLERANCE)) + REACTION_TIME
+    lost = f"the lost heartbeat of node {node_id}"
+    heard = yield from next_error(bench, latest, f"an emergency message about {lost}")
+    expect_equal(code_of(heard.frame.data), EMCY_CONNECTION_LOST, f"the error code for {lost}")
+    check_not_early(heard.at - begin, MONITORED, f"{lost} was told of")
+
+
+def monitor_late(bench: Bench) -> Procedure[str]:
+    """7.106: a heartbeat that does not come in time makes an error, in each entry; a node that was never heard makes none."""
+    bench.check_emergency()
+    monitored = list(zip((yield from _clear_entries(bench)), _others(bench), strict=False))
+    for subindex, node_id in monitored:
+        yield from bench.write(CONSUMER, subindex, _entry(node_id, MONITORED))
+        yield from expect_no_error(bench, 2 * MONITORED, f"node {node_id} was not heard yet, and a message")
+        yield from expect_lost(bench, node_id)
+        yield from bench.write(CONSUMER, subindex, 0)
+        yield from bench.sleep(REACTION_TIME)
+    return f"{len(monitored)} entries"
+
+
+def monitor_after_reset(bench: Bench) -> Procedure[None]:
+    """7.107: a reset ends the monitoring that is not the default; it can be set up again, with the device's own heartbeat."""
+    bench.check_emergency()
+    (first, *_), node_id = (yield from _clear_entries(bench)), next(_others(bench))
+    yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))
+    yield from _heartbeat(bench, node_id)
+    yield from bench.reset()
+    if bench.default(CONSUMER, first) == 0:
+        yield from _heartbeat(bench, node_id)
+        yield from expect_no_error(bench, 2 * MONITORED, "nobody is monitored after a reset, and a message")
+    yield from _clear_entries(bench)
+    yield from bench.write(PRODUCER, 0, PERIOD // MILLISECOND)
+    yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))
+    yield from expect_lost(bench, node_id)
+    if not bench.probe.take_all(bench.error_control_key):
+        raise Violation("the device's own heartbeat did not come meanwhile")
+
+
+_MONITORING: Final = (CONSUMER, 0x1014)
+
+CASES: Final = (
+    Case("7.101", "Heartbeat 01", "Write 0x1017:00", write_period, (PRODUCER,)),
+    Case("7.102", "Heartbeat 02", "Count the heartbeats", count_heartbeats, (PRODUCER,)),
+    Case("7.103", "Heartbeat 03", "Switch off the heartbeat", stop_heartbeat, (PRODUCER,)),
+    Case("7.104", "Heartbeat 04", "Try to monitor one node twice in 0x1016", monitor_twice, (CONSUMER,)),
+    Case("7.105", "Heartbeat 05", "Monitor a heartbeat that is faster than the consumer time", monitor_in_time, _MONITORING),
+    Case("7.106", "Heartbeat 06", "Monitor a heartbeat that is slower than the consumer time", monitor_late, _MONITORING),
+    Case("7.107", "Heartbeat 07", "Monitor a heartbeat after a reset of the node", monitor_after_reset, (*_MONITORING, PRODUCER)),
+)

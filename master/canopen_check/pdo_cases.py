@@ -1,0 +1,294 @@
+"""Chapter 3 of the conformance test: PDO. What its parameters hold, and when TPDOs are sent (CiA 301 v4.2.0, 7.2.2, 7.5.2.37).
+
+The cases 3 to 8 set each TPDO up in one way and look at it in Operational; 9 to 14 do the same in Stopped and 15 to 20 in
+Pre-operational, where nothing may come. The state is commanded each time. Where SYNCs are counted, the device's own are silenced
+first. pdo_mapping_cases.py has the cases that write to mappings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final, TypeAlias
+
+from canopen_check.bench import REACTION_TIME, Bench
+from canopen_check.case import Body, Case, Violation, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.pdo_tools import (
+    Pdo,
+    all_pdos,
+    create,
+    destroy,
+    has,
+    key_of,
+    length_of,
+    mapped_variable,
+    set_up,
+    usable,
+)
+from canopen_check.probe import FrameHeard
+from canopen_check.sdo_cases import NO_OBJECT
+from canopen_proto.dictionary import Direction
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR
+from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
+from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
+from canopen_proto.procedures.steps import Procedure
+
+SYNC_OVERFLOW: Final = 0x1019
+
+ACYCLIC: Final = 0
+ON_REQUEST: Final = 253
+MANUFACTURER_EVENTS: Final = 254
+PROFILE_EVENTS: Final = 255
+EVENT_TYPES: Final = (MANUFACTURER_EVENTS, PROFILE_EVENTS)
+
+EVENT_TIME: Final = 100 * MILLISECOND
+
+UNFORCED: Final = "no stimulus: no event could be brought about"
+
+_COMMANDS: Final = {
+    NmtState.OPERATIONAL: NmtCommand.START,
+    NmtState.STOPPED: NmtCommand.STOP,
+    NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
+}
+
+
+def scan(direction: Direction, bench: Bench) -> Procedure[str]:
+    """3.1 and 3.2: each PDO has the communication parameter that the dictionary says, two valid ones have two CAN-IDs, none of
+    them restricted, and there are no more PDOs than described."""
+    pdos, owners = all_pdos(bench, direction), dict[int, Pdo]()
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        places = [(pdo, subindex) for subindex in bench.dictionary.objects[pdo.communication].variables]
+        yield from for_each(bench, places, partial(_look_at_parameter, bench))
+        cob_id = bench.default(pdo.communication, COB_ID)
+        if not cob_id & COB_ID_INVALID:
+            if not cob_id & COB_ID_EXTENDED:
+                is_restricted = any(cob_id & 0x1FFF_FFFF in each for each in RESTRICTED_CAN_IDS)
+                expect(not is_restricted, f"{pdo} has the restricted CAN-ID 0x{cob_id & 0x7FF:03X}")
+            other = owners.setdefault(key_of(bench, pdo), pdo)
+            expect(other is pdo, f"{other} and {pdo} have the same CAN-ID")
+
+    yield from for_each(bench, pdos, look)
+    beyond = pdos[-1].number + 1
+    if beyond <= MAX_PDOS:
+        index = Pdo(direction, beyond).communication
+        expect_refusal((yield from bench.refusal_of_read(index, COB_ID)), NO_OBJECT, f"reading 0x{index:04X}:01")
+    return f"{len(pdos)} PDOs"
+
+
+def _look_at_parameter(bench: Bench, place: tuple[Pdo, int]) -> Procedure[None]:
+    pdo, subindex = place
+    yield from bench.expect_default(pdo.communication, subindex, f"after a reset, {pdo}")
+
+
+# ---- when TPDOs are sent ----
+
+Look: TypeAlias = Callable[[Bench, Pdo, bool], Procedure[str | None]]
+"""Looks whether a TPDO that is set up comes as it must, or (False) not at all. A remark where it could not look."""
+
+
+def expect_data(bench: Bench, pdo: Pdo, heard: list[FrameHeard]) -> None:
+    """Look at the length of what came."""
+    for each in heard:
+        expect_equal(len(each.frame.data), length_of(bench, pdo), f"the length of {pdo} ({each.frame})")
+
+
+def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[str | None]:
+    """Lead the device to a state, look at the TPDO, and lead it back to where it can be set up, whatever was seen."""
+    yield from bench.command(_COMMANDS[state])
+    bench.probe.listen_also(key_of(bench, pdo))
+    try:
+        remark = yield from look(bench, pdo, state is NmtState.OPERATIONAL)
+    except Violation:
+        yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        raise
+    yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    return remark
+
+
+def answers_requests(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.3, 3.9, 3.15: a TPDO that allows remote requests by default answers them, in Operational only.
+
+    If the test is strict, others are asked to allow them too, and one that forbids them must not answer.
+    """
+    count = 0
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        nonlocal count
+        if bench.strict or not bench.default(pdo.communication, COB_ID) & COB_ID_NO_RTR:
+            for transmission_type in (PROFILE_EVENTS, ON_REQUEST):
+                if (yield from set_up(bench, pdo, transmission_type, requests=True)):
+                    count += 1
+                    yield from in_state(bench, state, pdo, _look_for_answers)
+        yield from destroy(bench, pdo)
+        if bench.strict and (yield from create(bench, pdo)) is None:
+            yield from in_state(bench, state, pdo, _look_for_no_answers)
+
+    yield from for_each(bench, usable(bench, Direction.TPDO), look)
+    if not count:
+        does_not_apply("no TPDO allows remote requests")
+    return f"{count} times"
+
+
+def _look_for_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    key = key_of(bench, pdo)
+    yield from bench.send_remote(key, length_of(bench, pdo))
+    heard = yield from bench.frames_within(key, REACTION_TIME)
+    expect_equal(len(heard), int(live), f"the number of answers to a remote request of {pdo}")
+    expect_data(bench, pdo, heard)
+
+
+def _look_for_no_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    yield from _look_for_answers(bench, pdo, False)
+
+
+def _each_tpdo(
+    bench: Bench, state: NmtState, types: tuple[int, ...], look: Look, *, event_time: int = 0, sync_start: int = 0
+) -> Procedure[str]:
+    count, seen = 0, set[str]()
+
+    def try_it(attempt: tuple[Pdo, int]) -> Procedure[None]:
+        nonlocal count
+        pdo, transmission_type = attempt
+        if (yield from set_up(bench, pdo, transmission_type, event_time=event_time, sync_start=sync_start)):
+            count += 1
+            seen.add((yield from in_state(bench, state, pdo, look)) or "")
+            yield from destroy(bench, pdo)
+
+    able = [
+        pdo
+        for pdo in usable(bench, Direction.TPDO)
+        if not (event_time and not has(bench, pdo, EVENT_TIMER)) and not (sync_start and not has(bench, pdo, SYNC_START))
+    ]
+    yield from for_each(bench, [(pdo, transmission_type) for pdo in able for transmission_type in types], try_it)
+    if not count:
+        does_not_apply("no TPDO supports it")
+    return "; ".join((f"{count} times", *sorted(seen - {""})))
+
+
+def event_driven(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.4, 3.10, 3.16: an event-driven TPDO goes at its event."""
+    return (yield from _each_tpdo(bench, state, EVENT_TYPES, _look_for_event))
+
+
+def _look_for_event(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    variable = mapped_variable(bench, pdo)
+    bench.probe.forget(key_of(bench, pdo))
+    if variable is None or not (yield from bench.stimulate(variable)):
+        return UNFORCED
+    heard = yield from bench.frames_within(key_of(bench, pdo), REACTION_TIME)
+    expect_equal(len(heard), int(live), f"the number of {pdo} for one event")
+    expect_data(bench, pdo, heard)
+    return None
+
+
+def event_timer(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.5, 3.11, 3.17: an event-driven TPDO with an event timer goes each time that it has run down."""
+    return (yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_period, event_time=EVENT_TIME))
+
+
+def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    key = key_of(bench, pdo)
+    if live:
+        heard = yield from bench.expect_period(key, 1 * SECOND, EVENT_TIME, f"{pdo}")
+    else:
+        heard = yield from bench.frames_within(key, 1 * SECOND)
+        expect_equal(len(heard), 0, f"the number of {pdo} by its event timer")
+    expect_data(bench, pdo, heard)
+
+
+def cyclic(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.6, 3.12, 3.18: a TPDO of type n goes at each n-th SYNC. With which SYNC the count begins is left open."""
+    yield from bench.silence_sync()
+    each = yield from _each_tpdo(bench, state, (1,), partial(_look_for_nth_sync, 1))
+    third = yield from _each_tpdo(bench, state, (3,), partial(_look_for_nth_sync, 3))
+    return f"each SYNC: {each}; each third: {third}"
+
+
+def _look_for_nth_sync(period: int, bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
+    came = yield from _after_syncs(bench, pdo, [None] * 2 * period)
+    if live:
+        expect(
+            sum(came) == 2 and came[:period] == came[period:], f"{pdo} of type {period} came {came} times after {len(came)} SYNCs"
+        )
+    else:
+        expect_equal(sum(came), 0, f"the number of {pdo} after {len(came)} SYNCs")
+
+
+def _after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Procedure[list[int]]:
+    """How many times the PDO came after each SYNC."""
+    came = []
+    for counter in counters:
+        bench.probe.forget(key_of(bench, pdo))
+        yield from bench.sync(counter)
+        heard = bench.probe.take_all(key_of(bench, pdo))
+        expect_data(bench, pdo, heard)
+        came.append(len(heard))
+    return came
+
+
+def acyclic(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.7, 3.13, 3.19: a TPDO of type 0 goes at the SYNC behind its event, and at no other."""
+    yield from bench.silence_sync()
+    return (yield from _each_tpdo(bench, state, (ACYCLIC,), _look_for_event_and_sync))
+
+
+def _look_for_event_and_sync(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    variable, key = mapped_variable(bench, pdo), key_of(bench, pdo)
+    yield from bench.sync()  # entering Operational may be an event
+    bench.probe.forget(key)
+    if variable is None or not (yield from bench.stimulate(variable)):
+        yield from bench.expect_silence(key, REACTION_TIME, f"{pdo} of type 0, without SYNC")
+        return UNFORCED
+    yield from bench.expect_silence(key, REACTION_TIME, f"{pdo} of type 0, before SYNC")
+    came = yield from _after_syncs(bench, pdo, [None, None])
+    expect_equal(came, [int(live), 0], f"the number of {pdo} at the SYNC behind its event, and at the next,")
+    return None
+
+
+def sync_start_value(state: NmtState, bench: Bench) -> Procedure[str]:
+    """3.8, 3.14, 3.20: a TPDO of type 2 with the SYNC start value 3 waits for that counter.
+
+    The SYNC with it "is regarded as the first one" (7.5.2.37). So the TPDO goes with the counters 4 and 6; or with 3, 5 and 7
+    where the first one sets it off, as many devices do. Both are right.
+    """
+    yield from bench.silence_sync()
+    yield from bench.write(SYNC_OVERFLOW, 0, 10)
+    return (yield from _each_tpdo(bench, state, (2,), _look_for_start, sync_start=3))
+
+
+_FROM_THE_FIRST, _BY_THE_SECOND = [0, 0, 1, 0, 1, 0, 1], [0, 0, 0, 1, 0, 1, 0]
+
+
+def _look_for_start(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    came = yield from _after_syncs(bench, pdo, [1, 2, 3, 4, 5, 6, 7])
+    if live and came == _BY_THE_SECOND:
+        return "the count begins with the start value"
+    expect_equal(came, _FROM_THE_FIRST if live else [0] * 7, f"the number of {pdo} at the SYNC counters 1 to 7")
+    return None
+
+
+_KINDS: Final[tuple[tuple[str, Callable[[NmtState, Bench], Procedure[str | None]], tuple[int, ...]], ...]] = (
+    ("request TPDOs by RTR, if allowed", answers_requests, ()),
+    ("configure TPDOs for event-driven mode", event_driven, ()),
+    ("configure the event timer of TPDOs", event_timer, ()),
+    ("configure TPDOs for SYNC (cyclic) mode", cyclic, (0x1005,)),
+    ("configure TPDOs for SYNC (acyclic) mode", acyclic, (0x1005,)),
+    ("configure TPDOs for SYNC (cyclic) mode and a SYNC start value", sync_start_value, (0x1005, SYNC_OVERFLOW)),
+)
+_STATES: Final = ((3, NmtState.OPERATIONAL), (9, NmtState.STOPPED), (15, NmtState.PRE_OPERATIONAL))
+
+
+def _case(number: int, state: NmtState, kind: int) -> Case:
+    title, body, needs = _KINDS[kind]
+    run: Body = partial(body, state)
+    return Case(f"3.{number}", f"PDO {number:02}", f"{state.name.capitalize()}: {title}", run, needs)
+
+
+CASES: Final = (
+    Case("3.1", "PDO 01", "Scan for RPDOs: the communication parameters", partial(scan, Direction.RPDO)),
+    Case("3.2", "PDO 02", "Scan for TPDOs: the communication parameters", partial(scan, Direction.TPDO)),
+    *(_case(first + kind, state, kind) for first, state in _STATES for kind in range(len(_KINDS))),
+)

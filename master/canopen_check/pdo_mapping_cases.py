@@ -1,0 +1,264 @@
+"""Chapter 3, continued: PDO mappings, and what a device has to refuse of them (CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38).
+
+Which step a device refuses is left open by the standard: the entry, or the number of entries that makes them count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import Final
+
+from canopen_check.bench import REACTION_TIME, Bench
+from canopen_check.case import Case, Violation, does_not_apply, expect, expect_refusal, for_each
+from canopen_check.pdo_tools import (
+    INTO,
+    Pdo,
+    all_pdos,
+    create,
+    destroy,
+    entry_of,
+    key_of,
+    process_objects,
+    set_up,
+    try_entries,
+    try_mapping,
+    with_writable_mapping,
+)
+from canopen_check.sdo_cases import NOT_NOW
+from canopen_proto.abort import AbortCode
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Access, Direction, Variable
+from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.nmt import NmtCommand
+from canopen_proto.pdo.mapping import LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES
+from canopen_proto.pdo.settings import COB_ID
+from canopen_proto.procedures.steps import Procedure
+
+BOTH: Final = (Direction.RPDO, Direction.TPDO)
+OTHER: Final = {Direction.RPDO: Direction.TPDO, Direction.TPDO: Direction.RPDO}
+
+NOT_MAPPABLE: Final = (AbortCode.CANNOT_BE_MAPPED, AbortCode.GENERAL_ERROR)
+TOO_LONG: Final = (
+    AbortCode.CANNOT_BE_MAPPED,
+    AbortCode.PDO_LENGTH_EXCEEDED,
+    AbortCode.PARAMETER_INCOMPATIBLE,
+    AbortCode.GENERAL_ERROR,
+)
+TOO_MANY: Final = (*TOO_LONG, AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_HIGH)
+
+DUMMY: Final = DataType.UNSIGNED16
+_ALL_ACCESS: Final = tuple(Access)
+
+
+def default_mappings(bench: Bench) -> Procedure[str]:
+    """3.21: what a PDO carries by default is in the dictionary, may be mapped in its direction and width, and is no more than 64
+    bits."""
+    count = 0
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        nonlocal count
+        expect(bench.dictionary.get(pdo.mapping) is not None, f"{pdo} has no mapping parameter")
+        yield from bench.expect_default(pdo.mapping, 0, f"after a reset, the number of objects in {pdo}")
+        number = yield from bench.number(pdo.mapping)
+        bits = 0
+        for subindex in range(1, number + 1 if number <= MAX_ENTRIES else 1):
+            entry = yield from bench.number(pdo.mapping, subindex)
+            try:
+                _check_entry(bench, pdo, entry)
+            except Violation as violation:
+                bench.notes.fail(violation)
+            bits += entry & 0xFF
+            count += 1
+        expect(bits <= MAX_BITS, f"{pdo} carries {bits} bits")
+
+    yield from for_each(bench, all_pdos(bench, *BOTH), look)
+    return f"{count} entries"
+
+
+def _check_entry(bench: Bench, pdo: Pdo, entry: int) -> None:
+    index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+    if index <= LAST_DUMMY_INDEX and pdo.direction is Direction.RPDO:
+        return
+    variable = bench.dictionary.get(index, subindex)
+    if variable is None:
+        raise Violation(f"{pdo} carries 0x{index:04X}:{subindex:02X}, which is not in the dictionary")
+    may = variable.pdo_mappable and variable.access not in INTO[OTHER[pdo.direction]]
+    expect(may, f"{pdo} carries {variable.label}, which is {variable.access} or not mappable")
+    expect(variable.bit_length is None or 0 < bits <= variable.bit_length, f"{pdo} carries {variable.label} with {bits} bits")
+
+
+def _candidates(bench: Bench, direction: Direction) -> list[Variable]:
+    found = process_objects(bench, INTO[direction]) or process_objects(bench, (Access.RW,))
+    if not found:
+        does_not_apply(f"no object can be mapped to an {direction}")
+    return found
+
+
+def _new_entry(bench: Bench, pdo: Pdo) -> int:
+    """An entry that is not what stands first."""
+    standing = bench.default(pdo.mapping, 1)
+    found = [entry_of(variable) for variable in _candidates(bench, pdo.direction) if entry_of(variable) != standing]
+    if not found:
+        does_not_apply(f"nothing else can be mapped to {pdo}")
+    return found[0]
+
+
+def new_mapping(bench: Bench) -> Procedure[str]:
+    """3.22: a PDO takes a new mapping: made not valid, mapping disabled, written, enabled, valid again."""
+    pdos = with_writable_mapping(bench, *BOTH)
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        yield from destroy(bench, pdo)
+        entry = _new_entry(bench, pdo)
+        refusal = yield from try_mapping(bench, pdo, [entry])
+        if refusal is None:
+            refusal = yield from create(bench, pdo)
+        if refusal is not None:
+            raise Violation(f"{pdo} refused a correct mapping (0x{entry:08X}) with 0x{refusal:08X}")
+        yield from bench.expect_number(pdo.mapping, 0, 1, "with a new mapping")
+        yield from bench.expect_number(pdo.mapping, 1, entry, "with a new mapping")
+
+    yield from for_each(bench, pdos, look)
+    return f"{len(pdos)} PDOs"
+
+
+def without_procedure(bench: Bench) -> Procedure[str]:
+    """3.23: an entry can't be written while the mapping is enabled (subindex 0 is not 0); CiA's tool tries its own value."""
+    pdos = with_writable_mapping(bench, *BOTH)
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        yield from destroy(bench, pdo)
+        refusal = yield from bench.refusal_of_write(pdo.mapping, 1, _new_entry(bench, pdo))
+        expect_refusal(refusal, NOT_NOW, f"{pdo}: an entry of an enabled mapping")
+        yield from bench.expect_number(pdo.mapping, 1, bench.default(pdo.mapping, 1), f"{pdo}, after a refused write")
+        own = yield from bench.refusal_of_write(pdo.mapping, 1, bench.default(pdo.mapping, 1))
+        if own is None:
+            bench.notes.remark(f"{pdo} takes the own value of an entry of an enabled mapping; CiA's tool wants it refused")
+
+    yield from for_each(bench, pdos, look)
+    return f"{len(pdos)} PDOs"
+
+
+def while_valid(bench: Bench) -> Procedure[str]:
+    """3.24: the mapping of a valid PDO can't be written."""
+    pdos = [pdo for pdo in with_writable_mapping(bench, *BOTH) if not bench.default(pdo.communication, COB_ID) & COB_ID_INVALID]
+    if not pdos:
+        does_not_apply("no PDO is valid by default")
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        refusal = yield from bench.refusal_of_write(pdo.mapping, 0, 0)
+        if refusal is None:
+            refusal = yield from try_entries(bench, pdo, [_new_entry(bench, pdo)])
+        expect_refusal(refusal, NOT_NOW, f"a new mapping of {pdo}, which is valid,")
+
+    yield from for_each(bench, pdos, look)
+    return f"{len(pdos)} PDOs"
+
+
+def too_many(bench: Bench) -> Procedure[str]:
+    """3.25: no PDO has more than 64 entries."""
+    pdos = with_writable_mapping(bench, *BOTH)
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        yield from destroy(bench, pdo)
+        yield from bench.write(pdo.mapping, 0, 0)
+        refusal = yield from bench.refusal_of_write(pdo.mapping, 0, MAX_ENTRIES + 1)
+        expect_refusal(refusal, TOO_MANY, f"{MAX_ENTRIES + 1} objects in {pdo}")
+
+    yield from for_each(bench, pdos, look)
+    return f"{len(pdos)} PDOs"
+
+
+def too_long(bench: Bench) -> Procedure[str]:
+    """3.26: objects of more than 64 bits together; where the entries do not suffice for that, one that says so many."""
+    pdos = with_writable_mapping(bench, *BOTH)
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        widest = max(_candidates(bench, pdo.direction), key=lambda variable: variable.bit_length or 0)
+        entry = entry_of(widest)
+        count = MAX_BITS // (entry & 0xFF) + 1
+        entries = [entry] * count
+        if bench.dictionary.get(pdo.mapping, count) is None:
+            entries = [entry & ~0xFF | (MAX_BITS + 8)]
+        yield from destroy(bench, pdo)
+        refusal = yield from try_mapping(bench, pdo, entries)
+        expect_refusal(refusal, TOO_LONG, f"{sum(each & 0xFF for each in entries)} bits in {pdo}")
+
+    yield from for_each(bench, pdos, look)
+    return f"{len(pdos)} PDOs"
+
+
+def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: Collection[AbortCode]) -> Procedure[str]:
+    """Map an object to each PDO: it is taken (valid is empty), or refused with one of these codes."""
+    if not found:
+        does_not_apply("the dictionary has no such object")
+    pdos, variable = with_writable_mapping(bench, direction), found[0]
+
+    def look(pdo: Pdo) -> Procedure[None]:
+        yield from destroy(bench, pdo)
+        refusal = yield from try_mapping(bench, pdo, [entry_of(variable)])
+        what = f"{variable.label}, {variable.access}, in {pdo}"
+        if valid:
+            expect_refusal(refusal, valid, what)
+        elif refusal is not None:
+            raise Violation(f"{what} was refused with 0x{refusal:08X}")
+
+    yield from for_each(bench, pdos, look)
+    return f"{variable.label} in {len(pdos)} PDOs"
+
+
+def map_rightly(direction: Direction, bench: Bench) -> Procedure[str]:
+    """3.27 and 3.30: an object that is for this direction."""
+    return (yield from _each(bench, direction, process_objects(bench, INTO[direction]), ()))
+
+
+def map_against_access(direction: Direction, bench: Bench) -> Procedure[str]:
+    """3.28 and 3.31: an object that is for the other direction."""
+    return (yield from _each(bench, direction, process_objects(bench, INTO[OTHER[direction]]), NOT_MAPPABLE))
+
+
+def map_unmappable(direction: Direction, bench: Bench) -> Procedure[str]:
+    """3.29 and 3.32: an object that is for no PDO."""
+    found = process_objects(bench, _ALL_ACCESS, mappable=False)
+    right = [variable for variable in found if variable.access not in INTO[OTHER[direction]]]
+    return (yield from _each(bench, direction, right or found, NOT_MAPPABLE))
+
+
+def map_dummy(bench: Bench) -> Procedure[str]:
+    """3.33: a dummy object in an RPDO is space: what lies behind it arrives where it belongs."""
+    pdos = [pdo for pdo in with_writable_mapping(bench, Direction.RPDO) if bench.dictionary.get(pdo.mapping, 2) is not None]
+    found = [variable for variable in _candidates(bench, Direction.RPDO) if variable.access.readable and variable.size == 2]
+    if not found or not pdos:
+        does_not_apply("no RPDO could carry a dummy object and another one that can be read back")
+    pdo, variable = pdos[0], found[0]
+    yield from set_up(bench, pdo, 255)
+    yield from destroy(bench, pdo)
+    refusal = yield from try_mapping(bench, pdo, [DUMMY << 16 | 16, entry_of(variable)])
+    if refusal is not None:
+        does_not_apply(f"dummy objects are not supported: 0x{refusal:08X}")
+    yield from create(bench, pdo)
+    yield from bench.command(NmtCommand.START)
+    yield from bench.send(key_of(bench, pdo), b"\xff\xff\x01\x00")
+    yield from bench.sleep(REACTION_TIME)
+    yield from bench.expect_number(variable.index, variable.subindex, 1, f"after a {pdo} with a dummy object")
+    return str(pdo)
+
+
+_R, _T = Direction.RPDO, Direction.TPDO
+
+CASES: Final = (
+    Case("3.21", "PDO 21", "Read the default mappings and look for their objects in the dictionary", default_mappings),
+    Case("3.22", "PDO 22", "Write a new correct mapping with the mapping procedure", new_mapping),
+    Case("3.23", "PDO 23", "Try to write a new mapping without the mapping procedure", without_procedure),
+    Case("3.24", "PDO 24", "Try to write a new mapping to a valid PDO", while_valid),
+    Case("3.25", "PDO 25", "Try to write an incorrect mapping: too many objects", too_many),
+    Case("3.26", "PDO 26", "Try to write an incorrect mapping: objects too long", too_long),
+    Case("3.27", "PDO 27", "Map an rww or wo object to an RPDO", partial(map_rightly, _R)),
+    Case("3.28", "PDO 28", "Try to map an rwr or ro object to an RPDO", partial(map_against_access, _R)),
+    Case("3.29", "PDO 29", "Try to map an object that is not mappable to an RPDO", partial(map_unmappable, _R)),
+    Case("3.30", "PDO 30", "Map an rwr or ro object to a TPDO", partial(map_rightly, _T)),
+    Case("3.31", "PDO 31", "Try to map an rww or wo object to a TPDO", partial(map_against_access, _T)),
+    Case("3.32", "PDO 32", "Try to map an object that is not mappable to a TPDO", partial(map_unmappable, _T)),
+    Case("3.33", "PDO 33", "Map a dummy object to an RPDO, if dummy objects are supported", map_dummy),
+)

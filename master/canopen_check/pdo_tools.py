@@ -1,0 +1,184 @@
+"""The PDOs of a device under test: which it has, and how they are set up (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from canopen_check.bench import Bench
+from canopen_check.case import does_not_apply
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Access, Direction, Variable
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
+from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES
+from canopen_proto.pdo.settings import (
+    COB_ID,
+    EVENT_TIMER,
+    INHIBIT_TIME,
+    SYNC_START,
+    TRANSMISSION_TYPE,
+    communication_index,
+    mapping_index,
+    place_of,
+)
+from canopen_proto.procedures.steps import Procedure
+
+_CAN_ID: Final = 0x3FFF_FFFF  # with the frame bit
+
+INTO: Final = {Direction.RPDO: (Access.RWW, Access.WO), Direction.TPDO: (Access.RWR, Access.RO)}
+"""The access rights that leave no doubt which PDOs may carry an object."""
+
+
+class Pdo(NamedTuple):
+    """One PDO of the device."""
+
+    direction: Direction
+    number: int
+
+    @property
+    def communication(self) -> int:
+        """Index of its communication parameter."""
+        return communication_index(self.direction, self.number)
+
+    @property
+    def mapping(self) -> int:
+        """Index of its mapping parameter."""
+        return mapping_index(self.direction, self.number)
+
+    def __str__(self) -> str:
+        return f"{self.direction} {self.number}"
+
+
+def all_pdos(bench: Bench, *directions: Direction) -> list[Pdo]:
+    """The PDOs that the dictionary describes; the case does not apply where there are none."""
+    found = []
+    for index in bench.dictionary.objects:
+        place = place_of(index)
+        if place is not None and not place.is_mapping and place.direction in directions:
+            pdo = Pdo(place.direction, place.number)
+            if bench.dictionary.get(pdo.communication, COB_ID) is not None:
+                found.append(pdo)
+    if not found:
+        does_not_apply(f"the dictionary has no {' and no '.join(directions)}")
+    return found
+
+
+def usable(bench: Bench, *directions: Direction) -> list[Pdo]:
+    """Those that have a CAN-ID by default, be it one that is not valid yet, carry something by default, and can be set up."""
+    found = [
+        pdo
+        for pdo in all_pdos(bench, *directions)
+        if bench.default(pdo.communication, COB_ID) & _CAN_ID
+        and 0 < bench.default(pdo.mapping) <= MAX_ENTRIES
+        and 0 < length_of(bench, pdo) <= MAX_BITS // 8
+    ]
+    if not found:
+        does_not_apply(f"no {' and no '.join(directions)} has a CAN-ID and a mapping by default")
+    settable = [pdo for pdo in found if has(bench, pdo, COB_ID)]
+    if not settable:
+        does_not_apply(f"no {' and no '.join(directions)} has a COB-ID that can be written")
+    return settable
+
+
+def with_writable_mapping(bench: Bench, *directions: Direction) -> list[Pdo]:
+    """Those whose mapping a client may change."""
+    found = []
+    for pdo in usable(bench, *directions):
+        count, entry = bench.dictionary.get(pdo.mapping), bench.dictionary.get(pdo.mapping, 1)
+        if count is not None and entry is not None and count.access.writable and entry.access.writable:
+            found.append(pdo)
+    if not found:
+        does_not_apply(f"no {' and no '.join(directions)} has a mapping that can be written")
+    return found
+
+
+def has(bench: Bench, pdo: Pdo, subindex: int) -> bool:
+    """Whether a PDO's communication parameter has a field that can be written."""
+    variable = bench.dictionary.get(pdo.communication, subindex)
+    return variable is not None and variable.access.writable
+
+
+def key_of(bench: Bench, pdo: Pdo) -> int:
+    """The CAN-ID that it has by default, and that the cases use for it."""
+    return key_of_cob_id(bench.default(pdo.communication, COB_ID))
+
+
+def length_of(bench: Bench, pdo: Pdo) -> int:
+    """The bytes that it carries by default."""
+    count = bench.default(pdo.mapping)
+    bits = sum(bench.default(pdo.mapping, subindex) & 0xFF for subindex in range(1, count + 1))
+    return (bits + 7) // 8
+
+
+def mapped_variable(bench: Bench, pdo: Pdo) -> Variable | None:
+    """The first object that it carries by default."""
+    entry = bench.default(pdo.mapping, 1)
+    return bench.dictionary.get(entry >> 16, entry >> 8 & 0xFF)
+
+
+def destroy(bench: Bench, pdo: Pdo) -> Procedure[None]:
+    """Make it not valid; all that may change only then can be written."""
+    cob_id = bench.default(pdo.communication, COB_ID)
+    yield from bench.write(pdo.communication, COB_ID, cob_id | COB_ID_INVALID)
+
+
+def create(bench: Bench, pdo: Pdo, *, requests: bool = False) -> Procedure[int | None]:
+    """Make it valid; the abort code where the device refuses. requests: a TPDO is to answer remote frames."""
+    cob_id = bench.default(pdo.communication, COB_ID) & _CAN_ID
+    if pdo.direction is Direction.TPDO and not requests:
+        cob_id |= COB_ID_NO_RTR
+    return (yield from bench.refusal_of_write(pdo.communication, COB_ID, cob_id))
+
+
+def set_up(
+    bench: Bench,
+    pdo: Pdo,
+    transmission_type: int,
+    *,
+    event_time: Time = 0,
+    sync_start: int = 0,
+    requests: bool = False,
+) -> Procedure[bool]:
+    """Set a PDO up with its default CAN-ID and mapping. False if the device does not support the type, or remote frames."""
+    yield from destroy(bench, pdo)
+    if (yield from bench.refusal_of_write(pdo.communication, TRANSMISSION_TYPE, transmission_type)) is not None:
+        return False
+    for subindex, value in ((INHIBIT_TIME, 0), (EVENT_TIMER, event_time // MILLISECOND), (SYNC_START, sync_start)):
+        if has(bench, pdo, subindex):
+            yield from bench.write(pdo.communication, subindex, value)
+    return (yield from create(bench, pdo, requests=requests)) is None
+
+
+def try_mapping(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int | None]:
+    """Write a mapping to a PDO that is not valid: disabled, entries, enabled. The abort code of the step that is refused."""
+    yield from bench.write(pdo.mapping, 0, 0)
+    return (yield from try_entries(bench, pdo, entries))
+
+
+def try_entries(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int | None]:
+    """Write the entries and their number."""
+    for subindex, entry in (*enumerate(entries, start=1), (0, len(entries))):
+        refusal = yield from bench.refusal_of_write(pdo.mapping, subindex, entry)
+        if refusal is not None:
+            return refusal
+    return None
+
+
+def entry_of(variable: Variable) -> int:
+    """The mapping entry of an object in its full width."""
+    assert variable.bit_length is not None
+    return variable.mux << 8 | variable.bit_length
+
+
+def process_objects(bench: Bench, access: Sequence[Access], *, mappable: bool = True) -> list[Variable]:
+    """The objects with these access rights that a PDO may carry, or may not, by index."""
+    return [
+        variable
+        for variable in bench.dictionary
+        if variable.access in access
+        and variable.pdo_mappable == mappable
+        and variable.bit_length is not None
+        and variable.data_type is not DataType.DOMAIN
+        and (mappable or not 0x1000 <= variable.index < 0x2000)
+    ]

@@ -1,0 +1,351 @@
+"""Chapter 2 of the conformance test: SDO (CiA 301 v4.2.0, 7.2.4).
+
+Expedited and segmented transfers, and what a server has to refuse, each with the abort codes that are right. Block transfers
+are in block_cases.py.
+
+0x08000000 (general error) is right wherever a server need not say more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from canopen_check.bench import Bench
+from canopen_check.case import Case, Violation, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.raw_sdo import (
+    abort_code_in,
+    ask,
+    expedited_content,
+    initiate,
+    initiate_upload,
+    segmented_download,
+    segmented_upload,
+    upload_segments,
+)
+from canopen_proto.abort import AbortCode
+from canopen_proto.datatypes import DataType, range_of
+from canopen_proto.dictionary import Variable
+from canopen_proto.pdo.settings import EVENT_TIMER, place_of
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT
+
+READ_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.GENERAL_ERROR)
+WRITE_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.WRITE_ONLY, AbortCode.GENERAL_ERROR)
+NO_SUBINDEX: Final = (AbortCode.NO_SUCH_SUBINDEX, AbortCode.GENERAL_ERROR)
+NO_OBJECT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.GENERAL_ERROR)
+BAD_COMMAND: Final = (AbortCode.INVALID_COMMAND, AbortCode.GENERAL_ERROR)
+TOO_LONG: Final = (AbortCode.LENGTH_MISMATCH, AbortCode.LENGTH_TOO_HIGH, AbortCode.GENERAL_ERROR)
+TOO_SHORT: Final = (AbortCode.LENGTH_MISMATCH, AbortCode.LENGTH_TOO_LOW, AbortCode.GENERAL_ERROR)
+TOO_HIGH: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_HIGH, AbortCode.GENERAL_ERROR)
+TOO_LOW: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_LOW, AbortCode.GENERAL_ERROR)
+NOT_NOW: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.DEVICE_STATE, AbortCode.GENERAL_ERROR)
+BAD_TOGGLE: Final = (AbortCode.TOGGLE_NOT_ALTERNATED, AbortCode.GENERAL_ERROR)
+
+DEVICE_TYPE: Final = 0x1000
+SDO_SERVER: Final = 0x1200
+ERROR_HISTORY: Final = 0x1003
+HEARTBEAT: Final = 0x1017
+SYNC_OVERFLOW: Final = 0x1019
+
+NEVER_WRITTEN: Final = (0x1003, 0x1010, 0x1011)
+"""Objects that do not hold what is written there: they do something."""
+
+ANY_TIME: Final = 0x0155
+"""A number of milliseconds (0.3 s) or of 100 us that any object which holds a time takes, as it does the next one."""
+TIME_SIZE: Final = 2
+"""The bytes of such an object."""
+
+
+def settings(bench: Bench) -> Iterator[Variable]:
+    """The objects of the communication area that keep what a client writes."""
+    for variable in bench.dictionary:
+        access = variable.access
+        if 0x1000 <= variable.index < 0x2000 and variable.index not in NEVER_WRITTEN and access.readable and access.writable:
+            yield variable
+
+
+def takes_any_time(variable: Variable) -> bool:
+    """Whether it is a setting for which ANY_TIME is as good as any other value, at any moment."""
+    low, high = variable.low_limit or 0, variable.high_limit
+    if variable.size != TIME_SIZE or low > ANY_TIME or (high is not None and high <= ANY_TIME):
+        return False
+    place = place_of(variable.index)
+    is_event_timer = place is not None and not place.is_mapping and variable.subindex == EVENT_TIMER
+    return is_event_timer or variable.index in (0x100C, 0x1015, 0x1017)
+
+
+def long_object(bench: Bench) -> Variable:
+    """An object of more than four bytes that can be read, best a constant one; the case ends where there is none."""
+    found = [each for each in bench.dictionary if each.access.readable and _length(bench, each) > 4]
+    if not found:
+        does_not_apply("no object has more than four bytes")
+    return min(found, key=lambda each: (each.access.writable, each.mux))
+
+
+def _length(bench: Bench, variable: Variable) -> int:
+    return len(bench.content_of(variable) or b"") if variable.size is None else variable.size
+
+
+def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
+    """Look whether a device has sent what an object holds that nobody has written to."""
+    expected = bench.content_of(variable)
+    if expected is not None:
+        expect_equal(content, expected, f"{variable.label}, read {how},")
+
+
+# ---- expedited transfers, and refusals ----
+
+
+def read_expedited(bench: Bench) -> Procedure[None]:
+    """2.1: the device type comes in one frame, with its four bytes and its own multiplexer."""
+    content = expedited_content((yield from initiate_upload(bench, DEVICE_TYPE, 0)))
+    if content is None:
+        raise Violation("0x1000:00 came with a segmented transfer")
+    expect_equal(len(content), 4, "the number of bytes of 0x1000:00")
+    holds(bench, bench.variable(DEVICE_TYPE), content, "expedited")
+
+
+def read_and_write(bench: Bench) -> Procedure[str]:
+    """2.2: a setting of the communication area takes another value and the one that it had.
+
+    One that holds a time, best the heartbeat's; if the test is strict each setting, and one that holds no time its own value.
+    """
+    found = list(settings(bench))
+    times = [variable for variable in found if takes_any_time(variable)]
+    chosen = found if bench.strict else sorted(times, key=lambda variable: variable.index != HEARTBEAT)[:1]
+    if not chosen:
+        does_not_apply("no communication object can be changed without further ado")
+
+    def look(variable: Variable) -> Procedure[None]:
+        place = variable.index, variable.subindex
+        before = yield from bench.read(*place)
+        if variable.size is not None:
+            expect_equal(len(before), variable.size, f"the number of bytes of {variable.label}")
+        if not takes_any_time(variable):
+            yield from expect_own_value(bench, variable, before)
+            return
+        for written in (ANY_TIME.to_bytes(len(before), "little"), before):
+            refusal = yield from bench.refusal_of_write(*place, written)
+            if refusal is not None:
+                raise Violation(f"{variable.label} = {written.hex(' ')} was refused with 0x{refusal:08X}")
+            expect_equal((yield from bench.read(*place)), written, f"{variable.label}, read back,")
+
+    count = yield from for_each(bench, chosen, look)
+    return f"{count} object{'' if count == 1 else 's'}"
+
+
+def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Procedure[None]:
+    """Look whether an object takes the value that it has.
+
+    Three kinds may refuse: a mapping that is enabled, anything of a valid PDO, and 0x1019 while 0x1006 is not 0. They cannot
+    change then, and the standard does not say whether the same value is a change.
+    """
+    refusal = yield from bench.refusal_of_write(variable.index, variable.subindex, content)
+    if refusal is None:
+        return
+    place = place_of(variable.index)
+    is_tied = place is not None or variable.index == SYNC_OVERFLOW
+    if not (is_tied and refusal in (*NOT_NOW, AbortCode.INVALID_VALUE)):
+        raise Violation(f"writing its own value to {variable.label} was refused with 0x{refusal:08X}")
+
+
+def write_device_type(bench: Bench) -> Procedure[None]:
+    """2.3: the device type can't be written."""
+    code = yield from bench.refusal_of_write(DEVICE_TYPE, 0, bytes(4))
+    expect_refusal(code, READ_ONLY, "writing 0x1000:00")
+
+
+def read_write_only(bench: Bench) -> Procedure[None]:
+    """2.4 and 4.4: what is for writing only can't be read."""
+    found = [variable for variable in bench.dictionary if not variable.access.readable]
+    if not found:
+        does_not_apply("no object is write-only")
+
+    def look(variable: Variable) -> Procedure[None]:
+        code = yield from bench.refusal_of_read(variable.index, variable.subindex)
+        expect_refusal(code, WRITE_ONLY, f"reading {variable.label}")
+
+    yield from for_each(bench, found, look)
+
+
+def read_missing_subindex(bench: Bench) -> Procedure[None]:
+    """2.5: an object has no more subindices than it has."""
+    expect_refusal((yield from bench.refusal_of_read(DEVICE_TYPE, 1)), NO_SUBINDEX, "reading 0x1000:01")
+
+
+def read_missing_object(bench: Bench) -> Procedure[None]:
+    """2.6: an object that is not there."""
+    if bench.dictionary.has_index(0x1004):
+        does_not_apply("the device has an object 0x1004")
+    expect_refusal((yield from bench.refusal_of_read(0x1004, 0)), NO_OBJECT, "reading 0x1004:00")
+
+
+def wrong_command_specifier(bench: Bench) -> Procedure[None]:
+    """2.7: the client command specifier 7 means nothing."""
+    response = yield from ask(bench, initiate(0xE0, DEVICE_TYPE, 0))
+    expect_refusal(abort_code_in(response), BAD_COMMAND, "the command specifier 7")
+
+
+def _setting_of(bench: Bench, *types: DataType) -> Variable:
+    found = [variable for variable in settings(bench) if variable.data_type in types]
+    if not found:
+        does_not_apply("no object of the communication area that can be written has the type")
+    return found[0]
+
+
+def write_too_long(bench: Bench) -> Procedure[None]:
+    """2.8: four bytes are too many for an object of one or two."""
+    variable = _setting_of(bench, DataType.UNSIGNED16, DataType.UNSIGNED8)
+    code = yield from bench.refusal_of_write(variable.index, variable.subindex, bytes(4))
+    expect_refusal(code, TOO_LONG, f"writing four bytes to {variable.label}")
+
+
+def write_too_short(bench: Bench) -> Procedure[None]:
+    """2.9: one byte is too few for an object of two or four."""
+    variable = _setting_of(bench, DataType.UNSIGNED16, DataType.UNSIGNED32)
+    code = yield from bench.refusal_of_write(variable.index, variable.subindex, bytes(1))
+    expect_refusal(code, TOO_SHORT, f"writing one byte to {variable.label}")
+
+
+def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
+    """The objects with limits of their own, with the next value below and above these, where the type has one."""
+    found = []
+    for variable in bench.dictionary:
+        span = range_of(variable.data_type)
+        if variable.access.writable and variable.index not in NEVER_WRITTEN and span is not None:
+            least, most = span
+            low, high = variable.low_limit, variable.high_limit
+            below = int(low) - 1 if low is not None and least < low <= most else None
+            above = int(high) + 1 if high is not None and least <= high < most else None
+            if below is not None or above is not None:
+                found.append((variable, below, above))
+    return found
+
+
+def write_too_high(bench: Bench) -> Procedure[None]:
+    """2.10: a value above an object's limit; else another number of errors than 0 in 0x1003:00, as in CiA's tool. 7.5.2.4"""
+    yield from bench.silence_sync()  # the object may be 0x1019
+    for variable, _, above in limited(bench):
+        if above is not None:
+            code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(above))
+            expect_refusal(code, TOO_HIGH, f"writing {above} to {variable.label}")
+            return
+    errors = bench.dictionary.get(ERROR_HISTORY)
+    if errors is None or not errors.access.writable:
+        does_not_apply("no object has a high limit of its own")
+    code = yield from bench.refusal_of_write(ERROR_HISTORY, 0, b"\xff")
+    expect_refusal(code, TOO_HIGH, "writing 255 to 0x1003:00")
+
+
+def write_too_low(bench: Bench) -> Procedure[None]:
+    """2.11: a value below an object's limit."""
+    yield from bench.silence_sync()
+    for variable, below, _ in limited(bench):
+        if below is not None:
+            code = yield from bench.refusal_of_write(variable.index, variable.subindex, variable.encode(below))
+            expect_refusal(code, TOO_LOW, f"writing {below} to {variable.label}")
+            return
+    does_not_apply("no object has a low limit of its own")
+
+
+def default_channel(bench: Bench) -> Procedure[None]:
+    """2.12: the first SDO server has the CAN-IDs of the predefined connection set."""
+    yield from bench.expect_number(SDO_SERVER, 1, bench.request_key, "client to server")
+    yield from bench.expect_number(SDO_SERVER, 2, bench.response_key, "server to client")
+
+
+# ---- segmented transfers ----
+
+
+def read_device_type_segmented(bench: Bench) -> Procedure[str]:
+    """2.13: the server chooses how an upload goes. If in segments, these bring the four bytes; if expedited, the transfer is at
+    its end (and, if the test is strict, a segment request behind it is refused)."""
+    response = yield from initiate_upload(bench, DEVICE_TYPE, 0)
+    content = expedited_content(response)
+    if content is None:
+        content = yield from upload_segments(bench)
+        how = "in segments"
+    else:
+        if bench.strict:
+            refusal = abort_code_in((yield from ask(bench, bytes((UPLOAD_SEGMENT,)))))
+            expect_refusal(refusal, BAD_COMMAND, "a segment request behind an expedited upload")
+        how = "expedited"
+    expect_equal(len(content), 4, f"the number of bytes of 0x1000:00, read {how},")
+    holds(bench, bench.variable(DEVICE_TYPE), content, how)
+    return how
+
+
+def _write_segmented(bench: Bench, index: int) -> Procedure[None]:
+    written = bench.encode(index, 0, ANY_TIME)
+    yield from segmented_download(bench, index, 0, written)
+    expect_equal((yield from bench.read(index)), written, f"0x{index:04X}:00, read back,")
+
+
+def write_guard_time_segmented(bench: Bench) -> Procedure[None]:
+    """2.14: two bytes in one segment."""
+    yield from _write_segmented(bench, 0x100C)
+
+
+def write_heartbeat_segmented(bench: Bench) -> Procedure[None]:
+    """2.15: two bytes in one segment."""
+    yield from _write_segmented(bench, 0x1017)
+
+
+def read_segmented(bench: Bench) -> Procedure[str]:
+    """2.16: an object of more than four bytes comes in segments, as many bytes as announced."""
+    variable = long_object(bench)
+    content = yield from segmented_upload(bench, variable.index, variable.subindex)
+    expect(len(content) > 4, f"{variable.label} came in segments with {len(content)} bytes")
+    if variable.size is not None:
+        expect_equal(len(content), variable.size, f"the number of bytes of {variable.label}")
+    return f"{variable.label}: {len(content)} bytes"
+
+
+def wrong_toggle(bench: Bench) -> Procedure[None]:
+    """2.17: the first segment is asked for with the toggle bit set."""
+    variable = long_object(bench)
+    yield from initiate_upload(bench, variable.index, variable.subindex)
+    response = yield from ask(bench, bytes((UPLOAD_SEGMENT | TOGGLE,)))
+    expect_refusal(abort_code_in(response), BAD_TOGGLE, "a segment request with a wrong toggle bit")
+
+
+def read_segmented_content(bench: Bench) -> Procedure[str]:
+    """2.18: what comes in segments is what the object holds, each time, and after a transfer that was left half-way too.
+
+    Another initiate then begins a transfer, or ends with an abort, as what does not belong there.
+    """
+    variable = long_object(bench)
+    place = variable.index, variable.subindex
+    first = yield from segmented_upload(bench, *place)
+    yield from ask(bench, initiate(INITIATE_UPLOAD, *place))  # and no more of it
+    refusal = abort_code_in((yield from ask(bench, initiate(INITIATE_UPLOAD, *place))))
+    if refusal is not None:
+        expect_refusal(refusal, BAD_COMMAND, "another initiate upload in mid-transfer")
+    else:
+        expect_equal((yield from upload_segments(bench)), first, f"{variable.label}, begun again in mid-transfer,")
+    expect_equal((yield from segmented_upload(bench, *place)), first, f"{variable.label}, read again,")
+    holds(bench, variable, first, "in segments")
+    return f"{variable.label}: {len(first)} bytes"
+
+
+CASES: Final = (
+    Case("2.1", "SDO 01", "Read 0x1000:00 with an expedited transfer", read_expedited, (DEVICE_TYPE,)),
+    Case("2.2", "SDO 02", "Read and write the entries of 0x1000 to 0x1FFF that can be written", read_and_write),
+    Case("2.3", "SDO 03", "Try to write to 0x1000:00", write_device_type, (DEVICE_TYPE,)),
+    Case("2.4", "SDO 04", "Try to read a write-only object", read_write_only),
+    Case("2.5", "SDO 05", "Try to read the non-existing subindex 0x1000:01", read_missing_subindex, (DEVICE_TYPE,)),
+    Case("2.6", "SDO 06", "Try to read the non-existing object 0x1004:00", read_missing_object),
+    Case("2.7", "SDO 07", "Read with a wrong command specifier", wrong_command_specifier),
+    Case("2.8", "SDO 08", "Write an UNSIGNED32 to an object of 16 or 8 bits", write_too_long),
+    Case("2.9", "SDO 09", "Write an UNSIGNED8 to an object of 16 or 32 bits", write_too_short),
+    Case("2.10", "SDO 10", "Try to write too high a value", write_too_high),
+    Case("2.11", "SDO 11", "Try to write too low a value", write_too_low),
+    Case("2.12", "SDO 12", "Compare 0x1200:01 and 0x1200:02 with the predefined values", default_channel, (SDO_SERVER,)),
+    Case("2.13", "SDO 13", "Read 0x1000:00 with a segmented transfer", read_device_type_segmented, (DEVICE_TYPE,)),
+    Case("2.14", "SDO 14", "Write 0x100C:00 segmented, if guarding is supported", write_guard_time_segmented, (0x100C,)),
+    Case("2.15", "SDO 15", "Write 0x1017:00 segmented, if heartbeat is supported", write_heartbeat_segmented, (0x1017,)),
+    Case("2.16", "SDO 16", "Check the segmented read of an object of more than 4 bytes", read_segmented),
+    Case("2.17", "SDO 17", "Read an object segmented with a wrong toggle bit", wrong_toggle),
+    Case("2.18", "SDO 18", "Read an object segmented", read_segmented_content),
+)

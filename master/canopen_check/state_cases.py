@@ -1,0 +1,221 @@
+"""Chapters 9 and 10 of the conformance test: the NMT states, and the transitions between them (CiA 301 v4.2.0, 7.3.2).
+
+What shows the state is the heartbeat, or guarding where a device has no heartbeat (`Bench.supervise`).
+
+CiA 301 leads a device from its boot-up to Pre-operational; CiA 302-2 (0x1F80) lets one start by itself, and certified ones do. So
+a device that is Operational after its boot-up gets a remark, and fails a strict test unless it has that object.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final
+
+from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
+from canopen_check.case import Case, NotApplicable, expect, expect_equal
+from canopen_check.dictionary_cases import (
+    FIRST_OF_MAKER,
+    change_settings,
+    expect_defaults,
+    expect_put_back,
+    with_default,
+)
+from canopen_check.pdo_cases import EVENT_TIME, PROFILE_EVENTS
+from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
+from canopen_check.raw_sdo import initiate
+from canopen_proto.dictionary import Direction
+from canopen_proto.frame import MAX_NODE_ID, NMT
+from canopen_proto.machine import SECOND
+from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtState
+from canopen_proto.pdo.settings import EVENT_TIMER
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.sdo.codec import INITIATE_UPLOAD
+
+_LEADS_TO: Final = {
+    NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
+    NmtState.OPERATIONAL: NmtCommand.START,
+    NmtState.STOPPED: NmtCommand.STOP,
+}
+STARTUP: Final = 0x1F80
+"""NMT start-up: may tell a device to start by itself. CiA 302-2, from memory."""
+
+_RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
+
+
+# ---- what lives in a state ----
+
+
+def expect_sdo(bench: Bench, lives: bool) -> Procedure[None]:
+    """Look whether the device answers SDO requests, or not at all."""
+    bench.probe.forget(bench.response_key)
+    yield from bench.send(bench.request_key, initiate(INITIATE_UPLOAD, 0x1000, 0))
+    if lives:
+        yield from bench.next_frame(bench.response_key, ANSWER_TIME, "the answer to an SDO request")
+    yield from bench.expect_silence(bench.response_key, REACTION_TIME, "more than is due to an SDO request")
+
+
+def timed_tpdo(bench: Bench) -> Procedure[Pdo | None]:
+    """Set a TPDO up that comes by its event timer, where the device has one that can."""
+    for pdo in _those_of(bench, Direction.TPDO):
+        if has(bench, pdo, EVENT_TIMER) and (yield from set_up(bench, pdo, PROFILE_EVENTS, event_time=EVENT_TIME)):
+            return pdo
+    return None
+
+
+def immediate_rpdo(bench: Bench) -> Procedure[Pdo | None]:
+    """Set an RPDO up that takes effect at once and whose first object can be read back, where the device has one."""
+    for pdo in _those_of(bench, Direction.RPDO):
+        variable = mapped_variable(bench, pdo)
+        if (
+            variable is not None
+            and variable.size
+            and variable.access.readable
+            and (yield from set_up(bench, pdo, PROFILE_EVENTS))
+        ):
+            return pdo
+    return None
+
+
+def _those_of(bench: Bench, direction: Direction) -> list[Pdo]:
+    """The usable ones; a device needs none to have NMT states."""
+    try:
+        return usable(bench, direction)
+    except NotApplicable:
+        return []
+
+
+def expect_tpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
+    """Look whether a TPDO comes by its event timer, or not at all."""
+    if pdo is not None:
+        heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
+        expect(bool(heard) is lives, f"{pdo} came {len(heard)} times")
+
+
+def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
+    """Send an RPDO with another value for its first object: look whether it arrives. (SDO has to live.)"""
+    variable = None if pdo is None else mapped_variable(bench, pdo)
+    if pdo is not None and variable is not None:
+        before = yield from bench.read(variable.index, variable.subindex)
+        expect_equal(len(before), variable.size, f"the number of bytes of {variable.label}")
+        changed = bytes((before[0] ^ 1,)) + before[1:]
+        yield from bench.send(key_of(bench, pdo), changed.ljust(length_of(bench, pdo), b"\x00"))
+        yield from bench.sleep(REACTION_TIME)
+        after = yield from bench.read(variable.index, variable.subindex)
+        expect((after != before) is lives, f"{pdo} was {'not ' if lives else ''}processed")
+
+
+def expect_booted(bench: Bench, when: str) -> Procedure[None]:
+    """Look whether the device is pre-operational after its boot-up, and have it be so if it has started by itself."""
+    state = yield from bench.state()
+    if state is NmtState.OPERATIONAL:
+        itself = f"{when}, the device is OPERATIONAL: it starts by itself"
+        if bench.dictionary.has_index(STARTUP):
+            bench.notes.remark(f"{itself}, as 0x{STARTUP:04X} may tell it")
+        else:
+            bench.notes.beyond(False, itself)
+        yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        yield from bench.expect_state(NmtState.PRE_OPERATIONAL, "commanded")
+    else:
+        expect(state is NmtState.PRE_OPERATIONAL, f"{when}, the device is {state.name}, not PRE_OPERATIONAL")
+
+
+def expect_other_nodes_business(bench: Bench, state: NmtState) -> Procedure[None]:
+    """Look whether commands for another node, and one that does not exist, change nothing."""
+    other = bench.node_id % MAX_NODE_ID + 1
+    for command in (*_LEADS_TO.values(), *_RESETS):
+        yield from bench.send(NMT, bytes((command, other)))
+    yield from bench.send(NMT, bytes((0x03, bench.node_id)))
+    yield from bench.sleep(REACTION_TIME)
+    yield from bench.expect_state(state, "after commands that are not for it")
+
+
+def boot_up(bench: Bench) -> Procedure[str]:
+    """9.1: a reset brings one boot-up frame, and the communication parameters that can be written have their defaults; if the
+    test is strict, all objects."""
+    before = yield from change_settings(bench)
+    yield from bench.reset()
+    more = [heard for heard in bench.probe.take_all(bench.error_control_key) if heard.frame.data == b"\x00"]
+    expect(not more, "more than one boot-up frame came")
+    yield from expect_put_back(bench, before)
+    found = (each for each in with_default(bench) if bench.strict or (each.index < FIRST_OF_MAKER and each.access.writable))
+    return (yield from expect_defaults(bench, found))
+
+
+def pre_operational(bench: Bench) -> Procedure[None]:
+    """9.2: after boot-up the device is pre-operational: SDO lives, PDOs do not."""
+    yield from bench.restart()
+    yield from bench.supervise()
+    yield from expect_booted(bench, "after boot-up")
+    tpdo, rpdo = (yield from timed_tpdo(bench)), (yield from immediate_rpdo(bench))
+    yield from expect_sdo(bench, True)
+    yield from expect_tpdo(bench, tpdo, False)
+    yield from expect_rpdo(bench, rpdo, False)
+    yield from expect_other_nodes_business(bench, NmtState.PRE_OPERATIONAL)
+
+
+def operational(bench: Bench) -> Procedure[None]:
+    """9.3: in Operational all services live."""
+    yield from bench.supervise()
+    tpdo, rpdo = (yield from timed_tpdo(bench)), (yield from immediate_rpdo(bench))
+    yield from bench.command(NmtCommand.START)
+    yield from bench.expect_state(NmtState.OPERATIONAL, "started")
+    yield from expect_sdo(bench, True)
+    yield from expect_tpdo(bench, tpdo, True)
+    yield from expect_rpdo(bench, rpdo, True)
+    yield from expect_other_nodes_business(bench, NmtState.OPERATIONAL)
+
+
+def stopped(bench: Bench) -> Procedure[None]:
+    """9.4: in Stopped nothing lives but NMT and error control; what the device had is there when it is pre-operational again."""
+    yield from bench.supervise()
+    tpdo = yield from timed_tpdo(bench)
+    for _ in range(2):
+        yield from bench.command(NmtCommand.STOP)
+        yield from bench.expect_state(NmtState.STOPPED, "stopped")
+        yield from expect_sdo(bench, False)
+        yield from expect_tpdo(bench, tpdo, False)
+        yield from expect_other_nodes_business(bench, NmtState.STOPPED)
+        yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        yield from bench.expect_state(NmtState.PRE_OPERATIONAL, "from Stopped")
+        yield from expect_sdo(bench, True)
+
+
+# ---- transitions ----
+
+
+def resets(bench: Bench) -> Procedure[None]:
+    """10.1: reset node and reset communication, from each state, to this node and to all."""
+    for command in _RESETS:
+        for state, way in _LEADS_TO.items():
+            for target in (bench.node_id, ALL_NODES):
+                yield from bench.supervise()
+                yield from bench.command(way)
+                bench.probe.forget(bench.error_control_key)
+                yield from bench.send(NMT, bytes((command, target)))
+                yield from bench.await_boot_up()
+                yield from bench.supervise()
+                yield from expect_booted(bench, f"after {command.name} from {state.name}")
+
+
+def transition(target: NmtState, bench: Bench) -> Procedure[None]:
+    """10.2 to 10.4: a command leads from each state to its own, be it for this node or for all."""
+    command = _LEADS_TO[target]
+    yield from bench.supervise()
+    for state, way in _LEADS_TO.items():
+        for addressed in (bench.node_id, ALL_NODES):
+            yield from bench.command(way)
+            yield from bench.expect_state(state, f"after {way.name}")
+            yield from bench.command(command, addressed)
+            yield from bench.expect_state(target, f"after {command.name} from {state.name}, sent to {addressed},")
+
+
+CASES: Final = (
+    Case("9.1", "State 01", "Boot-up: the parameters have their default values", boot_up),
+    Case("9.2", "State 02", "Pre-operational", pre_operational, (0x1000,)),
+    Case("9.3", "State 03", "Operational", operational, (0x1000,)),
+    Case("9.4", "State 04", "Stopped", stopped, (0x1000,)),
+    Case("10.1", "Transition 01", "Reset node and reset communication", resets),
+    Case("10.2", "Transition 02", "Enter pre-operational", partial(transition, NmtState.PRE_OPERATIONAL)),
+    Case("10.3", "Transition 03", "Start remote node", partial(transition, NmtState.OPERATIONAL)),
+    Case("10.4", "Transition 04", "Stop remote node", partial(transition, NmtState.STOPPED)),
+)

@@ -1,0 +1,113 @@
+"""`canopen backup`: what a node holds, into a DCF."""
+
+from __future__ import annotations
+
+import datetime
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from canopen_cli.backup_reading import (
+    check_indices,
+    counts_text,
+    read_all,
+    reading_as_json,
+    reading_options,
+    tell_unread,
+)
+from canopen_cli.new_files import check_new_file, write_file
+from canopen_cli.options import NodeId, Settings, common
+from canopen_cli.problem import ExitCode
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.session import open_session
+from canopen_data.describing import EDS_VERSION
+from canopen_proto.procedures.backup import Backup, Reading
+from canopen_proto.procedures.walk import COMMUNICATION
+from canopen_transports import TransportError
+from canopen_transports.locator import parse_locator
+
+if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.option("-o", "--output", metavar="FILE.dcf", required=True, help="The new file.")
+@reading_options
+@common
+@click.pass_obj
+def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
+    """Read all that a node holds into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
+
+    Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
+    those of the data files are read; with --walk, what answers at its indices. Exit status 7: an object could not be read, or
+    the file cannot hold its exact bytes.
+
+    \b
+    canopen backup 5 -o before.dcf -e drive.eds
+    canopen backup 3 -o joint1.dcf -b demo
+    """
+    screen = settings.screen()
+    check_indices(indices, settings.eds)
+    check_new_file(settings, screen, output)
+    if indices is not None:
+        indices = (COMMUNICATION, *indices)  # a backup without the PDOs is none
+    found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
+    bit_rate = bit_rate_of(settings)
+    lost = write_dcf(output, found, description, bit_rate)
+    if settings.json:
+        unread = [reading_as_json(each) for each in found.readings if each.value is None]
+        counts = {str(result): number for result, number in found.counts.items()}
+        document = {"node": node_id, "file": output, "bit_rate": bit_rate, "counts": counts, "not_read": unread}
+        screen.json(document | {"not_exact": [reading_as_json(each) for each in lost]})
+    else:
+        tell_unread(screen, found, lost)
+        screen.say(f"{escape(output)}: backup of {node_text(node_id)}, {counts_text(found)}")
+    return ExitCode.OK if found.is_complete and not lost else ExitCode.PARTIAL
+
+
+async def _backup(
+    settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
+) -> tuple[Backup, DeviceDescription | None]:
+    async with open_session(settings, screen) as session:
+        found = await read_all(session, screen, node_id, indices, domains)
+        return found, session.description_of(node_id)
+
+
+def bit_rate_of(settings: Settings) -> int | None:
+    """kbit/s, where the bus of the options says it, and a DCF can."""
+    from canopen_data.description import BIT_RATES
+
+    with suppress(TransportError):
+        bit_rate = parse_locator(settings.required_bus()).bitrate
+        if bit_rate is not None and bit_rate // 1000 in BIT_RATES:
+            return bit_rate // 1000
+    return None
+
+
+def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> tuple[Reading, ...]:
+    """Write what was read as a DCF. Returns what the file could not hold as it was read.
+
+    description: by which it was read; None: by the data files, or by a walk. Raises Problem, also where the file would be the one
+    that describes the device.
+    """
+    from canopen_data.backup_file import backup_file
+    from canopen_data.description import FileInfo
+
+    old = FileInfo(file_version=1, eds_version=EDS_VERSION) if description is None else description.file_info
+    now = datetime.datetime.now().astimezone()
+    file_info = replace(
+        old,
+        file_name=Path(output).name,
+        last_eds=old.last_eds or old.file_name,
+        modification_time=now.strftime("%I:%M%p"),
+        modification_date=now.strftime("%m-%d-%Y"),
+        modified_by="canopen backup",
+    )
+    made = backup_file(found, description, file_info, bit_rate)
+    write_file(output, made.data, *(() if description is None else (description.source,)))
+    return made.lost

@@ -1,0 +1,244 @@
+"""`canopen check`: the conformance cases, run against a node, or against its file alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final
+
+import click
+import trio
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from canopen_check.bench import Bench
+from canopen_check.case import Case, Result, Verdict
+from canopen_check.catalogue import BY_NUMBER, CASES
+from canopen_cli.check_report import CaseRun, Report, list_cases, write_junit
+from canopen_cli.device_files import description_of, read_device_files
+from canopen_cli.eds_files import open_description
+from canopen_cli.fleet import drive_maker
+from canopen_cli.new_files import check_new_file
+from canopen_cli.nmt import confirm
+from canopen_cli.options import DEMO, Settings, common, node_id_of
+from canopen_cli.problem import ExitCode, usage
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.session import Session, open_session, read_dictionary
+from canopen_master.errors import MasterError, SdoRefused
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import Outbox
+from canopen_proto.network import Network
+from canopen_proto.procedures.runner import ProcedureFinished
+from canopen_proto.procedures.steps import ProcedureError
+
+if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
+
+_NODE: Final = re.compile(r"(?:0[xX][0-9A-Fa-f]+|[0-9]+)")
+ANY_NODE: Final = 1
+"""The node-ID of a device whose file is checked alone: no case without the device asks for it."""
+
+
+@click.command()
+@click.argument("target", metavar="NODE|FILE", required=False)
+@click.option("--case", "numbers", metavar="NUMBER", multiple=True, help="Only this case (2.1) or chapter (3); may be repeated.")
+@click.option("--storing", is_flag=True, help="Also the cases that change what the device stores (1010, 1011).")
+@click.option("--strict", is_flag=True, help="Ask for more than CiA's own tool does.")
+@click.option("--junit", metavar="F.xml", default="", help="Write the results to a file too, as JUnit does.")
+@click.option("--list", "only_list", is_flag=True, help="List the cases, and end.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@common
+@click.pass_obj
+def check(
+    settings: Settings,
+    target: str | None,
+    numbers: tuple[str, ...],
+    storing: bool,
+    strict: bool,
+    junit: str,
+    only_list: bool,
+    yes: bool,
+) -> int:
+    """Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone.
+
+    The node is reset, started and stopped, all of its objects are written (outputs and set-points too), and some commands go to
+    all nodes: it should be alone on its bus, with nothing at its outputs that could move. At the end it is reset. What it stores
+    is left alone without --storing. It is compared with the defaults of its EDS, or with what its DCF has configured.
+
+    A case fails where the node does what the standard forbids. What the standard leaves open, and what CiA's own conformance
+    tool does not look at, is a remark; --strict makes failures of the latter, and asks for more.
+
+    Exit status: 0 no case failed (remarks do not count), 1 some did, 5 the node does not answer.
+
+    \b
+    canopen check 5 -b can0 -e drive.eds --junit report.xml --yes
+    canopen check 5 -b can0 -e drive.eds --case 2 --case 4.2
+    canopen check drive.eds
+    """
+    screen = settings.screen()
+    cases, left_out = _chosen(numbers, storing)
+    if only_list:
+        list_cases(screen, cases)
+        return ExitCode.OK
+    if target is None:
+        raise click.UsageError("Missing argument 'NODE|FILE'.")
+    if junit:
+        check_new_file(settings, screen, junit)
+    failure: Exception | None = None
+    if _NODE.fullmatch(target) is None:
+        report = _check_file(settings, target, cases)
+    else:
+        report = Report(node_id_of(target), len(cases), tuple(left_out))
+        try:
+            _check_node(settings, screen, report, cases, strict, yes)
+        except Exception as error:  # noqa: BLE001 - raised below, behind what was found until then
+            failure = error
+    if report.runs or failure is None:
+        report.show(screen)
+    if failure is not None:
+        raise failure
+    if junit:
+        write_junit(junit, report)
+        screen.say(f"{escape(junit)} was written")
+    return ExitCode.DIFFERENT if report.counts[Result.FAILED] else ExitCode.OK
+
+
+def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Case]]:
+    """The cases that are named, in their order, or all; and those that are left out, since they store. Raises Problem."""
+    wanted: set[str] = set()
+    for number in numbers:
+        found = [case.number for case in CASES if number in (case.number, case.number.partition(".")[0])]
+        if not found:
+            raise usage("CO133", f"there is no case {number!r}", tries=("canopen check --list",))
+        if number in BY_NUMBER and BY_NUMBER[number].stores and not storing:
+            failed = f"case {number} changes what the device stores"
+            raise usage("CO133", failed, seen="nothing was sent", tries=("the same with --storing",))
+        wanted.update(found)
+    cases = [case for case in CASES if case.number in wanted or not numbers]
+    return [case for case in cases if storing or not case.stores], [case for case in cases if case.stores and not storing]
+
+
+# ---- without the device ----
+
+
+def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> Report:
+    """What can be said of a file alone."""
+    if settings.eds:
+        raise usage("CO001", "there are two files: the one that is named, and that of -e", tries=(f"canopen check {path}",))
+    alone = [case for case in cases if not case.uses_device]
+    if not alone:
+        raise usage("CO133", "these cases are for a node", tries=(f"canopen check NODE -e {path}", f"canopen check {path}"))
+    report = Report(None, len(alone), file=path)
+    _run_alone(report, alone, open_description(path, settings.encoding).description, ANY_NODE)
+    return report
+
+
+def _run_alone(report: Report, cases: Sequence[Case], description: DeviceDescription, node_id: int) -> None:
+    """Run cases that ask nothing of the device, on a network without a bus."""
+    network = Network()
+    bench = Bench(network, node_id, description.dictionary, description=description)
+    for case in cases:
+        network.run(case.run(bench), 0)
+        _, (ended,) = network.drain(0)
+        assert isinstance(ended, ProcedureFinished)
+        report.runs.append(CaseRun(case, ended.result, 0.0))
+
+
+# ---- a node ----
+
+
+def _check_node(settings: Settings, screen: Screen, report: Report, cases: Sequence[Case], strict: bool, yes: bool) -> None:
+    """Run the cases into the report. Raises what a command raises, the report being as far as it came."""
+    node_id = report.node_id
+    assert node_id is not None
+    if not any(case.uses_device for case in cases):
+        description = description_of(read_device_files(settings.eds, read_dictionary(screen), screen, settings.encoding), node_id)
+        if description is None:
+            raise _without_file(node_id)
+        report.file = description.source
+        _run_alone(report, cases, description, node_id)
+        return
+    bus = settings.required_bus()
+    if not settings.eds and bus != DEMO:
+        raise _without_file(node_id)
+    effect = "it is reset and all of its objects are written, outputs and set-points too; commands go to ALL nodes of the bus"
+    confirm(screen, f"check {node_text(node_id)}: {effect}", yes, needed=True)
+    run(settings, screen, lambda: _run_cases(settings, screen, report, cases, strict), story=lambda confirmed: [_story(report)])
+
+
+def _without_file(node_id: int) -> Exception:
+    return usage(
+        "CO134",
+        f"which device is {node_text(node_id)} to be?",
+        seen="no file of it was named",
+        cause="the cases go by what its file promises",
+        tries=(f"canopen check {node_id} -e FILE.eds", "canopen check 3 -b demo    (a simulated drive)"),
+    )
+
+
+def _story(report: Report) -> str:
+    stored = "; what it stores may not be what it was" if any(each.stores for each in report.begun) else ""
+    return f"{len(report.runs)} of {report.total} cases were run; the node was reset{stored}"
+
+
+async def _run_cases(settings: Settings, screen: Screen, report: Report, cases: Sequence[Case], strict: bool) -> None:
+    node_id = report.node_id
+    assert node_id is not None
+    async with open_session(settings, screen) as session:
+        description = session.description_of(node_id)
+        if description is None and settings.named_bus() != DEMO:
+            raise _without_file(node_id)  # there are files, but of other nodes
+        dictionary = _demo_dictionary(node_id) if description is None else description.dictionary
+        report.file = "" if description is None else description.source
+        bench = Bench(session.network, node_id, dictionary, description=description, strict=strict)
+        if settings.timeout is not None:
+            bench.sdo.timeout = settings.timeout
+        try:
+            await _find(session, bench)
+            with _progress(screen, report) as show:
+                for case in cases:
+                    show(case)
+                    report.begun.append(case)
+                    start = trio.current_time()
+                    verdict: Verdict = await session.master.run(case.run(bench))
+                    report.runs.append(CaseRun(case, verdict, trio.current_time() - start))
+                    if verdict.result is Result.FAILED and case.uses_device:
+                        await _find(session, bench)  # it may be gone, and all that follow would say so for minutes
+        finally:
+            with trio.CancelScope(shield=True), suppress(MasterError):
+                await session.master.nmt_reset_node(node_id)
+
+
+def _demo_dictionary(node_id: int) -> ObjectDictionary:
+    """What the drives of `-b demo` are."""
+    return drive_maker(0, node_id)(Outbox()).dictionary
+
+
+async def _find(session: Session, bench: Bench) -> None:
+    """Reset the device; raise SdoTimeout where it shows by nothing that it is there."""
+    try:
+        await session.master.run(bench.reset())
+    except ProcedureError:  # no boot-up: that is for the cases to tell
+        with suppress(SdoRefused):
+            await session.node(bench.node_id).read_bytes(0x1000)
+
+
+@contextmanager
+def _progress(screen: Screen, report: Report) -> Iterator[Callable[[Case], None]]:
+    """What is called when a case begins: on a terminal it is shown; elsewhere nothing is, the table comes at the end."""
+    if not screen.draws:
+        yield lambda case: None
+        return
+    what = TextColumn(f"checking node {report.node_id}")
+    columns = (what, BarColumn(30), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=screen.err, transient=True, auto_refresh=False, get_time=trio.current_time) as progress:
+        task = progress.add_task("", total=report.total)
+
+        def show(case: Case) -> None:
+            failed = report.counts[Result.FAILED]
+            text = f"{case.number} {case.title}" + (f"  [red]{failed} failed[/]" if failed else "")
+            progress.update(task, completed=len(report.runs), description=text)
+            progress.refresh()
+
+        yield show

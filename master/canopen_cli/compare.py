@@ -1,0 +1,219 @@
+"""`canopen compare`: what a node holds and what a file says, or two files, value by value.
+
+`canopen eds diff` compares what two files say of a type of device; this compares the values of two devices.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from canopen_cli.backup_reading import both_notations, shown, tell_unread
+from canopen_cli.options import Kind, NodeId, Settings, common, node_id_of
+from canopen_cli.problem import ExitCode, usage
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.session import open_session
+from canopen_cli.values import as_json, hex_text, place_text
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary.roles import Role, roles_in
+from canopen_proto.procedures.backup import Backup, ObjectRead, back_up, same_value
+
+if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
+
+_NODE: Final = re.compile(r"(?:0[xX][0-9A-Fa-f]+|[0-9]+)")
+HIDDEN: Final = (Role.PROCESS, Role.COMMAND)
+"""What changes by itself, or says nothing of how a device is set up."""
+
+
+class Change(StrEnum):
+    """How an object is not the same on both sides."""
+
+    CHANGED = "changed"
+    LEFT = "only left"
+    RIGHT = "only right"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One difference. left, right: None where that side does not have the object."""
+
+    variable: Variable
+    change: Change
+    role: Role
+    left: Value | None
+    right: Value | None
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of the comparison. missing: what should have a value, and could not be read."""
+
+    name: str
+    dictionary: ObjectDictionary
+    values: Mapping[int, Value]
+    missing: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far two numbers may be apart: `absolute`, or `relative` to the larger one."""
+
+    absolute: float = 0.0
+    relative: float = 0.0
+
+    def allows(self, one: Value | None, other: Value | None) -> bool:
+        if not isinstance(one, int | float) or not isinstance(other, int | float):
+            return False
+        return abs(one - other) <= max(self.absolute, self.relative * max(abs(one), abs(other)))
+
+
+class ToleranceKind(Kind):
+    """A number, or a percentage: "5", "0.1", "1%"."""
+
+    name = "tolerance"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Tolerance:
+        number, percent, rest = str(value).partition("%")
+        try:
+            size = float(number)
+        except ValueError:
+            size = -1.0
+        if rest or not 0 <= size < 1e30:
+            self.fail(f"{value!r} is not a number such as 5, or a percentage such as 1%", param, ctx)
+        return Tolerance(relative=size / 100) if percent else Tolerance(absolute=size)
+
+
+@click.command()
+@click.argument("left", metavar="NODE|FILE")
+@click.argument("right", metavar="FILE")
+@click.option("--only", type=click.Choice(["changed", "missing"]), help="Only what both have, or only what one of them lacks.")
+@click.option("--tolerance", type=ToleranceKind(), default="0", help="Numbers this far apart are equal: 5, 0.1, 1%.")
+@click.option("--process-data", is_flag=True, help="Also what changes by itself: actual values, set-points, error states.")
+@click.option("--defaults", is_flag=True, help="Of a DCF also the defaults, where it configures nothing.")
+@click.option(
+    "--id", "node_id", metavar="N", type=NodeId(), help="For defaults that depend on the node-ID, of files without one."
+)
+@common
+@click.pass_obj
+def compare(
+    settings: Settings,
+    left: str,
+    right: str,
+    only: str | None,
+    tolerance: Tolerance,
+    process_data: bool,
+    defaults: bool,
+    node_id: int | None,
+) -> int:
+    """Compare the values of a node, or of a file, with those of another file.
+
+    The values of a DCF are those that it configures; of an EDS, its defaults. Exit status: 0 the same, 1 not the same, 7 the same
+    as far as the node could be read.
+
+    \b
+    canopen compare 5 before.dcf
+    canopen compare before.dcf after.dcf --only changed --tolerance 1%
+    """
+    from canopen_cli.eds_files import open_description
+
+    screen = settings.screen()
+    live = node_id_of(left) if _NODE.fullmatch(left) else None
+    descriptions = [
+        open_description(path, settings.encoding).description for path in ([right] if live is not None else [left, right])
+    ]
+    whose = live or node_id or next(filter(None, map(_named, descriptions)), None)
+    second = _side(right, descriptions[-1], whose, defaults)
+    if live is not None:
+        found = run(settings, screen, lambda: _read(settings, screen, live, second))
+        missing = frozenset(each.variable.mux for each in found.readings if each.result.is_missing)
+        first = Side(node_text(live), second.dictionary, found.values, missing)
+    else:
+        first = _side(left, descriptions[0], whose, defaults)
+    rows = [row for row in differences(first, second, tolerance) if process_data or row.role not in HIDDEN]
+    if only is not None:
+        rows = [row for row in rows if (row.change is Change.CHANGED) == (only == "changed")]
+    if settings.json:
+        screen.json([_as_json(row) for row in rows])
+    else:
+        columns = ("object", "name", first.name, second.name)
+        if rows:
+            screen.table([escape(each) for each in columns], [_cells(row) for row in rows])
+        if live is not None:
+            tell_unread(screen, found)
+        count = f"{len(rows)} difference{'' if len(rows) == 1 else 's'}"
+        screen.say(f"{count} between {escape(first.name)} and {escape(second.name)}")
+    if rows:
+        return ExitCode.DIFFERENT
+    return ExitCode.PARTIAL if first.missing else ExitCode.OK
+
+
+def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
+    """By index and subindex. What could not be read is no difference."""
+    roles = roles_in(left.dictionary, left.values) | roles_in(right.dictionary, right.values)
+    rows: list[Row] = []
+    for key in sorted(left.values.keys() | right.values.keys()):
+        one, other = left.values.get(key), right.values.get(key)
+        variable = (left if other is None else right).dictionary.variable((key >> 8, key & 0xFF))
+        if key in left.missing or same_value(variable, one, other) or tolerance.allows(one, other):
+            continue
+        change = Change.RIGHT if one is None else Change.LEFT if other is None else Change.CHANGED
+        rows.append(Row(variable, change, roles[key], one, other))
+    return rows
+
+
+async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) -> Backup:
+    """What the node has of the file's objects."""
+    only = [file.dictionary.variable((key >> 8, key & 0xFF)) for key in sorted(file.values)]
+    async with open_session(settings, screen) as session:
+        node = session.node(node_id).remote
+        reading = back_up(node, file.dictionary, only=only, domains=True)
+        return await shown(session, screen, f"reading {node_text(node_id)}", reading, ObjectRead)
+
+
+def _named(description: DeviceDescription) -> int | None:
+    return None if description.commissioning is None else description.commissioning.node_id
+
+
+def _side(path: str, description: DeviceDescription, whose: int | None, defaults: bool) -> Side:
+    """The values of a file. whose: the node-ID where the file does not say one."""
+    from canopen_proto.dictionary.download_order import settings_of
+
+    dictionary = description.dictionary
+    node_id = _named(description) or whose
+    if node_id is None:
+        depends = next((each for each in dictionary if each.adds_node_id or each.configured_adds_node_id), None)
+        if depends is not None:
+            raise usage(
+                "CO120", f"{path} does not say of which node it is, and {depends.label} depends on that", tries=("--id 5",)
+            )
+    values = settings_of(dictionary, node_id or 0)
+    if defaults or not values:
+        values = settings_of(dictionary, node_id or 0, defaults=True)
+    return Side(path, dictionary, values)
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    shown_values = ("-" if each is None else both_notations(row.variable, each) for each in (row.left, row.right))
+    return place_text(row.variable), *(escape(text) for text in (row.variable.name, *shown_values))
+
+
+def _as_json(row: Row) -> dict[str, Any]:
+    return {
+        "index": row.variable.index,
+        "sub": row.variable.subindex,
+        "name": row.variable.name,
+        "change": str(row.change),
+        "role": str(row.role),
+        "left": None if row.left is None else as_json(row.variable, row.left),
+        "right": None if row.right is None else as_json(row.variable, row.right),
+        "left_hex": (hex_text(row.variable, row.left) if row.left is not None else "") or None,
+        "right_hex": (hex_text(row.variable, row.right) if row.right is not None else "") or None,
+    }

@@ -1,0 +1,140 @@
+"""What a demonstration shows while it runs: on a terminal a picture that is drawn anew, elsewhere a line per step."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final
+
+from rich.console import Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from canopen_cli.screen import Screen, escape, node_text
+
+TRACK_WIDTH: Final = 41
+"""Characters of the line on which a joint's position is shown; odd, so that it has a middle."""
+
+
+class Mark(enum.Enum):
+    """How a step of the demonstration stands."""
+
+    RUNNING = ""
+    DONE = "[green]✔[/]"
+    FAILED = "[red]✘[/]"
+
+
+@dataclass
+class Step:
+    """One step: boot, home, move. progress: 0 to 1, None where it is not known."""
+
+    name: str
+    text: str
+    mark: Mark = Mark.RUNNING
+    progress: float | None = None
+
+
+@dataclass
+class JointView:
+    """What is shown of a joint. position, error: degrees."""
+
+    name: str
+    node_id: int
+    state: str = ""
+    position: float | None = None
+    error: float | None = None
+
+
+@dataclass
+class DemoView:
+    """Use it as a context manager around what it shows. `range`: degrees that the position line spans to each side."""
+
+    screen: Screen
+    title: str
+    range: float
+    joints: list[JointView] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+    _live: Live | None = None
+    _spinner: Spinner = field(default_factory=lambda: Spinner("dots", style="cyan"))
+
+    def __enter__(self) -> DemoView:
+        self.screen.say(f"[bold]{escape(self.title)}[/]")
+        if self.screen.draws:
+            self._live = Live(console=self.screen.err, auto_refresh=False, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is not None and self.steps and self.steps[-1].mark is Mark.RUNNING:
+            self._end(self.steps[-1], Mark.FAILED)
+        self._stop()
+
+    def _stop(self) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def begin(self, name: str, text: str, progress: float | None = None) -> Step:
+        """A new step."""
+        step = Step(name, text, progress=progress)
+        self.steps.append(step)
+        self.refresh()
+        return step
+
+    def done(self, step: Step, text: str) -> None:
+        """A step is over, well."""
+        step.text = text
+        self._end(step, Mark.DONE)
+
+    def _end(self, step: Step, mark: Mark) -> None:
+        step.mark = mark
+        line = f"{mark.value} {step.name:<6} {escape(step.text)}"
+        if self._live is not None:
+            self._live.console.print(line)  # above what is drawn
+            self.refresh()
+        else:
+            self.screen.say(line)
+
+    def refresh(self) -> None:
+        """Draw anew; without a terminal nothing."""
+        if self._live is not None:
+            self._live.update(self._picture(), refresh=True)
+
+    def _picture(self) -> Group:
+        running = [step for step in self.steps if step.mark is Mark.RUNNING]
+        lines = Table.grid(padding=(0, 1))
+        for step in running:
+            bar = ProgressBar(total=1.0, completed=step.progress, width=30) if step.progress is not None else ""
+            lines.add_row(self._spinner, f"{step.name:<6}", bar, Text(step.text))
+        joints = Table.grid(padding=(0, 2))
+        joints.add_column(style="bold", no_wrap=True)
+        joints.add_column(style="dim", no_wrap=True)
+        joints.add_column(no_wrap=True, min_width=18)
+        joints.add_column(no_wrap=True)
+        joints.add_column(justify="right", no_wrap=True, min_width=9)
+        for joint in self.joints:
+            position = "" if joint.position is None else f"{joint.position:+.2f}°"
+            joints.add_row(escape(joint.name), node_text(joint.node_id), _state(joint.state), self._track(joint), position)
+        return Group(lines, Text(""), joints) if self.joints else Group(lines)
+
+    def _track(self, joint: JointView) -> Text:
+        """The position on a line, 0 in its middle."""
+        track = Text("─" * TRACK_WIDTH, style="grey37")
+        middle = TRACK_WIDTH // 2
+        track.stylize("grey62", middle, middle + 1)
+        if joint.position is None:
+            return track
+        place = middle + round(joint.position / self.range * middle)
+        place = min(max(place, 0), TRACK_WIDTH - 1)
+        low, high = min(place, middle), max(place, middle)
+        track.stylize("cyan", low, high + 1)
+        return Text.assemble(track[:place], ("●", "bold cyan"), track[place + 1 :])
+
+
+def _state(state: str) -> Text:
+    style = "green" if state == "operation enabled" else "red" if state.startswith("fault") else ""
+    return Text(state, style=style)

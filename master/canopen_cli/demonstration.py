@@ -1,0 +1,445 @@
+"""What `canopen demo` does: boot, home, move, shut down; and what it tells of it.
+
+The drives are those of a chain file. Without a bus each bus name in that file becomes a virtual one, on which simulated drives
+stand at the node-IDs of the file; with a bus all names mean that one. Everything else is the same code: a simulated drive is a
+device on a CAN bus like any other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Final
+
+import trio
+
+from canopen_cli.demo_view import DemoView, JointView
+from canopen_cli.drive_files import DriveFile
+from canopen_cli.fleet import Fleet, drive_maker, simulated_fleet
+from canopen_cli.path import MAX_SPEED, Path
+from canopen_cli.problem import ExitCode, problem_of, usage
+from canopen_cli.recording import JointTrack, Recording
+from canopen_cli.running import all_stand
+from canopen_cli.screen import Screen, escape
+from canopen_master.errors import CHAIN_FAULT, ChainFileError
+from canopen_master.halting import Halt
+from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.motion.chain import Chain, ChainSettings, ChainState
+from canopen_master.motion.chain_file import ChainDescription, read_chains, same_nodes
+from canopen_master.motion.device import Device
+from canopen_master.session import open_master
+from canopen_master.simulation import DeviceMaker
+from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+
+REFRESH: Final = 0.08
+"""Seconds between two pictures on a terminal."""
+HARDWARE_DELAY: Final = 3
+"""Seconds before real drives begin to move: time to take one's hands away, or to press Ctrl-C."""
+
+SETTLING_TIME: Final = 0.1
+"""Seconds for which the last set-point is held."""
+MAX_LATE_SHARE: Final = 0.05
+"""Of all periods. A computer that does other things besides loses single ones, well below this. Beyond it the joints stood still
+in every twentieth period, and the motion took that much longer: the cycle is too short for this computer."""
+DEMO_FAULT: Final = 0x2310
+"""Continuous over-current: what a joint reports that hits something."""
+NEXT: Final = """Try next:
+  [bold]canopen scan -b demo[/]                  who is on the bus
+  [bold]canopen read 3 statusword -b demo[/]     an object of a drive
+  [bold]canopen demo --plot arm.png[/]           a picture of this
+  [bold]canopen demo --fault 5@2.0[/]            what a breakdown looks like"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds. scale: of
+    real drives, counts per radian; None: as their vendor-ID says.
+
+    files: what the drives are, by node-ID (None: all others); without any they are Powerball joints with the PDOs of PDOs.csv.
+    """
+
+    bus: str | None
+    chains: str
+    chain: str | None
+    seconds: float
+    cycle: Time
+    swing: float
+    fault: tuple[int, float] | None
+    timeout: Time | None
+    files: Mapping[int | None, DriveFile] = field(default_factory=dict)
+    scale: float | None = None
+    grip: Grip = DEFAULT_GRIP
+
+    def file_of(self, node_id: int) -> DriveFile | None:
+        """What the drive of that node-ID is, if a file says so."""
+        return self.files.get(node_id, self.files.get(None))
+
+
+@dataclass
+class JointResult:
+    """The last line on one joint. error: degrees."""
+
+    name: str
+    node_id: int
+    state: str
+    homed: bool
+    error: float
+    round_trips: int
+
+    def row(self) -> tuple[str, ...]:
+        """For the table."""
+        homed = "[green]yes[/]" if self.homed else "[red]no[/]"
+        node, error = f"{self.node_id} (0x{self.node_id:02X})", f"{self.error:.3f}°"
+        return escape(self.name), node, escape(self.state), homed, error, str(self.round_trips)
+
+
+COLUMNS: Final = "joint", "node", "state", "homed", "largest\nfollowing\nerror", "SDO\nround\ntrips"
+CYCLE_COLUMNS: Final = "SYNC cycles", "missed", "skipped", "late"
+
+
+@dataclass
+class CycleCounts:
+    """How well the cycle was kept. sent: SYNCs; missed: those without a new set-point; skipped: periods without a SYNC."""
+
+    sent: int = 0
+    missed: int = 0
+    skipped: int = 0
+
+    @property
+    def late_share(self) -> float:
+        """The share of all periods in which the path stood still, because this computer was late."""
+        return (self.missed + self.skipped) / max(1, self.sent + self.skipped)
+
+    @property
+    def was_kept(self) -> bool:
+        """Whether that is no more than an ordinary computer loses."""
+        return self.late_share <= MAX_LATE_SHARE
+
+    def row(self) -> tuple[str, ...]:
+        """For the table."""
+        return str(self.sent), str(self.missed), str(self.skipped), _percent(self.late_share)
+
+
+class Demonstration:
+    """One run. recording: what was commanded, and what the joints did; it is filled while they move."""
+
+    def __init__(self, screen: Screen, plan: Plan) -> None:
+        self.screen = screen
+        self.plan = plan
+        self.recording = Recording([])
+        self.results: list[JointResult] = []
+        self.cycles = CycleCounts()
+        self.description = self._chosen_chain()
+        self._check_fault()
+        self._stage = "the drives were booting, and nothing had moved"
+        self._has_begun = False  # to move
+        self._fleet: Fleet | None = None
+        self._devices: tuple[Device, ...] = ()
+        self._arm: Chain | None = None  # once it follows set-points
+        self._halts: Sequence[Halt] = ()
+        self._latest: list[tuple[float, float]] = []  # of each joint: actual and commanded position
+
+    def _chosen_chain(self) -> ChainDescription:
+        chains = read_chains(self.plan.chains)
+        if self.plan.chain is None:
+            return chains[0]
+        for each in chains:
+            if each.name == self.plan.chain:
+                return each
+        names = ", ".join(each.name for each in chains)
+        raise usage(
+            "CO322",
+            f"{chains[0].source} has no chain {self.plan.chain!r}",
+            seen=f"its chains are: {names}",
+            tries=(f"--chain {chains[0].name}",),
+        )
+
+    def _check_fault(self) -> None:
+        nodes = [joint.node_id for joint in self.description.joints]
+        if self.plan.fault is not None and self.plan.fault[0] not in nodes:
+            raise usage(
+                "CO123",
+                f"--fault: {self.description.name} has no node {self.plan.fault[0]}",
+                seen=f"its nodes are {', '.join(map(str, nodes))}",
+                tries=(f"--fault {nodes[0]}@{self.plan.fault[1]:g}",),
+            )
+
+    def _locators(self) -> dict[str, str]:
+        """Bus by its name in the chain file."""
+        if self.plan.bus is not None:
+            return dict.fromkeys(self.description.buses, self.plan.bus)
+        return {name: f"virtual:demo{number or ''}" for number, name in enumerate(self.description.buses)}
+
+    # ---- the run ----
+
+    async def run(self) -> None:
+        """All of it. Raises a Problem where it fails; the drives are halted then, as far as they listen."""
+        locators = self._locators()
+        try:
+            async with contextlib.AsyncExitStack() as stack:
+                if self.plan.bus is None:
+                    joints = [(locators[joint.bus], joint.node_id) for joint in self.description.joints]
+                    self._fleet = await stack.enter_async_context(simulated_fleet(joints, make=self._maker))
+                master = await stack.enter_async_context(self._open_master(locators))
+                await self._demonstrate(self._chain(master, locators))
+        except Exception as error:
+            if _nobody_reads(error):
+                raise BrokenPipeError from error
+            problem = problem_of(error)
+            problem.more += self.story()
+            if problem.code == CHAIN_FAULT:
+                problem.tries = self._after_fault(problem.node)
+            raise problem from error
+
+    def _maker(self, number: int, node_id: int) -> DeviceMaker:
+        """What makes a simulated drive."""
+        file = self.plan.file_of(node_id)
+        return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
+
+    def _after_fault(self, node_id: int | None) -> tuple[str, ...]:
+        if self.plan.bus is None:
+            return ("canopen demo    (the same without the fault)",)
+        bus = f" -b {self.plan.bus}"
+        return f"canopen info {node_id}{bus}    (what the drive remembers)", f"canopen home {node_id} --reset-fault{bus}"
+
+    def _open_master(self, locators: dict[str, str]) -> contextlib.AbstractAsyncContextManager[Master]:
+        timeout = SDO_TIMEOUT if self.plan.timeout is None else self.plan.timeout / SECOND
+        return open_master(*dict.fromkeys(locators.values()), sdo_timeout=timeout, grip=self.plan.grip)
+
+    def _chain(self, master: Master, locators: dict[str, str]) -> Chain:
+        joints = tuple(replace(joint, bus=locators[joint.bus]) for joint in self.description.joints)
+        description = replace(self.description, joints=joints)
+        doubles = same_nodes([description])
+        if doubles:
+            raise ChainFileError(description.source, doubles)
+        axes, scale, max_speed = {}, self.plan.scale, None
+        if self.plan.bus is None:
+            scale, max_speed = MILLIDEGREES_PER_RADIAN, MAX_SPEED  # of every simulated drive, whatever its file says
+        for joint in joints:
+            file = self.plan.file_of(joint.node_id)
+            axis = AxisSettings() if file is None else file.axis
+            axes[joint.name] = replace(axis, counts_per_unit=scale or axis.counts_per_unit, max_speed=max_speed)
+            if file is not None:
+                master.node(joint.node_id, file.dictionary, bus=joint.bus)
+        settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
+        chain = master.chain(description, settings, axes=axes)
+        self._devices, self._halts = chain.devices, master.halts
+        self._latest = [(0.0, 0.0)] * len(chain.devices)
+        for number, device in enumerate(chain.devices):
+            master.watch((PdoReceived,), partial(self._on_position, number), master.bus(device.node.bus), device.node.node_id)
+        return chain
+
+    async def _demonstrate(self, arm: Chain) -> None:
+        with DemoView(self.screen, self.titles()[1], range=2 * self.plan.swing) as view:
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(self._draw, view)
+                await self._boot(arm, view)
+                await self._home(arm, view)
+                await self._move(arm, view)
+                self._stage = "all was done, and the drives were being shut down"
+                self.cycles = CycleCounts(arm.sync_cycles, arm.missed_cycles, arm.skipped_cycles)
+                await arm.shut_down()
+                nursery.cancel_scope.cancel()
+        self.results = [
+            JointResult(
+                device.name,
+                device.node.node_id,
+                str(device.state),
+                device.is_homed,
+                math.degrees(device.largest_following_error),
+                device.sdo_round_trips,
+            )
+            for device in self._devices
+        ]
+
+    async def _boot(self, arm: Chain, view: DemoView) -> None:
+        count = len(arm.devices)
+        view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
+        step, start = view.begin("boot", "NMT, PDOs, fault reset, enable"), trio.current_time()
+        await arm.initialise()
+        for device in arm.devices:
+            if device.axis.settings.counts_per_unit is None:
+                seen, tries = "only Schunk's joints tell it", ("--counts-per-degree 1000, or whatever it is",)
+                raise usage("CO123", f"{device.where}: nobody said what the drive counts in", seen=seen, tries=tries)
+        view.done(step, f"{_count(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
+
+    async def _home(self, arm: Chain, view: DemoView) -> None:
+        if self.plan.bus is not None:
+            step = view.begin("wait", f"the arm is going to move in {HARDWARE_DELAY} s; Ctrl-C stops it")
+            await trio.sleep(HARDWARE_DELAY)
+            view.done(step, "the arm moves now; Ctrl-C stops it")
+        self._stage, self._has_begun = "the joints were homing", True
+        step, start = view.begin("home", "the joints look for their reference"), trio.current_time()
+        await arm.home()
+        view.done(step, f"{_count(len(arm.devices), 'joint')} homed after {trio.current_time() - start:.2f} s")
+
+    async def _move(self, arm: Chain, view: DemoView) -> None:
+        """The path, one set-point for each joint in each cycle."""
+        plan = self.plan
+        await arm.enable_interpolated_position()
+        step = view.begin("move", "", progress=0.0)
+        for device in arm.devices:
+            device.following.largest_error = 0.0
+        self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
+        limits = [device.limits.speed.value for device in arm.devices]
+        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds, limits)
+        fault = plan.fault
+        refresh = max(1, round(REFRESH * SECOND / plan.cycle))
+        self._arm = arm
+        async for cycle in arm.cycles():
+            self._record(cycle.time)
+            self._stage = f"the arm had been moving for {cycle.time:.1f} s"
+            step.progress = min(1.0, cycle.time / plan.seconds)
+            step.text = f"{min(cycle.time, plan.seconds):.1f} of {plan.seconds:g} s, SYNC {arm.sync_cycles}"
+            if fault is not None and cycle.time >= fault[1]:
+                self._break(fault[0])
+                fault = None
+            arm.set_positions(path.at(cycle.time))
+            if cycle.time > plan.seconds + SETTLING_TIME:
+                break
+            if cycle.number % refresh == 0:  # right behind a SYNC: drawing takes 3 ms, and must not delay the next one
+                self._redraw(view)
+        counts = CycleCounts(arm.sync_cycles, arm.missed_cycles, arm.skipped_cycles)
+        missed = "none missed or skipped"
+        if counts.late_share:
+            missed = f"{counts.missed} missed, {counts.skipped} skipped: {_percent(counts.late_share)} late"
+        view.done(step, f"{plan.seconds:g} s along a smooth path, {counts.sent} SYNC cycles of {_ms(plan.cycle)}, {missed}")
+
+    def _break(self, node_id: int) -> None:
+        assert self._fleet is not None
+        self._fleet.raise_fault(node_id, DEMO_FAULT)
+
+    def _record(self, time: float) -> None:
+        self.recording.times.append(time)
+        for track, (actual, commanded) in zip(self.recording.joints, self._latest, strict=True):
+            track.actual.append(math.degrees(actual))
+            track.commanded.append(math.degrees(commanded))
+
+    def _on_position(self, number: int, report: PdoReceived) -> None:
+        """A joint tells where it is: only now its position and the command that belongs to it are of one instant."""
+        device = self._devices[number]
+        position = device.position
+        if position is not None:
+            self._latest[number] = position, position + device.following_error
+        if number == len(self._devices) - 1 and self._arm is not None and self._arm.state is ChainState.FAULT:
+            self._record_stopping()
+
+    def _record_stopping(self) -> None:
+        """A fault has stopped the chain, and its joints brake: nothing is commanded any more."""
+        recording = self.recording
+        if recording.broken is None:
+            faulty = next((device.name for device in self._devices if device.has_fault), "")
+            recording.broken = recording.times[-1], faulty
+        self._latest = [(actual, math.nan) for actual, _ in self._latest]
+        self._record(recording.times[-1] + self.plan.cycle / SECOND)
+
+    async def _draw(self, view: DemoView) -> None:
+        """Keep the picture up to date, while no cycles run; end it all when nobody reads the result any more."""
+        while True:
+            self.screen.check_reader()
+            if not self.recording.joints:
+                self._redraw(view)
+            await trio.sleep(REFRESH)
+
+    def _redraw(self, view: DemoView) -> None:
+        for joint, device in zip(view.joints, self._devices, strict=False):
+            joint.state = str(device.state)
+            joint.position = None if device.position is None else math.degrees(device.position)
+        view.refresh()
+
+    # ---- what is told of it ----
+
+    def titles(self) -> tuple[str, str]:
+        """Title and subtitle."""
+        count = len(self.description.joints)
+        drives = _count(count, "simulated drive") if self.plan.bus is None else f"{_count(count, 'drive')} on {self.plan.bus}"
+        title = f"{self.description.name}: {_count(count, 'joint')} in interpolated position mode"
+        source = f"{self.description.name} of {self.description.source}"
+        files = ", ".join(dict.fromkeys(file.source for file in self.plan.files.values()))
+        drives += f" made of {files}" if files and self.plan.bus is None else ""
+        return title, f"{source}, {drives}, one SYNC each {_ms(self.plan.cycle)}"
+
+    def story(self) -> list[str]:
+        """What has happened to the drives, where it did not end as planned. Each joint is named once.
+
+        What a simulated drive does goes before what it has confirmed.
+        """
+        if not self._devices:
+            return []
+        told = [self._stage]
+        moving = () if self._fleet is None else self._fleet.moving
+        unconfirmed = [halt.device for halt in self._halts if halt.problem]
+        fates: dict[str, list[str]] = {"in fault, without power": [], "halted": [], "told to halt": [], "STILL MOVING": []}
+        for device in self._devices:
+            if device.node.node_id in moving:
+                fate = "STILL MOVING"
+            elif device.has_fault:
+                fate = "in fault, without power"
+            else:
+                fate = "told to halt" if device in unconfirmed else "halted"
+            fates[fate].append(device.name)
+        if not self._has_begun:
+            fates["halted"] = fates["told to halt"] = []
+        return told + [f"{fate}: {', '.join(names)}" for fate, names in fates.items() if names]
+
+    def show_result(self) -> ExitCode:
+        """The tables on stdout, and what to try next; the exit status."""
+        screen, cycles = self.screen, self.cycles
+        if screen.json_output:
+            screen.json(self._as_json())
+        else:
+            screen.table(COLUMNS, [result.row() for result in self.results], right=("node", *COLUMNS[4:]))
+            screen.table(CYCLE_COLUMNS, [cycles.row()], right=CYCLE_COLUMNS)
+        if not cycles.was_kept:
+            late, cycle = _percent(cycles.late_share), _ms(self.plan.cycle)
+            screen.say(f"[yellow]this computer could not keep a cycle of {cycle}: {late} of the periods were late[/]")
+            screen.say("  try:   a longer --cycle, or a computer that does less besides")
+        elif self.plan.bus is None and not screen.json_output:
+            screen.say(NEXT)
+        return ExitCode.OK if cycles.was_kept else ExitCode.PARTIAL
+
+    def _as_json(self) -> dict[str, Any]:
+        return {
+            "chain": self.description.name,
+            "simulated": self.plan.bus is None,
+            "cycle_ms": self.plan.cycle / MILLISECOND,
+            "sync_cycles": self.cycles.sent,
+            "missed_cycles": self.cycles.missed,
+            "skipped_cycles": self.cycles.skipped,
+            "late_share": round(self.cycles.late_share, 6),
+            "joints": [
+                {
+                    "joint": result.name,
+                    "node": result.node_id,
+                    "state": result.state,
+                    "homed": result.homed,
+                    "largest_following_error_degrees": round(result.error, 6),
+                    "sdo_round_trips": result.round_trips,
+                }
+                for result in self.results
+            ],
+        }
+
+
+def _nobody_reads(error: Exception) -> bool:
+    """Whether it ended only because its reader has gone (`canopen demo | head`), and all drives stand."""
+    rest = error.split(BrokenPipeError)[1] if isinstance(error, ExceptionGroup) else error
+    return (rest is None or isinstance(rest, BrokenPipeError)) and all_stand(error)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _percent(share: float) -> str:
+    return f"{share:.1%}".replace("%", " %")
+
+
+def _ms(time: Time) -> str:
+    return f"{time / MILLISECOND:g} ms"

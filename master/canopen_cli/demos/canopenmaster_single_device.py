@@ -1,0 +1,71 @@
+"""Home one device and move it, with the master's thread: the manual's demo/canopenmaster_single_device.
+
+    python -m canopen_cli.demos.canopenmaster_single_device
+    python -m canopen_cli.demos.canopenmaster_single_device --bus virtual
+
+The device is that of the chain file single_device.csv, `chain1 joint1 /dev/pcan32 12`, unless another ID is given.
+"""
+
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from canopen_cli.demos.running import Options, check, parse, run
+from canopen_master import direct as canopen
+
+USAGE = "Please call the program with one CAN deviceID at most, e.g. './canopenmaster_single_device 12'"
+
+SPEED = 10_000  # millidegrees per second
+INTERVAL = 0.01  # seconds, as the master's cycle
+
+
+def serve(options: Options) -> None:
+    """The master. It needs the main thread for nothing, and any number of clients may call its chains."""
+    (device,) = options.node_ids
+    canopen.using_master_thread = True
+    if device == 12:
+        canopen.init_chain_map("single_device.csv")
+    else:
+        canopen.init_chain_map(text=f"chain1 joint1 /dev/pcan32 {device}")
+    check(canopen.open_connection(options.bus), "Cannot open CAN device; aborting.")
+    canopen.init_nmt()
+    canopen.init_listener_thread()
+    canopen.init_incoming_pdo_processor_thread()
+    canopen.init_master_thread()
+
+    client = ThreadPoolExecutor(max_workers=1).submit(command, options)
+    while not client.done():
+        time.sleep(INTERVAL)
+    client.result()  # raises what the client did not get done
+    canopen.close_connection()
+
+
+def command(options: Options) -> None:
+    """A client, in a thread of its own."""
+    chain = canopen.chain_map["chain1"]
+    check(chain.init(), "The chain could not be initialized; aborting.")
+    print(f"homing {', '.join(chain.joints)}")
+    check(chain.homing(), "Homing was not successful; aborting.")
+    check(chain.ip_mode(), "The chain could not be put into IP mode; aborting.")
+    start = chain.get_current_pos()
+    print(f"referenced, at {start} mdeg")
+    time.sleep(options.pause)
+
+    duration = options.steps * INTERVAL
+    end = [position + round(SPEED * duration) for position in start]
+    for cycle in chain.cycles():  # its time waits for a client that is late, so that the path never jumps
+        now = min(cycle.time, duration)
+        chain.set_pos([position + round(SPEED * now) for position in start])
+        if cycle.time >= duration + 5 * INTERVAL:  # the last set-points are reached two cycles later
+            break
+    print(f"sent to {end} mdeg, ends at {chain.get_current_pos()} mdeg")
+    check(chain.shut_down(), "The chain could not be shut down.")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    return run(serve, lambda: parse(arguments, str(__doc__), USAGE, ids=("12",), most=1, steps=500, pause=4.0))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

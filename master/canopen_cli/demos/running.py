@@ -1,0 +1,103 @@
+"""What the demos share: their arguments, how they fail, and that they always end with the drives halted."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from canopen_cli.options import node_id_of
+from canopen_cli.problem import ExitCode, problem_of
+from canopen_master import direct as canopen
+from canopen_master.plain_text import clean_lines
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for. cycles, steps: how often, and how far, a demo moves; pause: seconds before that."""
+
+    node_ids: tuple[int, ...]
+    bus: str
+    cycles: int
+    steps: int
+    pause: float
+
+
+class Failed(Exception):
+    """A step of a demo did not succeed; the reason is its __cause__."""
+
+
+def check(succeeded: bool, otherwise: str) -> None:
+    """Go on if a call gave True; else end the demo with these words, and with the reason."""
+    if not succeeded:
+        raise Failed(otherwise) from canopen.last_error()
+
+
+def parse(
+    arguments: Sequence[str] | None,
+    about: str,
+    usage: str,
+    *,
+    ids: Sequence[str] = (),
+    most: int = 127,
+    cycles: int | None = None,
+    steps: int | None = None,
+    pause: float | None = None,
+) -> Options | None:
+    """A demo's arguments; None, with `usage` printed, where there are no node-IDs, or more than `most`. Raises Problem.
+
+    ids: where none are given. cycles, steps, pause: what they are if nothing else is said; None for a demo that has none.
+    """
+    parser = argparse.ArgumentParser(description=about.splitlines()[0], epilog=usage)
+    parser.add_argument("ids", metavar="ID", nargs="*", help="CAN device ID, decimal")
+    parser.add_argument("--bus", default="/dev/pcan32", help="virtual, socketcan:can0 ... (default: %(default)s)")
+    if cycles is not None:
+        parser.add_argument("--cycles", type=_count, help=f"how often it moves to and fro (default: {cycles})")
+    if steps is not None:
+        parser.add_argument("--steps", type=_count, help=f"set-points of one way (default: {steps})")
+    if pause is not None:
+        parser.add_argument("--pause", type=float, help=f"seconds before it moves (default: {pause:g})")
+    parser.set_defaults(cycles=cycles or 0, steps=steps or 0, pause=pause or 0.0)
+    given = parser.parse_args(arguments)
+    chosen = given.ids or ids
+    if not 1 <= len(chosen) <= most:
+        print(usage)
+        return None
+    node_ids = dict.fromkeys(map(node_id_of, chosen))
+    return Options(tuple(node_ids), given.bus, given.cycles, given.steps, given.pause)
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return count
+
+
+def run(demo: Callable[[Options], None], read_options: Callable[[], Options | None]) -> int:
+    """Run a demo to its end, whatever that is; the exit status. On a virtual bus there are simulated drives for its node-IDs."""
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    try:
+        options = read_options()
+        if options is None:
+            return ExitCode.USAGE
+        with contextlib.ExitStack() as stack:
+            stack.callback(canopen.close_connection)  # halts what moves
+            if options.bus.partition(":")[0] == "virtual":
+                stack.enter_context(canopen.simulated(options.node_ids, bus=options.bus))
+            demo(options)
+    except KeyboardInterrupt:
+        print("interrupted; the drives are halted", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - whatever it is becomes one screen
+        reason = error.__cause__ if isinstance(error, Failed) and error.__cause__ is not None else error
+        if isinstance(error, Failed):
+            print(clean_lines(str(error)), file=sys.stderr)
+        problem = problem_of(reason)
+        print(clean_lines(str(problem)), file=sys.stderr)
+        return problem.exit_code
+    return ExitCode.OK

@@ -1,0 +1,67 @@
+"""-e: the devices' own files (EDS, DCF, XDD, XDC), by which their objects are named and typed instead of by the data files.
+
+`-e FILE` is for all nodes, `-e 5=FILE` for node 5 only. Several files without a node-ID are told apart by the node-ID in them, as
+a DCF and an XDC have it. The names of the data files are laid over each, so that `statusword` works with every drive.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from canopen_cli.options import node_id_of
+from canopen_cli.problem import usage
+from canopen_cli.screen import Screen
+from canopen_data.description import DeviceDescription
+from canopen_proto.dictionary import ObjectDictionary
+
+_OF_NODE: Final = re.compile(r"(0[xX][0-9A-Fa-f]+|[0-9]+)=(.+)")
+
+DeviceFiles = Mapping[int | None, DeviceDescription]
+"""Descriptions by node-ID; None: of all other nodes."""
+
+
+def description_of(files: DeviceFiles, node_id: int) -> DeviceDescription | None:
+    """The file of a node, or None."""
+    return files.get(node_id, files.get(None))
+
+
+def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Screen, encoding: str = "") -> DeviceFiles:
+    """What the options -e say. names: of the data files. encoding: of the files, "" = to be found out.
+
+    Tells how many errors are in a file. Raises DataError where one cannot be read, a Problem where it describes nothing, or where
+    it is not clear of which node it is.
+    """
+    files: dict[int | None, DeviceDescription] = {}
+    if not texts:
+        return files
+    from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
+
+    named = [_split(text) for text in texts]
+    without = sum(1 for node_id, _ in named if node_id is None)
+    for node_id, path in named:
+        description = with_names(_read(path, screen, encoding), names)
+        if node_id is None and without > 1:
+            node_id = description.commissioning.node_id if description.commissioning is not None else None
+            if node_id is None:
+                tries = (f"-e 5={path}    (it is the file of node 5)",)
+                raise usage("CO126", f"there are several files, and {path} does not say of which node it is", tries=tries)
+        if node_id in files:
+            whose = "all nodes" if node_id is None else f"node {node_id}"
+            raise usage("CO126", f"there are two files of {whose}: {files[node_id].source} and {path}")
+        files[node_id] = description
+    return files
+
+
+def _split(text: str) -> tuple[int | None, str]:
+    match = _OF_NODE.fullmatch(text)
+    return (None, text) if match is None else (node_id_of(match[1]), match[2])
+
+
+def _read(path: str, screen: Screen, encoding: str) -> DeviceDescription:
+    from canopen_cli.eds_files import open_description, tell_faults
+
+    file = open_description(path, encoding)
+    tell_faults(screen, file)
+    return file.description

@@ -1,0 +1,54 @@
+"""The drives of `canopen demo --eds`: what their files say, and whether a simulated drive can stand behind that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from canopen_cli.device_files import read_device_files
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.screen import Screen
+from canopen_cli.sim_devices import shape_of
+from canopen_data import load_dictionary
+from canopen_data.configured import without_configured_values
+from canopen_data.drive_from_file import drive_obstacle
+from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings
+from canopen_proto.cia402.servo import Shape
+from canopen_proto.dictionary import ObjectDictionary
+
+
+@dataclass(frozen=True)
+class DriveFile:
+    """A drive that a file describes. shape: what such drives are like beyond their dictionary."""
+
+    source: str
+    dictionary: ObjectDictionary
+    shape: Shape
+
+    @property
+    def axis(self) -> AxisSettings:
+        """How the master has to treat it."""
+        return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
+
+
+def drive_files(texts: Sequence[str], defaults: bool, screen: Screen, encoding: str = "") -> dict[int | None, DriveFile]:
+    """The files that `-e` names, by node-ID (None: of all others). defaults: leave out what a DCF configures. encoding: of
+    the files, "" = to be found out.
+
+    Raises DataError, and a Problem for a file that describes no drive.
+    """
+    if not texts:
+        return {}
+    made = {}
+    for node_id, description in read_device_files(texts, load_dictionary()[0], screen, encoding).items():
+        dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
+        obstacle = drive_obstacle(dictionary)
+        if obstacle:
+            raise Problem(
+                ExitCode.BAD_FILE,
+                "CO332",
+                f"{description.source} describes no drive that can be moved: {obstacle}",
+                tries=(f"canopen eds show {description.source}", "the file of a CiA 402 drive"),
+            )
+        made[node_id] = DriveFile(description.source, dictionary, shape_of(description))
+    return made

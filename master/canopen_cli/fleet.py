@@ -1,0 +1,172 @@
+"""Simulated drives for the command line: those of `canopen demo`, of `-b demo`, and of `canopen sim`.
+
+A fleet runs shielded until its block is left: on a Ctrl-C the master still has to halt the drives, and simulated ones must live
+as long as that takes, as real ones would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Final
+
+import trio
+
+from canopen_data.drive_from_file import drive_dictionary_of
+from canopen_master.parameter_keeper import ParameterKeeper
+from canopen_master.simulation import DeviceMaker, Host
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
+from canopen_proto.cia402.servo import DriveSettings, Shape, Track
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.machine import Event
+from canopen_transports import Transport, open_transport
+from canopen_transports.tracing import for_devices
+
+DEMO_LOCATOR: Final = "virtual:demo"
+DEMO_NODES: Final = tuple(range(3, 9))
+"""The joints of the installed multiple_devices.csv."""
+HEARTBEAT_MS: Final = 500
+"""Simulated drives have one, so that a scan hears them and their NMT state shows."""
+BOOT_TIME: Final = 0.05
+"""Seconds from power-on until the boot-up frames are out: a request that a boot-up overtakes is lost, as it would be in life."""
+
+# Where the joints stand at power-on, in counts (millidegrees): not all at the same place, so that homing is worth watching.
+_POSITIONS: Final = (-14_000, 9_000, 21_000, -7_000, 16_000, -22_000)
+_TRACK: Final = Track(home_switch=(0.0, math.inf))
+"""The home switch is active from the middle to the positive end, as homing by method 19 takes it."""
+
+
+def drive_maker(
+    number: int, node_id: int, shape: Shape = Shape.SCHUNK_POWERBALL, dictionary: ObjectDictionary | None = None
+) -> DeviceMaker:
+    """What makes a simulated drive. number: its place in the fleet, from 0. dictionary: that of a device's own file, which the
+    drive must be able to stand behind (`drive_obstacle`); by default that of the shape."""
+    if dictionary is None:
+        dictionary = drive_dictionary(shape).with_objects([standard_object(0x1017, HEARTBEAT_MS)])
+    else:
+        dictionary, _ = drive_dictionary_of(dictionary, shape)
+    settings = DriveSettings(shape=shape, position=_POSITIONS[number % len(_POSITIONS)], track=_TRACK)
+    return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
+
+
+class Fleet:
+    """Simulated drives, each in its place: hosts has one for each bus."""
+
+    def __init__(self, hosts: Sequence[Host]) -> None:
+        self._hosts = tuple(hosts)
+
+    @property
+    def drives(self) -> dict[int, DriveNode]:
+        """The drives by node-ID; of the same one on two buses, the first."""
+        return {node.node_id: node for host in reversed(self._hosts) for node in host.nodes if isinstance(node, DriveNode)}
+
+    @property
+    def node_ids(self) -> list[int]:
+        """Of all devices."""
+        return sorted({node.node_id for host in self._hosts for node in host.nodes})
+
+    def raise_fault(self, node_id: int, error_code: int) -> None:
+        """Let a drive break down. KeyError where there is none of that node-ID."""
+        drive = self.drives[node_id]
+        for host in self._hosts:
+            if drive in host.nodes:
+                drive.raise_fault(error_code, host.now())
+                host.pump()
+
+    @property
+    def moving(self) -> list[int]:
+        """The node-IDs of the drives that move: what nobody on the bus could know better."""
+        moving = []
+        for host in self._hosts:
+            for node in host.nodes:
+                if isinstance(node, DriveNode):
+                    node.drive.refresh(host.now())
+                    if node.values[VELOCITY_ACTUAL_VALUE]:
+                        moving.append(node.node_id)
+        return moving
+
+
+@asynccontextmanager
+async def simulated_fleet(
+    drives: Iterable[tuple[str, int]],
+    shape: Shape = Shape.SCHUNK_POWERBALL,
+    on_event: Callable[[Event], object] | None = None,
+    *,
+    make: Callable[[int, int], DeviceMaker] | None = None,
+) -> AsyncIterator[Fleet]:
+    """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError.
+
+    make: what makes the drive of a place and a node-ID; by default one of that shape.
+    """
+    make = partial(drive_maker, shape=shape) if make is None else make
+    makers: dict[str, list[DeviceMaker]] = {}
+    for number, (locator, node_id) in enumerate(drives):
+        makers.setdefault(locator, []).append(make(number, node_id))
+    async with simulated_devices(makers, on_event) as fleet:
+        yield fleet
+
+
+@asynccontextmanager
+async def simulated_devices(
+    makers: Mapping[str, Sequence[DeviceMaker]],
+    on_event: Callable[[Event], object] | None = None,
+    *,
+    keeper: ParameterKeeper | None = None,
+    say: Callable[[str], object] = lambda text: None,
+) -> AsyncIterator[Fleet]:
+    """Serve devices, by locator, while the block runs. keeper, say: as of `Host`.
+
+    Raises BusError, TransportError, ScriptError.
+    """
+
+    def host_on(transport: Transport, each: Sequence[DeviceMaker]) -> Host:
+        return Host(transport, each, on_event, keeper=keeper, say=say)
+
+    failure: Exception | None = None
+    async with trio.open_nursery() as nursery:
+        serving = trio.CancelScope()
+        hosts: list[Host] = await nursery.start(_serve, makers, host_on, serving)
+        serving.shield = True  # from now on: a start that is cancelled waits for what it has begun, and that must end then
+        try:
+            await trio.sleep(BOOT_TIME)
+            yield Fleet(hosts)
+        except Exception as error:  # noqa: BLE001 - raised again below: through the nursery it would come out in a group
+            failure = error
+        finally:
+            serving.cancel()
+    if failure is not None:
+        raise failure
+
+
+async def _serve(
+    makers: Mapping[str, Sequence[DeviceMaker]],
+    host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
+    scope: trio.CancelScope,
+    task_status: trio.TaskStatus[list[Host]],
+) -> None:
+    hosts: list[Host] = []
+    with scope:
+        async with trio.open_nursery() as nursery:
+            for locator, each in makers.items():
+                with for_devices():
+                    transport = await open_transport(locator)
+                hosts.append(await nursery.start(_serve_on, transport, each, host_on))
+            task_status.started(hosts)
+
+
+async def _serve_on(
+    transport: Transport,
+    makers: Sequence[DeviceMaker],
+    host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
+    task_status: trio.TaskStatus[Host],
+) -> None:
+    try:
+        await host_on(transport, makers).serve(task_status)
+    finally:
+        with trio.CancelScope(shield=True):
+            await transport.aclose()

@@ -1,0 +1,208 @@
+"""`canopen info`: what a node is, and how it is: identity, NMT state, errors, PDOs; of a drive what it does, too."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import click
+
+from canopen_cli.device_types import DRIVE_PROFILE, device_type_text, profile_of
+from canopen_cli.options import NodeId, Settings, common
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, node_text
+from canopen_cli.session import Session, open_session
+from canopen_data.description import DeviceDescription, FileKind
+from canopen_master.errors import NodeSilent, SdoRefused
+from canopen_master.node import Node
+from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, text_for_people
+from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
+from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.error_codes import error_text, register_names
+from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
+from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.steps import SdoFailed
+
+IDENTITY = ((1, "vendor-ID"), (2, "product code"), (3, "revision"), (4, "serial number"))
+MAX_HISTORY = 8
+MAX_PDOS_SHOWN = 8
+"""In each direction; a device may have 512, and the first ones tell how it is meant."""
+MAX_WAIT = 2.0
+"""Seconds for a heartbeat that shows the NMT state."""
+
+Facts = dict[str, tuple[Any, str]]
+"""What is found out: a name for people -> (for --json, for people)."""
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@common
+@click.pass_obj
+def info(settings: Settings, node_id: int) -> None:
+    """Show what a node is, and how it is.
+
+    With -e FILE also, whether it is the device that the file describes.
+    """
+    screen = settings.screen()
+    facts = run(settings, screen, lambda: _info(settings, screen, node_id))
+    if settings.json:
+        screen.json({"node": node_id, **{name.replace(" ", "_").replace("-", "_"): raw for name, (raw, _) in facts.items()}})
+        return
+    screen.data(f"[bold]{node_text(node_id)}[/]")
+    for name, (_, text) in facts.items():
+        screen.fact(name, text)
+
+
+async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
+    async with open_session(settings, screen) as session:
+        node = session.node(node_id)
+        # Each device has this one: where it does not answer, nobody is there, and the error says so.
+        device_type = int.from_bytes(await node.read_bytes(0x1000), "little")
+        facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
+        for name, index in (("name", 0x1008), ("hardware version", 0x1009), ("software version", 0x100A)):
+            text = await _standard(node, index)
+            if isinstance(text, str) and (shown := text_for_people(text, DataType.VISIBLE_STRING).rstrip("\0 ")):
+                facts[name] = (shown, shown)
+        for subindex, name in IDENTITY:
+            number = await _standard(node, 0x1018, subindex)
+            if isinstance(number, int):
+                facts[name] = (number, f"0x{number:08X}")
+        description = session.description_of(node_id)
+        if description is not None:
+            facts["file"] = _compared(description, facts, node_id)
+        await _add_health(node, facts)
+        await _add_pdos(session, node, facts)
+        if profile_of(device_type) == DRIVE_PROFILE:
+            await _add_drive(node, facts)
+        return facts
+
+
+def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:
+    """Whether the node is of the type that its file describes. What the file does not say, or says as 0, fits everything."""
+    compared = {name: number for name, number in _identity_of(description, node_id).items() if name in facts}
+    different = [
+        {"field": name, "node": facts[name][0], "file": number} for name, number in compared.items() if facts[name][0] != number
+    ]
+    raw = {"name": description.source, "matches": not different if compared else None, "different": different}
+    if not compared:
+        return raw, f"{description.source}: it says nothing of the device's identity"
+    if not different:
+        return raw, f"{description.source}: MATCH"
+    fields = ", ".join(f"{each['field']} 0x{each['node']:08X} (file: 0x{each['file']:08X})" for each in different)
+    return raw, f"{description.source}: ANOTHER DEVICE by {fields}"
+
+
+def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]:
+    """What the file says, by the names of `Facts`. A serial number counts only where the file is of one device."""
+    device = description.device_info
+    said = {"vendor-ID": device.vendor_number, "product code": device.product_number, "revision": device.revision_number}
+    for subindex, name in IDENTITY:
+        variable = description.dictionary.get(0x1018, subindex)
+        if variable is not None and isinstance(value := _said(variable, node_id), int) and value:
+            said[name] = value
+    if description.kind not in (FileKind.DCF, FileKind.XDC):
+        said.pop("serial number", None)
+    wanted = {name: number for name, number in said.items() if number}
+    device_type = description.dictionary.get(0x1000)
+    if device_type is not None and isinstance(value := _said(device_type, node_id), int):
+        wanted = {"device type": value} | wanted
+    return wanted
+
+
+def _said(variable: Variable, node_id: int) -> Value | None:
+    """What an object holds at first, where the file says it."""
+    return None if variable.default is None and variable.configured is None else variable.initial_of(node_id)
+
+
+async def _add_health(node: Node, facts: Facts) -> None:
+    period = await _standard(node, 0x1017)
+    if node.nmt_state is None and isinstance(period, int) and period:
+        with contextlib.suppress(NodeSilent):
+            await node.wait_for_heartbeat(min(1.5 * period / 1000, MAX_WAIT))
+    state = node.nmt_state
+    if state is not None:
+        facts["NMT state"] = (state.name, state.name.lower().replace("_", "-"))
+    if isinstance(period, int):
+        facts["heartbeat"] = (period, f"each {period} ms" if period else "off")
+    register = await _standard(node, 0x1001)
+    if isinstance(register, int):
+        names = ", ".join(register_names(register)) if register else "no error"
+        facts["error register"] = (register, f"{names}  (0x{register:02X})")
+    count = await _standard(node, 0x1003)
+    history = []
+    for subindex in range(1, min(count, MAX_HISTORY) + 1 if isinstance(count, int) else 1):
+        entry = await _standard(node, 0x1003, subindex)
+        if isinstance(entry, int):
+            history.append(entry & 0xFFFF)
+    if history:
+        facts["last errors"] = (history, ", ".join(f"0x{code:04X} {error_text(code)}" for code in history))
+
+
+async def _add_pdos(session: Session, node: Node, facts: Facts) -> None:
+    """The PDOs that the device has set up; those that are not valid are left out."""
+    for direction in Direction:
+        for number in range(1, MAX_PDOS_SHOWN + 1):
+            try:
+                settings = await session.master.run(read_pdo(node.remote, direction, number))
+            except SdoFailed as failed:
+                if failed.abort_code in ABSENT:
+                    break
+                raise
+            except StrangePdo as strange:
+                facts[f"{direction}{number}"] = (None, str(strange))
+                continue
+            if not settings.cob_id & COB_ID_INVALID:
+                facts[f"{direction}{number}"] = _pdo(settings, session.description_of(node.node_id))
+
+
+def _pdo(settings: PdoSettings, description: DeviceDescription | None) -> tuple[dict[str, Any], str]:
+    objects = [f"{entry >> 16:04X}:{entry >> 8 & 0xFF:02X}" for entry in settings.entries]
+    can_id = settings.cob_id & 0x1FFFFFFF
+    raw = {"can_id": can_id, "transmission_type": settings.transmission_type, "objects": objects}
+    dictionary = None if description is None else description.dictionary
+    called = [_object_name(dictionary, entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
+    names = [name if called.count(name) == 1 else f"{place} {name}" for name, place in zip(called, objects, strict=True)]
+    return raw, f"0x{can_id:X}, type {settings.transmission_type}: {', '.join(names) or 'nothing'}"
+
+
+def _object_name(dictionary: ObjectDictionary | None, index: int, subindex: int) -> str:
+    """What an object is called by the device's own file, else by the standard."""
+    own = None if dictionary is None else dictionary.get(index, subindex)
+    variable = own or find_standard(index, subindex)
+    return f"{index:04X}:{subindex:02X}" if variable is None else variable.name
+
+
+async def _add_drive(node: Node, facts: Facts) -> None:
+    mode = await _standard(node, 0x6061)
+    statusword = await _standard(node, 0x6041)
+    if isinstance(statusword, int):
+        words = describe_status(statusword, mode if isinstance(mode, int) else None)
+        facts["statusword"] = (statusword, f"{', '.join(words)}  (0x{statusword:04X})")
+    if isinstance(mode, int):
+        facts["mode"] = (mode, mode_name(mode))
+    modes = await _standard(node, 0x6502)
+    if isinstance(modes, int):
+        facts["supported modes"] = (modes, ", ".join(mode_name(each) for each in supported_modes(modes)) + f"  (0x{modes:08X})")
+    position = await _standard(node, 0x6064)
+    if isinstance(position, int):
+        facts["position"] = (position, f"{position} counts")
+    error = await _standard(node, 0x603F)
+    if isinstance(error, int) and error:
+        facts["drive error"] = (error, f"0x{error:04X} {error_text(error)}")
+
+
+async def _standard(node: Node, index: int, subindex: int = 0) -> Value | None:
+    """An object as the standard types it; None where the device refuses it."""
+    try:
+        data = await node.read_bytes(index, subindex)
+    except SdoRefused:
+        return None
+    variable = find_standard(index, subindex)
+    data_type = variable.data_type if variable is not None else DataType.OCTET_STRING
+    try:
+        return decode(data, data_type)
+    except ValueRangeError:
+        return None

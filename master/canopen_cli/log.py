@@ -1,0 +1,241 @@
+"""`canopen log`: log files of CAN buses, read, said again, and put in words. `--trace FILE` of any command records one."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, cast
+
+import click
+import trio
+
+from canopen_cli.device_files import description_of, read_device_files
+from canopen_cli.new_files import check_new_file
+from canopen_cli.options import NodeIds, Settings, common
+from canopen_cli.problem import ExitCode, usage
+from canopen_cli.running import run, same_file
+from canopen_cli.screen import Screen, escape
+from canopen_cli.session import read_dictionary
+from canopen_master.plain_text import clean, json_text
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import SECOND
+from canopen_proto.observer.decoding import Decoder
+from canopen_transports import open_transport
+from canopen_transports.locator import bitrate_text, parse_bitrate
+from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
+from canopen_transports.wire.frame_bits import frame_bits
+
+if TYPE_CHECKING:
+    from io import BufferedReader
+
+FILE: Final = click.Path(dir_okay=False, path_type=Path)
+FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
+
+
+def _reader(source: Path) -> LogReader:
+    """Of a file, or of standard input (-): what candump says."""
+    if str(source) != "-":
+        return LogReader(source)
+    return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
+
+
+@click.group()
+def log() -> None:
+    """Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc. Record one by --trace FILE of any command."""
+
+
+@log.command()
+@click.argument("source", type=FILE)
+@click.argument("target", type=FILE)
+@common
+@click.pass_obj
+def convert(settings: Settings, source: Path, target: Path) -> int:
+    """Write a log file anew as another kind, which the names tell. What the kind cannot hold is told.
+
+    \b
+    canopen log convert trace.blf trace.log
+    """
+    screen = settings.screen()
+    if same_file(source, target):
+        raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
+    check_new_file(settings, screen, target)
+    reader, kind = LogReader(source), kind_of(target)
+    records = iter(reader)
+    first = list(islice(records, 1))  # a source that cannot be read shall not cost the target that is there
+    writer = log_writer(target)
+    count = 0
+    try:
+        for part in (first, records):
+            for record in part:
+                writer.write(record)
+                count += 1
+    except LogFileError:
+        screen.say(f"what could be read, {count - writer.left_out} frames, is in {escape(str(target))}")
+        raise
+    finally:
+        writer.close()
+    screen.say(f"{count - writer.left_out} frames: [bold]{escape(str(target))}[/]")
+    if LOSSES[kind]:
+        screen.say(f"[dim]{kind}: {LOSSES[kind]}[/]")
+    _tell_skipped(screen, reader)
+    if settings.json:
+        counts = {"frames": count - writer.left_out, "left_out": writer.left_out, "skipped": reader.skipped}
+        screen.json({"file": str(source), "output": str(target), **counts})
+    if writer.left_out:
+        screen.say(f"[yellow]{writer.left_out} remote frames are left out[/]; .log holds them")
+        return ExitCode.PARTIAL
+    return ExitCode.OK
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE)
+@click.option("--speed", default="1", show_default=True, metavar="FACTOR", help="10 is ten times as fast; max: without waiting.")
+@click.option("--only-sent", is_flag=True, help="Only what the recorder sent, such as a master's side.")
+@common
+@click.pass_obj
+def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> None:
+    """Say on a bus again what is in a file. DRIVES MAY MOVE: what a master said then is a command now.
+
+    \b
+    canopen log replay trace.log -b socketcan:vcan0
+    """
+    screen = settings.screen()
+    bus = settings.required_bus("-b tcp                         the bus of `canopen bus serve`")
+    try:
+        factor = None if speed == "max" else float(speed)
+    except ValueError:
+        factor = 0.0
+    if factor is not None and not 0 < factor < 1e9:
+        raise usage("CO001", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
+    reader = LogReader(source)
+
+    async def play() -> int:
+        count = 0
+        async with await open_transport(bus) as transport:
+            start, first = trio.current_time(), None
+            for record in reader:
+                first = record.time if first is None else first
+                if factor is not None:
+                    await trio.sleep_until(start + (record.time - first) / SECOND / factor)
+                if record.sent or not only_sent:
+                    await transport.send(record.frame)
+                    count += 1
+        return count
+
+    count = run(settings, screen, play, reads=source)
+    screen.say(f"{count} frames sent on {escape(bus)}")
+    _tell_skipped(screen, reader)
+    if settings.json:
+        screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
+@click.option("--bitrate", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
+@common
+@click.pass_obj
+def stats(settings: Settings, source: Path, bitrate: str) -> None:
+    """Count what is in a file: frames, rates, and the load of the bus, of each CAN-ID."""
+    screen = settings.screen()
+    try:
+        rate = parse_bitrate(bitrate)
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
+    reader, decoder = _reader(source), Decoder()
+    frames: Counter[int] = Counter()
+    bits: Counter[int] = Counter()
+    what: dict[int, tuple[str, str, int]] = {}
+    first = last = None
+    for record in reader:
+        frame = record.frame
+        first = record.time if first is None else first
+        last = max(record.time, first if last is None else last)
+        frames[frame.key] += 1
+        bits[frame.key] += frame_bits(frame)
+        if frame.key not in what:
+            meaning = decoder.decode(frame)
+            service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first of them is the boot-up
+            what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
+    seconds = 0.0 if first is None or last is None else (last - first) / SECOND
+    rows = [(*what[key], frames[key], _per(frames[key], seconds), _per(bits[key] / rate * 100, seconds)) for key in sorted(what)]
+    total = sum(frames.values())
+    load = _per(sum(bits.values()) / rate * 100, seconds)
+    if settings.json:
+        names = ("can_id", "service", "node", "frames", "per_second", "load_percent")
+        ids = [dict(zip(names, row, strict=True)) for row in rows]
+        screen.json(
+            {"frames": total, "seconds": seconds, "bitrate": rate, "load_percent": load, "skipped": reader.skipped, "ids": ids}
+        )
+        return
+    columns = ("CAN-ID", "service", "node", "frames", "per second", "load %")
+    texts = [
+        (name, service, str(node or ""), str(count), _text(each), _text(share))
+        for name, service, node, count, each, share in rows
+    ]
+    screen.table(columns, texts, right=columns[2:])
+    per_second = _text(_per(total, seconds))
+    screen.data(f"{total} frames in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}")
+    _tell_skipped(screen, reader)
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
+@click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8.")
+@click.option("--service", "services", multiple=True, metavar="NAME", help="Only these: nmt, sdo, pdo, emcy, sync, heartbeat ...")
+@common
+@click.pass_obj
+def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, services: tuple[str, ...]) -> None:
+    """Say what each frame in a file means; - is standard input.
+
+    PDOs are read as the recording shows them set up, else as the devices' own files say, else as PDOs.csv does.
+
+    \b
+    canopen log decode trace.log
+    canopen log decode trace.log -e 5=drive.eds --node 5 --service sdo
+    candump can0 | canopen log decode -
+    """
+    screen = settings.screen()
+    names = read_dictionary(screen)
+    files = read_device_files(settings.eds, names, screen, settings.encoding)
+
+    def dictionary_of(node_id: int) -> ObjectDictionary:
+        description = description_of(files, node_id)
+        return names if description is None else description.dictionary
+
+    reader, decoder = _reader(source), Decoder(dictionary_of)
+    wanted = tuple(service.lower() for service in services)
+    first = None
+    for number, record in enumerate(reader):
+        first = record.time if first is None else first
+        meaning = decoder.decode(record.frame)
+        kind = meaning.service.lower()
+        if (nodes and meaning.node_id not in nodes) or (wanted and not any(word in kind for word in wanted)):
+            continue
+        if number % 256 == 0:
+            screen.check_reader()
+        seconds = (record.time - first) / SECOND
+        if settings.json:
+            line = {"time": record.time, "channel": record.channel, "frame": str(record.frame), "sent": record.sent}
+            line |= {"service": meaning.service, "node": meaning.node_id, "text": meaning.text}
+            screen.out.out(json_text(line), highlight=False)
+        else:
+            node = str(meaning.node_id) if meaning.node_id else ""
+            screen.out.out(
+                f"{seconds:12.6f} {record.frame!s:<25} {meaning.service:<9} {node:>3}  {clean(meaning.text)}", highlight=False
+            )
+    _tell_skipped(screen, reader)
+
+
+def _tell_skipped(screen: Screen, reader: LogReader) -> None:
+    if reader.skipped:
+        screen.say(f"[yellow]{reader.skipped} entries passed over, the last: {escape(reader.last_skip)}[/]")
+
+
+def _per(count: float, seconds: float) -> float:
+    return count / seconds if seconds else 0.0
+
+
+def _text(number: float) -> str:
+    return f"{number:.3g}"

@@ -1,0 +1,161 @@
+"""`canopen read -o FILE` and `canopen write --file FILE`: objects that go into files and come from them, piece by piece.
+
+The bytes are those of the wire. Nothing is held whole where the device knows block transfer. A checksum stands at the end of the
+transfer: a file gets its new content (`whole_file`) when that was right, so that a broken file replaces no good one.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import IO, Any, Final
+
+import trio
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_master.node import Node
+from canopen_proto.dictionary import Variable
+from canopen_proto.sdo.client import Block
+
+PIECE: Final = 4096
+"""Bytes that are read from a file at once."""
+PATIENCE: Final = 1.0
+"""Seconds without progress on the screen: most transfers take less."""
+REDRAW: Final = 0.1
+"""Seconds between two pictures of the progress."""
+
+
+@dataclass
+class FileTransfer:
+    """What was transferred. seconds: how long that took."""
+
+    node_id: int
+    variable: Variable
+    path: str
+    size: int
+    seconds: float
+
+    def __str__(self) -> str:
+        rate = f", {self.size / self.seconds / 1000:.1f} kB/s" if self.seconds > 0 else ""
+        return f"{self.size} bytes in {self.seconds:.2f} s{rate}"
+
+    def as_json(self) -> dict[str, Any]:
+        """For --json."""
+        return {
+            "node": self.node_id,
+            "index": self.variable.index,
+            "sub": self.variable.subindex,
+            "name": self.variable.name,
+            "file": self.path,
+            "bytes": self.size,
+            "seconds": round(self.seconds, 3),
+        }
+
+
+async def read_into_file(
+    screen: Screen, node: Node, variable: Variable, path: str, file: IO[bytes], block: Block
+) -> FileTransfer:
+    """Read an object into a file that is open. path: its name. Raises OSError, and what Node.read_stream raises."""
+    started = trio.current_time()
+    with progress(screen, node, variable, None) as show:
+        async with node.read_stream(variable.index, variable.subindex, block=block) as stream:
+            async for piece in stream:
+                file.write(piece)
+                show(stream.size)
+    return FileTransfer(node.node_id, variable, path, stream.size, trio.current_time() - started)
+
+
+async def write_from_file(screen: Screen, node: Node, variable: Variable, path: str, block: Block, verify: bool) -> FileTransfer:
+    """Write what a file holds to an object, and with `verify` read it back and compare.
+
+    Raises Problem where the file can't be read or the device shows something else, and what Node.write_stream raises.
+    """
+    started = trio.current_time()
+    with _opened(path) as file, progress(screen, node, variable, size_of(file)) as show:
+        done = 0
+
+        def pieces() -> Iterator[bytes]:
+            nonlocal done
+            while piece := file.read(PIECE):
+                yield piece
+                done += len(piece)
+                show(done)
+
+        await node.write_stream(variable.index, variable.subindex, pieces(), size_of(file), block=block)
+    transfer = FileTransfer(node.node_id, variable, path, done, trio.current_time() - started)
+    if verify:
+        await _compare(screen, node, variable, path, block)
+    return transfer
+
+
+async def _compare(screen: Screen, node: Node, variable: Variable, path: str, block: Block) -> None:
+    with _opened(path) as file, progress(screen, node, variable, size_of(file)) as show:
+        async with node.read_stream(variable.index, variable.subindex, block=block) as stream:
+            is_equal = True
+            async for piece in stream:
+                show(stream.size)
+                is_equal = is_equal and file.read(len(piece)) == piece
+            if is_equal and not file.read(1):
+                return
+    raise Problem(
+        ExitCode.VERIFY_MISMATCH,
+        "CO205",
+        f"node {node.node_id} took {path} for {variable.label}, but shows something else: {stream.size} bytes",
+        cause="the device converts what it gets, or the object reads as something else than what was written",
+        node=node.node_id,
+        index=variable.index,
+        subindex=variable.subindex,
+    )
+
+
+def size_of(file: IO[bytes]) -> int | None:
+    """The size of a file; None where only reading it tells (a pipe)."""
+    status = os.fstat(file.fileno())
+    return status.st_size if stat.S_ISREG(status.st_mode) else None
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[IO[bytes]]:
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(open(path, "rb"))
+        except OSError as error:
+            raise Problem(
+                ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)
+            ) from error
+        yield file
+
+
+@contextmanager
+def progress(screen: Screen, node: Node, variable: Variable, size: int | None) -> Iterator[Callable[[int], None]]:
+    """A bar on a terminal, once the transfer lasts longer than PATIENCE. Call what it gives with the bytes so far."""
+    bar = Progress(
+        TextColumn(f"{node_text(node.node_id)} {escape(variable.label)}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        console=screen.err,
+        auto_refresh=False,  # it draws when something came; no thread
+        transient=True,
+        get_time=trio.current_time,
+    )
+    task = bar.add_task("", total=size)
+    drawn = trio.current_time() + PATIENCE - REDRAW
+
+    def show(done: int) -> None:
+        nonlocal drawn
+        bar.update(task, completed=done)
+        if screen.draws and trio.current_time() >= drawn + REDRAW:
+            drawn = trio.current_time()
+            bar.start()
+            bar.refresh()
+
+    try:
+        yield show
+    finally:
+        bar.stop()

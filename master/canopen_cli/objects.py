@@ -1,0 +1,308 @@
+"""`canopen read` and `canopen write`: objects of a node by SDO, by name or number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import IO, Any
+
+import click
+
+from canopen_cli.new_files import check_new_file, new_file
+from canopen_cli.object_files import FileTransfer, read_into_file, write_from_file
+from canopen_cli.options import NodeId, Settings, common, enabling
+from canopen_cli.problem import ExitCode, Problem, usage
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.session import open_session
+from canopen_cli.values import (
+    BYTES,
+    TYPES,
+    as_json,
+    hex_text,
+    parse_value,
+    physical,
+    physical_text,
+    place_text,
+    value_text,
+)
+from canopen_master.node import Node
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.sdo.client import AUTO_BLOCK, Block
+
+_TYPE = click.option(
+    "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
+)
+
+_BLOCK = click.option(
+    "--block/--no-block", default=None, help="By SDO block transfer, or never so. By default where it pays and the device can."
+)
+
+
+@dataclass
+class Reading:
+    """One object's value as it was read."""
+
+    node_id: int
+    variable: Variable
+    value: Value
+    constants: tuple[str, ...]
+
+    def row(self) -> tuple[str, str, str, str, str]:
+        """For a table."""
+        place, name = place_text(self.variable), escape(self.variable.name)
+        words = escape(", ".join(self.constants))
+        meaning = physical_text(self.variable, self.value)
+        value = value_text(self.variable, self.value) + (f" = {meaning}" if meaning else "")
+        return place, name, escape(value), hex_text(self.variable, self.value), words
+
+    def as_json(self) -> dict[str, Any]:
+        """For --json."""
+        return {
+            "node": self.node_id,
+            "index": self.variable.index,
+            "sub": self.variable.subindex,
+            "name": self.variable.name,
+            "type": self.variable.data_type.name,
+            "value": as_json(self.variable, self.value),
+            "hex": hex_text(self.variable, self.value) or None,
+            "constants": list(self.constants),
+            "physical": physical(self.variable, self.value),
+            "unit": self.variable.unit,
+        }
+
+
+COLUMNS = ("object", "name", "value", "hex", "constants")
+
+
+async def read_object(node: Node, variable: Variable, block: bool | None = None) -> Reading:
+    """Read it now; also one that the node's dictionary does not have. block: see --block; None decides by the object."""
+    how = block_of(variable, block)
+    if node.dictionary.get(variable.index, variable.subindex) is not None:
+        message = await node.read_message(variable, block=how)
+        return Reading(node.node_id, variable, message.value, message.constants)
+    value = variable.decode(await node.read_bytes(variable.index, variable.subindex, block=how))
+    return Reading(node.node_id, variable, value, ())
+
+
+def block_of(variable: Variable, block: bool | None) -> Block:
+    """What --block means for an object. By itself a number is never asked for in blocks: the device might not know them."""
+    if block is not None:
+        return block
+    return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
+
+
+def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
+    """The object that a key names; one that only --type describes, too. Raises ObjectNotFound, Problem."""
+    try:
+        return dictionary.variable(key)
+    except ObjectNotFound as unknown:
+        index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
+        try:
+            place = int(index, 16), int(subindex or "0", 16)
+        except ValueError:
+            raise unknown from None
+        if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
+            raise unknown from None
+        if type_name is None:
+            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
+        return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("keys", metavar="OBJECT...", nargs=-1, required=True)
+@_TYPE
+@_BLOCK
+@click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
+@common
+@click.pass_obj
+def read(
+    settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None, output: str | None
+) -> None:
+    """Read objects of a node.
+
+    An OBJECT is a name (statusword, identity_object:vendor_id) or a number in hexadecimal (6041, 0x6041, 60C1:01).
+
+    \b
+    canopen read 3 statusword -b demo
+    canopen read 3 6041 6064 --json -b demo
+    canopen read 3 1008 -o name.bin -b demo
+    """
+    screen = settings.screen()
+    if output is not None:
+        if len(keys) > 1:
+            raise usage("CO001", f"one file takes one object, not {len(keys)}")
+        check_new_file(settings, screen, output)
+        with new_file(output) as file:  # a pipe waits for its reader: here, where Ctrl-C ends that
+            taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output, file))
+        _tell_file(settings, screen, taken, "→")
+        return
+    readings = run(settings, screen, lambda: _read(settings, screen, node_id, keys, type_name, block))
+    if settings.json:
+        documents = [reading.as_json() for reading in readings]
+        screen.json(documents if len(documents) > 1 else documents[0])
+    else:
+        screen.say(f"[bold]{node_text(node_id)}[/]")
+        screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
+
+
+async def _read(
+    settings: Settings, screen: Screen, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None
+) -> list[Reading]:
+    async with open_session(settings, screen) as session:
+        variables = [find(session.dictionary_of(node_id), key, type_name) for key in keys]
+        for variable in variables:
+            _check_readable(variable)
+        node = session.node(node_id)
+        return [await read_object(node, variable, block) for variable in variables]
+
+
+async def _read_file(
+    settings: Settings,
+    screen: Screen,
+    node_id: int,
+    key: str,
+    type_name: str | None,
+    block: bool | None,
+    output: str,
+    file: IO[bytes],
+) -> FileTransfer:
+    async with open_session(settings, screen) as session:
+        variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
+        _check_readable(variable)
+        return await read_into_file(screen, session.node(node_id), variable, output, file, block_of(variable, block))
+
+
+def _check_readable(variable: Variable) -> None:
+    if not variable.access.readable:
+        raise usage("CO303", f"{variable.label} is write-only", seen="nothing was sent")
+
+
+def _check_writable(variable: Variable) -> None:
+    if not variable.access.writable:
+        raise usage("CO303", f"{variable.label} is {variable.access}: it can't be written", seen="nothing was sent")
+
+
+def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow: str, **more: Any) -> None:
+    if settings.json:
+        screen.json({**transfer.as_json(), **more})
+    else:
+        place = f"{node_text(transfer.node_id)} {escape(transfer.variable.label)}"
+        screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("key", metavar="OBJECT")
+@click.argument("text", metavar="[VALUE]", required=False)
+@_TYPE
+@_BLOCK
+@click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
+@click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
+@enabling
+@common
+@click.pass_obj
+def write(
+    settings: Settings,
+    node_id: int,
+    key: str,
+    text: str | None,
+    type_name: str | None,
+    block: bool | None,
+    path: str | None,
+    verify: bool,
+) -> None:
+    """Write an object of a node, and show its value before and after.
+
+    A VALUE is a number (12, 0x0C, -5), or the name of a constant. What does not fit the object is refused before anything is
+    sent. Negative numbers go behind `--`.
+
+    \b
+    canopen write 3 controlword sm_shutdown -b demo
+    canopen write 3 6081 20000 -b demo
+    canopen write 5 1F50:01 --file firmware.bin
+    """
+    screen = settings.screen()
+    if path is not None and text is None:
+        written = run(settings, screen, lambda: _write_file(settings, screen, node_id, key, type_name, block, path, verify))
+        _tell_file(settings, screen, written, "←", verified=verify)
+        return
+    if path is not None or text is None:
+        raise usage("CO001", "either a VALUE or --file FILE is written", tries=("canopen write --help",))
+    before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, block, verify))
+    if settings.json:
+        screen.json(
+            {
+                **after.as_json(),
+                "previous": None if before is None else as_json(before.variable, before.value),
+                "verified": verify,
+            }
+        )
+        return
+    old = "?" if before is None else _shown(before)
+    screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
+
+
+def _shown(reading: Reading) -> str:
+    numbers = (hex_text(reading.variable, reading.value), physical_text(reading.variable, reading.value))
+    number = ", ".join(text for text in numbers if text)
+    words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
+    return f"{value_text(reading.variable, reading.value)}{f' ({number})' if number else ''}{words}"
+
+
+async def _write_file(
+    settings: Settings,
+    screen: Screen,
+    node_id: int,
+    key: str,
+    type_name: str | None,
+    block: bool | None,
+    path: str,
+    verify: bool,
+) -> FileTransfer:
+    async with open_session(settings, screen) as session:
+        variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
+        _check_writable(variable)
+        verify = verify and variable.access.readable
+        return await write_from_file(screen, session.node(node_id), variable, path, block_of(variable, block), verify)
+
+
+async def _write(
+    settings: Settings,
+    screen: Screen,
+    node_id: int,
+    key: str,
+    text: str,
+    type_name: str | None,
+    block: bool | None,
+    verify: bool,
+) -> tuple[Reading | None, Reading]:
+    async with open_session(settings, screen) as session:
+        dictionary = session.dictionary_of(node_id)
+        variable = find(dictionary, key, type_name)
+        value = parse_value(dictionary, variable, text)
+        _check_writable(variable)
+        variable.check_limits(value)
+        data = variable.encode(value)
+        node = session.node(node_id)
+        before = await read_object(node, variable, block) if variable.access.readable else None
+        how = block_of(variable, block)
+        if dictionary.get(variable.index, variable.subindex) is not None:
+            await node.write(variable, value, block=how)
+        else:
+            await node.write_bytes(variable.index, variable.subindex, data, block=how)
+        after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
+        if verify and variable.access.readable:
+            shown = await read_object(node, variable, block)
+            if shown.value != value:
+                raise Problem(
+                    ExitCode.VERIFY_MISMATCH,
+                    "CO205",
+                    f"node {node_id} took {_shown(after)} for {variable.label}, but shows {_shown(shown)}",
+                    cause="the device rounds or limits the value, or it is a command that takes effect and vanishes",
+                    node=node_id,
+                    index=variable.index,
+                    subindex=variable.subindex,
+                )
+        return before, after

@@ -1,0 +1,224 @@
+"""`canopen plan`: does a network fit on its bus? Asked before it is built: no bus is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+from canopen_cli.device_files import DeviceFiles, description_of, read_device_files
+from canopen_cli.options import Duration, Settings, common
+from canopen_cli.problem import ExitCode, usage
+from canopen_cli.screen import Screen, escape
+from canopen_data import load_dictionary
+from canopen_data.description import DeviceDescription
+from canopen_master.motion.chain import ChainSettings
+from canopen_master.motion.chain_file import JointDescription, read_chains
+from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
+from canopen_master.planning import plan as plan_network
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
+from canopen_transports import parse_bitrate
+from canopen_transports.locator import bitrate_text
+from canopen_transports.wire import QueueOrder
+
+DEFAULTS = ChainSettings()
+COLUMNS = ("what", "CAN-ID", "bytes", "each", "worst", "simulated", "margin")
+GROUPED = ("heartbeat", "EMCY")
+"""Streams that are shown in one line for all devices: the worst of them."""
+SYNCHRONOUS = 240
+"""The highest transmission type of a TPDO that a SYNC asks for."""
+
+
+@click.command()
+@click.option("--chains", "file", metavar="FILE", required=True, help="A chain file, as `canopen demo --chains` has it.")
+@click.option("--cycle", metavar="TIME", type=Duration(100 * MICROSECOND), required=True, help="Between two SYNCs: 4ms.")
+@click.option("--bitrate", metavar="RATE", required=True, help="1M, 500k, 125k ...")
+@click.option("--rpdo", default=DEFAULTS.rpdo, show_default=True, help="The PDO of PDOs.csv that goes to each joint.")
+@click.option("--tpdo", default=DEFAULTS.tpdo, show_default=True, help="The PDO of PDOs.csv that comes from each joint.")
+@click.option("--heartbeat", metavar="TIME", type=Duration(0), default="500ms", show_default=True, help="Of each joint; 0: none.")
+@click.option("--sdo", metavar="TIME", type=Duration(0), default="10ms", show_default=True, help="Between two requests; 0: none.")
+@click.option("--emcy", metavar="TIME", type=Duration(0), default="100ms", show_default=True, help="Inhibit time; 0: no EMCY.")
+@click.option("--errors", metavar="TIME", type=Duration(0), default="0", help="At least between two errors on the bus; 0: none.")
+@click.option("--reaction", metavar="TIME", type=Duration(0), default="100us", show_default=True, help="Of a joint, to a SYNC.")
+@click.option("--sync-counter", is_flag=True, help="SYNC has the counter of 0x1019: one byte.")
+@click.option(
+    "--queue",
+    type=click.Choice([each.value for each in QueueOrder]),
+    default=QueueOrder.PRIORITY.value,
+    show_default=True,
+    help="Controllers send their most urgent frame first, or the oldest (SocketCAN, most USB adapters; a coarser bound).",
+)
+@common
+@click.pass_obj
+def plan(
+    settings: Settings,
+    file: str,
+    cycle: Time,
+    bitrate: str,
+    rpdo: str,
+    tpdo: str,
+    heartbeat: Time,
+    sdo: Time,
+    emcy: Time,
+    errors: Time,
+    reaction: Time,
+    sync_counter: bool,
+    queue: str,
+) -> int:
+    """Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits.
+
+    No bus is opened. "worst" is the bound of the worst-case analysis for CAN, "simulated" what a simulated bus showed at worst.
+    "margin" is what is left of the time until the next SYNC (PDOs), of 100 ms (each frame of an SDO), or until it comes again.
+    PDOs are those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle,
+    synchronous TPDOs at each SYNC, the others once per inhibit time or event timer.
+
+    Exit status: 0 it fits, 1 it does not.
+
+    \b
+    canopen plan --chains arm.csv --cycle 4ms --bitrate 1M
+    canopen plan --chains arm.csv --cycle 10ms --bitrate 125k --json
+    """
+    try:
+        rate = parse_bitrate(bitrate)
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from error
+    screen = settings.screen()
+    dictionary, _ = load_dictionary()
+    files = read_device_files(settings.eds, dictionary, screen, settings.encoding)
+    background = Background(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
+    by_bus: dict[str, list[Exchange]] = {}
+    for chain in read_chains(file):
+        for joint in chain.joints:
+            exchange = _exchange(joint, f"{chain.name}.{joint.name}", dictionary, (rpdo, tpdo), files, screen)
+            by_bus.setdefault(joint.bus, []).append(exchange)
+    planned = {exchange.node_id for joints in by_bus.values() for exchange in joints}
+    for node_id in sorted({each for each in files if each is not None} - planned):
+        screen.say(f"[yellow]no joint of these chains has node-ID {node_id}: its file is left out[/]")
+    plans = [plan_network(bus, joints, cycle, rate, background) for bus, joints in by_bus.items()]
+    if settings.json:
+        screen.json([_as_json(each) for each in plans])
+    else:
+        for each in plans:
+            _show(screen, each)
+    return ExitCode.OK if all(each.fits for each in plans) else ExitCode.DIFFERENT
+
+
+def _exchange(
+    joint: JointDescription, name: str, dictionary: ObjectDictionary, pdos: tuple[str, str], files: DeviceFiles, screen: Screen
+) -> Exchange:
+    description = description_of(files, joint.node_id)
+    if description is not None:
+        return _of_file(description, joint.node_id, name, screen)
+    rpdo, tpdo = (dictionary.pdo(each) for each in pdos)
+    return Exchange(
+        name,
+        joint.node_id,
+        ((rpdo.can_id(joint.node_id), (rpdo.bit_length + 7) // 8),),
+        ((tpdo.can_id(joint.node_id), (tpdo.bit_length + 7) // 8),),
+    )
+
+
+def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Screen) -> Exchange:
+    """The PDOs of a device that are valid and not empty."""
+    received, sent, events = [], [], []
+    for index in [each for each in description.dictionary.objects if 0x1400 <= each < 0x1600 or 0x1800 <= each < 0x1A00]:
+        cob_id, kind, inhibit_100us, timer_ms = (_number(description.dictionary, index, each, node_id) for each in (1, 2, 3, 5))
+        count = _number(description.dictionary, index + 0x200, 0, node_id)
+        bits = sum(_number(description.dictionary, index + 0x200, entry, node_id) & 0xFF for entry in range(1, count + 1))
+        can_id, size = cob_id & 0x7FF, (bits + 7) // 8
+        distance = inhibit_100us * 100 * MICROSECOND or timer_ms * MILLISECOND
+        if cob_id & COB_ID_INVALID or not 0 < bits <= 64:
+            continue
+        if cob_id & COB_ID_EXTENDED:
+            screen.say(f"[yellow]{escape(name)}: PDO {cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier: it is left out[/]")
+            continue
+        if index < 0x1800:
+            received.append((can_id, size))
+        elif kind <= SYNCHRONOUS:
+            sent.append((can_id, size))
+        elif distance:
+            events.append((can_id, size, distance))
+        else:
+            screen.say(f"[yellow]{escape(name)}: TPDO {can_id:03X} has no inhibit time and no event timer: it is left out[/]")
+    return Exchange(name, node_id, tuple(received), tuple(sent), tuple(events))
+
+
+def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: int) -> int:
+    variable = dictionary.get(index, subindex)
+    value = None if variable is None else variable.initial_of(node_id)
+    return value if isinstance(value, int) else 0
+
+
+def _show(screen: Screen, network: NetworkPlan) -> None:
+    joints = len({each.stream.node_id for each in network.streams} - {0})
+    screen.data(
+        f"[bold]{escape(network.bus)}[/]: {joints} joint{'s' if joints > 1 else ''}, {bitrate_text(network.bitrate)}bit/s,"
+        f" cycle {milliseconds(network.cycle)}"
+    )
+    rows = []
+    for row in _rows(network.streams):
+        worst, stream = row[0], row[0].stream
+        name = stream.name if len(row) == 1 else f"{stream.kind}, worst of {len(row)}"
+        seen = [each.simulated for each in row if each.simulated is not None]
+        margin = "[red]none[/]" if not worst.fits else milliseconds(worst.margin)
+        rows.append(
+            (
+                escape(name),
+                f"{stream.can_id:03X}",
+                str(stream.size),
+                milliseconds(stream.period),
+                milliseconds(worst.worst),
+                milliseconds(max(seen)) if seen else "not seen",
+                margin,
+            )
+        )
+    screen.table(COLUMNS, rows, right=COLUMNS[1:])
+    screen.fact("load", f"{network.load:.0%} at worst; simulated {network.simulated_load:.0%}")
+    late = [each.stream.name for each in network.streams if not each.fits]
+    if late:
+        screen.fact("verdict", f"does NOT fit: {', '.join(late[:4])}{' ...' if len(late) > 4 else ''} may come too late")
+    else:
+        tightest = min((each for each in network.streams if each.stream.period == network.cycle), key=lambda each: each.margin)
+        screen.fact("verdict", f"fits: {tightest.stream.name} is there {milliseconds(tightest.margin)} in time at worst")
+    shortest = network.shortest_cycle
+    screen.fact("shortest cycle", milliseconds(shortest) if shortest is not None else "none fits: fewer joints, or a faster bus")
+
+
+def _rows(streams: Sequence[StreamPlan]) -> list[list[StreamPlan]]:
+    """One stream for each line, or several of which the first one is the worst."""
+    rows = [[each] for each in sorted(streams, key=lambda each: each.stream.can_id) if each.stream.kind not in GROUPED]
+    for kind in GROUPED:
+        group = sorted((each for each in streams if each.stream.kind == kind), key=lambda each: each.margin)
+        if group:
+            rows.append(group)
+    return rows
+
+
+def _as_json(network: NetworkPlan) -> dict[str, Any]:
+    return {
+        "bus": network.bus,
+        "bitrate": network.bitrate,
+        "cycle_ms": network.cycle / MILLISECOND,
+        "fits": network.fits,
+        "load": round(network.load, 4),
+        "simulated_load": round(network.simulated_load, 4),
+        "shortest_cycle_ms": None if network.shortest_cycle is None else network.shortest_cycle / MILLISECOND,
+        "streams": [
+            {
+                "kind": each.stream.kind,
+                "name": each.stream.name,
+                "node": each.stream.node_id or None,
+                "can_id": each.stream.can_id,
+                "bytes": each.stream.size,
+                "period_ms": each.stream.period / MILLISECOND,
+                "deadline_ms": each.stream.deadline / MILLISECOND,
+                "worst_ms": each.worst / MILLISECOND if each.worst < NEVER else None,
+                "simulated_ms": None if each.simulated is None else each.simulated / MILLISECOND,
+                "fits": each.fits,
+            }
+            for each in network.streams
+        ],
+    }

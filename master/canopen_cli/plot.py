@@ -1,0 +1,93 @@
+"""The picture of a demonstration: commanded and actual position of each joint. Needs matplotlib, the extra `plot`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from canopen_cli.problem import ExitCode, Problem, usage
+from canopen_cli.recording import JointTrack, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLUMNS = 2
+_COMMANDED = "#9aa5b1"
+_ACTUAL = "#0b6e99"
+_INK = "#243b53"
+_FAULT = "#ba2525"
+
+
+def check_plot(path: Path) -> None:
+    """Raise a Problem, before anything moves, where no picture could be written: no matplotlib, no folder, an unknown format."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+    except ImportError as missing:
+        raise usage(
+            "CO140",
+            f"--plot needs {missing.name or 'matplotlib'}, which is not installed",
+            tries=("pip install 'canopen-proto[plot]'", "the same command without --plot"),
+        ) from None
+    if not path.parent.is_dir():
+        raise Problem(
+            ExitCode.BAD_FILE,
+            "CO341",
+            f"cannot write {path}: the folder {path.parent} does not exist",
+            tries=(f"mkdir -p {path.parent}",),
+        )
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise Problem(
+            ExitCode.PERMISSION, "CO109", f"cannot write {path}: this user may not", tries=("--plot with another folder",)
+        )
+    known = FigureCanvasAgg.get_supported_filetypes()
+    if path.suffix.lstrip(".").lower() not in known:
+        raise usage("CO140", f"cannot write a picture as {path.name!r}", tries=(f"one of .{', .'.join(sorted(known))}",))
+
+
+def write_plot(path: Path, recording: Recording, title: str, subtitle: str) -> None:
+    """Draw the recording into a file; its suffix says in which format. Raises Problem where it cannot be written."""
+    from matplotlib.figure import Figure
+
+    rows = -(-len(recording.joints) // COLUMNS)
+    figure = Figure(figsize=(11, 1.5 + 2.15 * rows), layout="constrained", facecolor="white")
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06, rect=(0, 0, 1, 0.985))  # type: ignore[union-attr, call-arg]
+    grid: Any = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
+    cells: list[Axes] = list(grid.flat)
+    for axes, joint in zip(cells, recording.joints, strict=False):
+        _draw(axes, recording.times, joint)
+        if recording.broken is not None:
+            time, name = recording.broken
+            axes.axvline(time, color=_FAULT, linewidth=1.2, linestyle="--" if name == joint.name else ":")
+            if name == joint.name:
+                axes.text(time, 0.06, " fault", color=_FAULT, fontsize=9, transform=axes.get_xaxis_transform())
+    for axes in cells[len(recording.joints) :]:
+        axes.set_axis_off()
+    for axes in cells[max(0, len(recording.joints) - COLUMNS) : len(recording.joints)]:
+        axes.set_xlabel("time in s", color=_INK, fontsize=9)
+        axes.tick_params(labelbottom=True)
+    handles, labels = cells[0].get_legend_handles_labels()
+    figure.suptitle(f"{title}\n", x=0.012, ha="left", fontsize=15, fontweight="bold", color=_INK)
+    figure.text(0.012, 1 - 0.52 / figure.get_figheight(), subtitle, fontsize=9.5, color="#627d98", va="center")
+    figure.legend(handles, labels, loc="upper right", ncols=2, frameon=False, fontsize=10, bbox_to_anchor=(0.995, 0.995))
+    try:
+        figure.savefig(path, dpi=130)
+    except OSError as error:
+        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {error.strerror}") from None
+
+
+def _draw(axes: Axes, times: list[float], joint: JointTrack) -> None:
+    count = min(len(times), len(joint.actual), len(joint.commanded))
+    axes.plot(times[:count], joint.commanded[:count], color=_COMMANDED, linewidth=4.5, alpha=0.65, label="commanded")
+    axes.plot(times[:count], joint.actual[:count], color=_ACTUAL, linewidth=1.5, label="actual")
+    axes.set_title(f"{joint.name}", loc="left", fontsize=11, fontweight="bold", color=_INK, pad=5)
+    note = f"node {joint.node_id} (0x{joint.node_id:02X})   largest following error {joint.largest_error:.3f}°"
+    axes.set_title(note, loc="right", fontsize=8.5, color="#627d98", pad=5)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}°")
+    axes.tick_params(colors="#486581", labelsize=8.5, length=0)
+    axes.grid(color="#e4e7eb", linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.margins(x=0.01, y=0.12)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    axes.spines["bottom"].set_color("#bcccdc")

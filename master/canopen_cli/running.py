@@ -1,0 +1,167 @@
+"""Runs the async part of a command, so that Ctrl-C ends it in good order.
+
+The first Ctrl-C (or SIGTERM) cancels the command. The master then halts what moves before it lets go of the bus; see session.py
+for how long that may take. A second Ctrl-C meanwhile changes nothing, since drives must not be left running. Then comes a
+`Problem` with exit status 130, which tells what was done.
+
+With --trace all that is said on the buses meanwhile is recorded, to the last frame of that way out.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeAlias, TypeVar
+
+import trio
+
+from canopen_cli.new_files import check_new_file
+from canopen_cli.options import Settings
+from canopen_cli.problem import ExitCode, Problem, problem_of, usage
+from canopen_cli.screen import Screen, escape
+from canopen_master.errors import HaltNotConfirmed
+from canopen_master.grip import LOGGER
+from canopen_transports.log_files import LOSSES, log_writer
+from canopen_transports.tracing import Trace, recording
+
+T = TypeVar("T")
+
+Story: TypeAlias = Callable[[bool], list[str]]
+"""What has happened to the drives, line by line. Its argument: whether all of them confirmed that they stand."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def run(
+    settings: Settings,
+    screen: Screen,
+    command: Callable[[], Awaitable[T]],
+    *,
+    story: Story = lambda confirmed: [],
+    devices: bool = False,
+    reads: Path | None = None,
+) -> T:
+    """What `command` returns. story: told on interruption. devices: the simulated devices are what this command is about.
+    reads: a log file that it reads.
+
+    Raises a Problem of status 130 after a Ctrl-C, one where --trace would overwrite a file, and whatever the command raises;
+    LogFileError where --trace cannot begin.
+    """
+    if settings.trace is None:
+        with _warnings_on(screen):
+            return trio.run(_run, screen, command, story, clock=settings.clock)
+    bus = settings.named_bus() or ""
+    replayed = Path(bus.removeprefix("file:").partition("?")[0]) if bus.startswith("file:") else reads
+    if replayed is not None and same_file(replayed, settings.trace):
+        raise usage("CO123", f"--trace would replace {replayed}, which is being read", tries=("--trace other.log",))
+    check_new_file(settings, screen, settings.trace)
+    with _warnings_on(screen), recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
+        try:
+            return trio.run(_run, screen, command, story, clock=settings.clock)
+        finally:
+            trace.close()
+            settings.late = _missing(settings.trace, trace)
+            if settings.late is None:
+                screen.say(f"[dim]{trace.recorded} frame{'s' * (trace.recorded != 1)} recorded: {escape(str(settings.trace))}[/]")
+
+
+@contextmanager
+def _warnings_on(screen: Screen) -> Iterator[None]:
+    """What the master warns of (a drive that will not stop by itself) is shown on the screen."""
+
+    class OnScreen(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            screen.say(f"[yellow]{escape(record.getMessage())}[/]")
+
+    handler = OnScreen(logging.WARNING)
+    LOGGER.addHandler(handler)
+    try:
+        yield
+    finally:
+        LOGGER.removeHandler(handler)
+
+
+def _missing(path: Path, trace: Trace) -> Problem | None:
+    """What the trace lacks."""
+    tries = ("--trace FILE.log, where there is room",)
+    if trace.failure is not None:
+        seen = f"{trace.failure.strerror} after {trace.recorded} frames"
+    elif trace.left_out:
+        seen = f"{trace.left_out} frames are not in it ({path.suffix}: {LOSSES[path.suffix.lower()]})"
+    elif trace.lost:
+        seen, tries = f"{trace.lost} frames were lost before they could be recorded", ("once more, on a computer less busy",)
+    else:
+        return None
+    return Problem(ExitCode.BAD_FILE, "CO343", f"the trace {path} is not complete", seen=seen, tries=tries)
+
+
+def same_file(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file that is there."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
+
+
+async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story) -> T:
+    results: list[T] = []
+    failure: BaseException | None = None
+    received: list[int] = []
+
+    async def watch(signals: AsyncIterator[int], scope: trio.CancelScope) -> None:
+        async for number in signals:
+            if received:
+                screen.say("[yellow]already ending: the drives are halted first[/]")
+            else:
+                received.append(number)
+                scope.cancel()
+
+    with trio.open_signal_receiver(*SIGNALS) as signals:
+        async with trio.open_nursery() as nursery:
+            with trio.CancelScope() as scope:
+                nursery.start_soon(watch, signals, scope)
+                try:
+                    results.append(await command())
+                except BaseException as error:  # an Exception is raised below: here it would come out wrapped in a group
+                    failure = error
+                    if not isinstance(error, Exception):
+                        raise
+            nursery.cancel_scope.cancel()
+    if received and not results:
+        raise _interrupted(received[0], story, failure)
+    if failure is not None:
+        raise failure
+    return results[0]
+
+
+def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
+    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+    problem = Problem(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
+    problem.more = story(all_stand(failure)) + notes_of(failure)
+    errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure
+    if errors is not None and not isinstance(errors, trio.Cancelled):
+        reason = problem_of(errors)
+        problem.more += [f"{reason.code}: {reason.failed}", *(text for text in reason.more if text not in problem.more)]
+        problem.seen, problem.cause, problem.tries = reason.seen, reason.cause, reason.tries
+        problem.__cause__ = errors
+    return problem
+
+
+def all_stand(error: BaseException | None) -> bool:
+    """Whether no exception says that a drive did not confirm that it stands: none is that itself, and none bears a note."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(all_stand(each) for each in error.exceptions)
+    is_halt = isinstance(error, HaltNotConfirmed) or (error is not None and isinstance(error.__cause__, HaltNotConfirmed))
+    return not is_halt and not notes_of(error)
+
+
+def notes_of(error: BaseException | None) -> list[str]:
+    """The notes on an exception, and on those in it if it is a group: which drives did not confirm that they stand."""
+    notes: list[str] = list(getattr(error, "__notes__", ()))
+    if isinstance(error, BaseExceptionGroup):
+        for each in error.exceptions:
+            notes += notes_of(each)
+    return notes

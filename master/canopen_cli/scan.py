@@ -1,0 +1,129 @@
+"""`canopen scan`: who is on the bus. Listens first, then asks, paced; rows come as nodes are found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import click
+import trio
+from rich.progress import BarColumn, Progress, TextColumn
+
+from canopen_cli.device_types import device_type_text
+from canopen_cli.options import Duration, NodeIds, Settings, common
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.session import open_session
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.network import Network
+from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
+from canopen_proto.procedures.scan import scan as scan_procedure
+
+COLUMNS: Final = ("node", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark")
+DETAILS: Final = ("revision", "serial number")
+"""Columns that are shown with -v, and always in JSON: a row is to fit into a terminal."""
+
+
+@click.command()
+@click.option("--passive", is_flag=True, help="Only listen: nothing is sent.")
+@click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
+@click.option("--listen", type=Duration(0), default=LISTEN, help="How long to listen before asking.  [default: 1.5s]")
+@common
+@click.pass_obj
+def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> None:
+    """Find the nodes of a bus.
+
+    Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time.
+    """
+    screen = settings.screen()
+    asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
+    found, remark = run(settings, screen, lambda: _scan(settings, screen, asked, listen))
+    if settings.json:
+        screen.json([_as_json(node) for node in found])
+    elif found:
+        cells = [dict(zip(COLUMNS, _row(node), strict=True)) for node in found]
+        hidden = () if settings.verbosity > 0 else DETAILS
+        columns = [name for name in COLUMNS if name not in hidden and any(row[name] for row in cells)]
+        screen.table(columns, [[row[name] for name in columns] for row in cells], right=("node",))
+    how = "heard" if passive else "found"
+    screen.say(f"{len(found)} node{'' if len(found) == 1 else 's'} {how}" + remark)
+
+
+def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
+    """What else was heard; and where that was nobody, what may be wrong."""
+    rest = set(ALL_NODE_IDS) - {node.node_id for node in found}
+    others = [network.heard(node_id) for node_id in sorted(rest)]
+    text = "".join(f"; heard, by {each.service.value}: {node_text(each.node_id)}" for each in others if each.service is not None)
+    pdos = [node_text(each.node_id) for each in others if each.service is None and each.pdo is not None]
+    if pdos:
+        text += f"; PDOs were heard that may be those of {', '.join(pdos)}"
+    if found or text:
+        return text
+    if network.last_heard is not None:
+        text = ". Frames were heard, but none that shows whose it is"
+    elif network.hears_all:
+        text = ". Nothing at all was heard"
+    if passive:
+        return f"{text}. Nodes without a heartbeat are silent: the same without --passive asks them."
+    if network.last_heard is not None:
+        return f"{text}. Devices that have no node-ID yet are not found: they want LSS, which is not built yet."
+    return (
+        f"{text}. Is anybody there, with power and the same bit rate? One device alone needs a second to acknowledge its frames."
+    )
+
+
+async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
+    async with open_session(settings, screen) as session:
+        master = session.master
+        scanner = Scanner(session.network.out)
+        session.network.attach(scanner)
+        probe = {} if settings.timeout is None else {"probe_timeout": settings.timeout, "answer_timeout": settings.timeout}
+        expected = duration_of(len(node_ids), listen=listen, probe_timeout=probe.get("probe_timeout", 100_000_000))
+        async with trio.open_nursery() as nursery:
+            with master.events(NodeFound) as reports:
+                nursery.start_soon(_show_progress, screen, expected, reports)
+                rows = await master.run(scan_procedure(scanner, node_ids, listen=listen, **probe))
+            nursery.cancel_scope.cancel()
+        session.network.detach(scanner)
+        return rows, _remark(session.network, rows, not node_ids)
+
+
+async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:
+    """A bar on a terminal, with each node as it is found; nothing elsewhere: the table comes at the end."""
+    if not screen.draws:
+        return
+    columns = (TextColumn("scanning"), BarColumn(30), TextColumn("{task.fields[nodes]}"))
+    with Progress(*columns, console=screen.err, transient=True, auto_refresh=False) as progress:
+        task = progress.add_task("scan", total=expected / SECOND, nodes="listening")
+        start = trio.current_time()
+        nodes: list[str] = []
+        while True:
+            nodes += [str(report.node_id) for report in reports.take()]
+            progress.update(
+                task, completed=trio.current_time() - start, nodes=f"found {', '.join(nodes)}" if nodes else "listening"
+            )
+            progress.refresh()
+            await trio.sleep(0.1)
+
+
+def _row(node: NodeFound) -> tuple[str, ...]:
+    vendor, product, revision, serial = (f"0x{field:08X}" if field is not None else "" for field in node.identity)
+    state = node.state.name.lower().replace("_", "-") if node.state is not None else ""
+    device = device_type_text(node.device_type) if node.device_type is not None else ""
+    who = f"{node.node_id} (0x{node.node_id:02X})"
+    return who, state, device, escape(node.name), vendor, product, revision, serial, escape(node.remark)
+
+
+def _as_json(node: NodeFound) -> dict[str, Any]:
+    vendor, product, revision, serial = node.identity
+    return {
+        "node": node.node_id,
+        "state": node.state.name if node.state is not None else None,
+        "device_type": node.device_type,
+        "name": node.name or None,
+        "vendor_id": vendor,
+        "product_code": product,
+        "revision_number": revision,
+        "serial_number": serial,
+        "remark": node.remark or None,
+    }

@@ -1,0 +1,199 @@
+"""Where a command writes: data to stdout, talk and progress to stderr, both without colour where nobody looks.
+
+Strings of others pass `escape` (or `clean`) on their way here; the consoles themselves let no control character through.
+
+A Screen is made once per command, from the common options. `--json` makes data JSON, and errors too; `--quiet` leaves only data
+and errors. Progress (what is drawn anew again and again) is shown on a terminal only; elsewhere it becomes plain lines.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import sys
+import textwrap
+import traceback
+from collections.abc import Iterable, Sequence
+from typing import IO, Any, Final
+
+from rich import box, markup
+from rich.console import Console, RenderableType
+from rich.measure import Measurement
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from canopen_cli.problem import ExitCode, Problem
+from canopen_master.plain_text import clean, clean_lines, json_text
+
+WIDTH_OFF_TERMINAL: Final = 200
+"""Columns of a table that goes into a file or a pipe: nothing of ours is wider, so nothing is cut."""
+
+NAME_WIDTH: Final = 18
+"""Of the names of facts, with the gap behind them."""
+
+GAP: Final = 2
+"""Characters between two columns of a table."""
+
+
+def escape(text: str) -> str:
+    """A string of others (of a device, a file, a driver, the user) for markup: clean, and without markup of its own."""
+    return markup.escape(clean(text))
+
+
+def node_text(node_id: int) -> str:
+    """A node as all outputs show it, in both notations: 10 and 0x10 are two nodes."""
+    return f"node {node_id} (0x{node_id:02X})"
+
+
+class Screen:
+    """out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv)."""
+
+    def __init__(self, *, json_output: bool = False, verbosity: int = 0, color: bool = True) -> None:
+        self.json_output = json_output
+        self.verbosity = verbosity
+        color = color and not os.environ.get("NO_COLOR")
+        self.out = _console(sys.stdout, color)
+        self.err = _console(sys.stderr, color)
+
+    @property
+    def draws(self) -> bool:
+        """Whether progress is drawn: somebody looks at a terminal."""
+        return self.err.is_terminal and not self.err.is_dumb_terminal and self.verbosity >= 0
+
+    # ---- data ----
+
+    def data(self, renderable: RenderableType) -> None:
+        """A result, to stdout."""
+        self.out.print(renderable)
+
+    def fact(self, name: str, text: str) -> None:
+        """One of several named results, to stdout: where a line is too long, it goes on below itself."""
+        lines = textwrap.wrap(clean(text), max(self.out.width - NAME_WIDTH, NAME_WIDTH), break_on_hyphens=False) or [""]
+        head = [name, *[""] * (len(lines) - 1)]
+        for label, line in zip(head, lines, strict=True):
+            self.out.print(f"[dim]{label:<{NAME_WIDTH}}[/]{markup.escape(line)}", soft_wrap=True)
+
+    def json(self, value: Any) -> None:
+        """A result as one JSON document, to stdout."""
+        self.out.out(json_text(value, None if isinstance(value, str) else 2))
+
+    def table(self, columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> None:
+        """A table to stdout. right: the columns that are aligned at the right. Where it is too wide, one block for each row."""
+        rows = [tuple(row) for row in rows]
+        table = plain_table(columns, rows, right=right)
+        if self._fit(table, [list(column) for column in zip(columns, *rows, strict=True)]):
+            self.out.print(table)
+            return
+        for number, row in enumerate(rows):
+            block = Table.grid(padding=(0, 2))
+            block.add_column(no_wrap=True)
+            block.add_column(overflow="fold")
+            for name, cell in zip(columns, row, strict=True):
+                if cell != "":
+                    block.add_row(" ".join(name.split()), cell)
+            if number:
+                self.out.print()
+            self.out.print(block)
+
+    def _fit(self, table: Table, columns: Sequence[Sequence[RenderableType]]) -> bool:
+        """Give the columns widths with which no word is broken; False where there are none."""
+        wide = self.out.options.update(max_width=10_000)
+        sizes = []
+        for column, (_, *cells) in zip(table.columns, columns, strict=True):
+            measures = [Measurement.get(self.out, wide, cell) for cell in (column.header, *cells)]
+            least = max(1, *(each.maximum if column.no_wrap else each.minimum for each in measures))
+            sizes.append((least, max(each.maximum for each in measures)))
+        spare = self.out.width - GAP * (len(sizes) - 1) - sum(least for least, _ in sizes)
+        if spare < 0:
+            return False
+        wishes = sorted(zip(sizes, table.columns, strict=True), key=lambda each: each[0][1] - each[0][0])
+        for number, ((least, most), column) in enumerate(wishes):
+            extra = min(most - least, spare // (len(wishes) - number))
+            column.width = least + extra
+            spare -= extra
+        return True
+
+    def check_reader(self) -> None:
+        """BrokenPipeError where whoever was to read stdout has gone: a command that takes its time need not go on then.
+
+        Only a system that can be asked without writing anything (not Windows) knows it before the end.
+        """
+        try:
+            stdout = sys.stdout.fileno()
+        except (OSError, ValueError):
+            return  # no file: a test, a notebook
+        if hasattr(select, "poll"):
+            poll = select.poll()
+            poll.register(stdout, 0)
+            if any(signs & select.POLLERR for _, signs in poll.poll(0)):
+                raise BrokenPipeError(errno.EPIPE, "nobody reads what comes out")
+
+    # ---- talk ----
+
+    def say(self, text: str) -> None:
+        """Tell what is done, unless --quiet. Markup is interpreted."""
+        if self.verbosity >= 0:
+            self.err.print(text, highlight=False, soft_wrap=not self.err.is_terminal)
+
+    def detail(self, text: str) -> None:
+        """Tell more, with -v."""
+        if self.verbosity >= 1:
+            self.err.print(Text(clean(text), style="dim"), soft_wrap=True)
+
+    def problem(self, problem: Problem) -> None:
+        """Show what went wrong; with -vv also where."""
+        if self.verbosity >= 2 and problem.__cause__ is not None:
+            self.err.out("".join(traceback.format_exception(problem.__cause__)).rstrip(), highlight=False)
+        if self.json_output:
+            self.err.out(json_text(problem.as_json()), highlight=False)
+            return
+        interrupted = problem.exit_code is ExitCode.INTERRUPTED
+        failed = problem.failed.removeprefix("interrupted ") if interrupted else problem.failed
+        head = "[bold yellow]interrupted[/]" if interrupted else f"[bold red]error {problem.code}:[/]"
+        if not self.err.is_terminal:
+            self.err.print(f"{head} {escape(failed)}", highlight=False, soft_wrap=True)
+            for label, text in problem.details():
+                self.err.print(f"  {label} {escape(text)}", highlight=False, soft_wrap=True)
+            return
+        self.err.print(f"{head} {escape(failed)}", highlight=False)
+        grid = Table.grid(padding=(0, 1))
+        grid.add_column(style="dim", no_wrap=True)
+        grid.add_column()
+        for label, text in problem.details():
+            style = "bold cyan" if label.startswith(("try", "or")) else ""
+            grid.add_row(f"  {label}", Text(clean(text), style=style))
+        self.err.print(grid)
+
+
+def plain_table(columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> Table:
+    """The look of all our tables: no frame, a rule below the heads."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold", show_edge=False)
+    numbers = frozenset(right)
+    for name in columns:
+        table.add_column(name, justify="right" if name in numbers else "left", no_wrap=name in numbers)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+class _Console(Console):
+    """rich's own way out of a closed pipe, SystemExit, would come out of trio in a group, with the other stream put to rest."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
+        """Whatever came here unclean is shown, not obeyed; control codes of rich's own are segments of their own."""
+        return super()._render_buffer(each if each.control else each._replace(text=clean_lines(each.text)) for each in buffer)
+
+
+def _console(stream: IO[str], color: bool) -> Console:
+    if hasattr(stream, "reconfigure"):
+        stream.reconfigure(errors="replace")  # a pipe of another encoding must not end a command
+    console = _Console(file=stream, no_color=not color, highlight=False, emoji=False)
+    if not console.is_terminal:
+        columns = os.environ.get("COLUMNS", "")
+        console.width = (int(columns) if columns.isdecimal() else 0) or WIDTH_OFF_TERMINAL
+    return console

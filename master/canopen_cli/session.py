@@ -1,0 +1,132 @@
+"""What most commands begin with: the dictionary, the bus of the options, a master on it, and for `-b demo` the drives too.
+
+A command that gets no answer has listened for no longer than its time limit, while heartbeats come each second or so. It listens
+on for LISTEN_ON before it says what it heard: of the node that is asked, and of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
+from typing import Final
+
+import trio
+
+from canopen_cli.device_files import DeviceFiles, description_of, read_device_files
+from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
+from canopen_cli.options import DEMO, Settings
+from canopen_cli.overlays import overlaid
+from canopen_cli.problem import Problem, advice, problem_of
+from canopen_cli.screen import Screen, escape
+from canopen_data import load_dictionary
+from canopen_data.description import DeviceDescription
+from canopen_data.findings import Severity
+from canopen_master.errors import NO_ANSWER, SdoTimeout
+from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.node import Node
+from canopen_master.session import open_master
+from canopen_master.silence import sdo_silence
+from canopen_proto.abort import AbortOrigin
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.machine import SECOND
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.steps import SdoFailed
+
+LISTEN_ON: Final = 1.5
+"""Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may only be late."""
+LOOK_AGAIN: Final = 0.05
+"""Seconds between two looks at what was heard."""
+
+
+class Session:
+    """An open master, and the dictionaries: that of the data files, and those of the devices' own files."""
+
+    def __init__(self, master: Master, dictionary: ObjectDictionary, files: DeviceFiles) -> None:
+        self.master = master
+        self._dictionary = dictionary
+        self._files = files
+
+    def node(self, node_id: int) -> Node:
+        """A node of the only bus."""
+        return self.master.node(node_id, self.dictionary_of(node_id))
+
+    def dictionary_of(self, node_id: int) -> ObjectDictionary:
+        """What a node is: by its own file where -e names one."""
+        description = self.description_of(node_id)
+        return self._dictionary if description is None else description.dictionary
+
+    def description_of(self, node_id: int) -> DeviceDescription | None:
+        """A node's own file, or None."""
+        return description_of(self._files, node_id)
+
+    @property
+    def network(self) -> Network:
+        """The core's network on that bus."""
+        return self.master.bus().network
+
+
+def read_dictionary(screen: Screen) -> ObjectDictionary:
+    """The object dictionary. That a file of the user's is used is told; warnings about it are told with -v."""
+    dictionary, findings = load_dictionary()
+    for finding in findings:
+        if finding.severity is Severity.NOTICE:
+            screen.say(f"[dim]{escape(finding.source)}: {escape(finding.message)}[/]")
+        else:
+            screen.detail(str(finding))
+    return dictionary
+
+
+@asynccontextmanager
+async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Session]:
+    """A master on the bus of the options, while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
+    bus = settings.required_bus()
+    names = read_dictionary(screen)
+    files = {
+        node_id: replace(each, dictionary=overlaid(each.dictionary, settings.overlays, screen))
+        for node_id, each in read_device_files(settings.eds, names, screen, settings.encoding).items()
+    }
+    dictionary = overlaid(names, settings.overlays, screen)
+    timeout = SDO_TIMEOUT if settings.timeout is None else settings.timeout / SECOND
+    async with AsyncExitStack() as stack:
+        if bus == DEMO:
+            await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
+            bus = DEMO_LOCATOR
+        master = await stack.enter_async_context(open_master(bus, sdo_timeout=timeout, dictionary=dictionary, grip=settings.grip))
+        session = Session(master, dictionary, files)
+        try:
+            yield session
+        except Exception as error:
+            silence = _silence_in(error)
+            if silence is None:
+                raise
+            raise await _explained(session.node(silence.node_id), session, silence) from error
+
+
+def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
+    """The missing answer that an exception is, be it in the group that a nursery makes of one."""
+    if isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+        return _silence_in(error.exceptions[0])
+    if isinstance(error, SdoTimeout) and error.code == NO_ANSWER:  # SdoNotConfirmed may also be a transfer that we gave up
+        return error
+    if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
+        return error
+    return None
+
+
+async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed) -> Problem:
+    """The problem that a missing answer is, by what was heard until now and a little longer."""
+    if not node.was_enabled:  # else a drive may move, and has to be halted first
+        with trio.move_on_after(LISTEN_ON):
+            while not _is_explained(node, session.network):
+                await trio.sleep(LOOK_AGAIN)
+    problem = problem_of(error)
+    problem.seen, problem.cause, tries = sdo_silence(session.network, node.remote, session.master.now())
+    problem.tries = tuple(advice(tries))
+    return problem
+
+
+def _is_explained(node: Node, network: Network) -> bool:
+    """Whether nothing that could still be heard would change what is said."""
+    return node.nmt_state is NmtState.STOPPED or network.heard(node.node_id).late_answer is not None

@@ -1,0 +1,151 @@
+"""`canopen sim`: simulated devices on any bus, for other programs or another terminal to play with; any device's file is one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+from typing import Final
+
+import click
+import trio
+
+from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
+from canopen_cli.options import DEMO, NodeIds, Settings, common
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.sim_devices import SHAPES, models, script_problem, wanted
+from canopen_master.hooks import ScriptError
+from canopen_master.parameter_keeper import ParameterKeeper, StateFileError
+from canopen_master.plant import PROFILES, DeviceEntry
+from canopen_proto.cia402.drive import DriveFault, DriveStateChanged
+from canopen_proto.error_codes import error_text
+from canopen_proto.machine import Event
+from canopen_proto.nmt import NmtStateChanged
+
+DEFAULT_IDS: Final = DEMO_NODES
+
+
+@click.command()
+@click.argument("files", metavar="[[NODES=]FILE]...", nargs=-1)
+@click.option(
+    "--id",
+    "--ids",
+    "node_ids",
+    type=NodeIds(),
+    help=f"Node-IDs: 5, or 3-8. By default that of a DCF; without a file {DEFAULT_IDS[0]}-{DEFAULT_IDS[-1]}.",
+)
+@click.option(
+    "--profile",
+    type=click.Choice(PROFILES),
+    default=PROFILES[0],
+    show_default=True,
+    help="What is behind a file: 402, our simulated drive; none, plain memory; auto, what its device type says.",
+)
+@click.option("--shape", type=click.Choice(list(SHAPES)), help="Of drives: Powerball joints (without a file), or CiA 402.")
+@click.option("--script", metavar="FILE.py", default="", help="A Python file that animates the devices.")
+@click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
+@click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
+@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@common
+@click.pass_obj
+def sim(
+    settings: Settings,
+    files: tuple[str, ...],
+    node_ids: tuple[int, ...] | None,
+    profile: str,
+    shape: str | None,
+    script: str,
+    state: str | None,
+    defaults: bool,
+    seconds: float | None,
+) -> None:
+    """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own where no FILE is named.
+
+    Two terminals without hardware meet on udp_multicast:
+
+    \b
+    canopen sim -b udp_multicast
+    canopen demo -b udp_multicast
+
+    \b
+    canopen sim drive.eds --id 5 -b can0
+    canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
+    canopen sim plant.toml
+    """
+    screen = settings.screen()
+    files += settings.eds  # -e says the same: the file that a device is described by
+    common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults, encoding=settings.encoding)
+    plant = wanted(files, node_ids, common_entry) if files else None
+    if plant is not None and plant.bus and settings.named_bus() is None:
+        settings.bus = plant.bus
+    bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")
+    locator = DEMO_LOCATOR if bus == DEMO else bus
+    tell = _teller(screen)
+
+    def report(text: str) -> None:
+        screen.err.print(escape(text), style="yellow", highlight=False, soft_wrap=True)
+
+    def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
+        if plant is None:
+            ids = node_ids or DEFAULT_IDS
+            what = f"{len(ids)} simulated drive{'s' if len(ids) > 1 else ''}"
+            fleet = simulated_fleet([(locator, node_id) for node_id in ids], SHAPES[shape or "schunk"], tell)
+            return what, fleet
+        made = models(plant.devices, screen)
+        keeper = _keeper(state or plant.state)
+        what = f"{len(made)} simulated device{'s' if len(made) > 1 else ''}"
+        return what, simulated_devices({locator: made}, tell, keeper=keeper, say=report)
+
+    async def serve() -> None:
+        what, fleet = devices()
+        screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
+        if locator.startswith("virtual:"):
+            screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
+        try:
+            async with fleet as served:
+                if settings.json:
+                    screen.json({"bus": locator, "nodes": served.node_ids})
+                await trio.sleep(math.inf if seconds is None else seconds)
+        except* ScriptError as errors:
+            raise script_problem(_first(errors)) from None
+
+    try:
+        run(settings, screen, serve, devices=True)
+    except Problem as ended:
+        if ended.exit_code is not ExitCode.INTERRUPTED:
+            raise
+        screen.say("ended")  # as it was to end
+
+
+def _teller(screen: Screen) -> Callable[[Event], None]:
+    """Tells what happens to the devices."""
+
+    def tell(event: Event) -> None:
+        match event:
+            case NmtStateChanged(node_id=node_id, state=state):
+                screen.say(f"{node_text(node_id)}  NMT {state.name.lower().replace('_', '-')}")
+            case DriveStateChanged(node_id=node_id, state=state):
+                screen.say(f"{node_text(node_id)}  {state}")
+            case DriveFault(node_id=node_id, error_code=code):
+                screen.say(f"{node_text(node_id)}  [red]fault 0x{code:04X} {error_text(code)}[/]")
+
+    return tell
+
+
+def _first(errors: BaseExceptionGroup[ScriptError]) -> ScriptError:
+    first: BaseException = errors
+    while isinstance(first, BaseExceptionGroup):
+        first = first.exceptions[0]
+    assert isinstance(first, ScriptError)
+    return first
+
+
+def _keeper(path: str) -> ParameterKeeper:
+    try:
+        return ParameterKeeper(Path(path) if path else None)
+    except StateFileError as error:
+        tries = ("another --state; it is written anew when a device stores",)
+        raise Problem(ExitCode.BAD_FILE, "CO333", f"{error.path} is no state of devices", seen=error.seen, tries=tries) from None

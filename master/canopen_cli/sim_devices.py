@@ -1,0 +1,202 @@
+"""What `canopen sim` serves: files of devices and what was asked for them, made into models of devices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from canopen_cli.options import NodeIds
+from canopen_cli.overlays import overlaid, read_text
+from canopen_cli.problem import ExitCode, Problem, usage
+from canopen_cli.screen import Screen, escape, node_text
+from canopen_data import load_dictionary
+from canopen_data.configured import configure, without_configured_values
+from canopen_data.describing import identified
+from canopen_data.description import DeviceDescription
+from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
+from canopen_master.hooks import Script, ScriptError
+from canopen_master.plant import DeviceEntry, Plant, parse_plant
+from canopen_master.simulation import DeviceModel
+from canopen_proto.cia402.names import is_drive, with_drive_names
+from canopen_proto.cia402.servo import DriveSettings, Shape
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
+from canopen_proto.frame import MAX_NODE_ID
+
+SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
+PLANT_SUFFIX: Final = ".toml"
+MAX_NOTICES: Final = 5
+"""What does not work in a device, line by line; the rest is counted, and told with -v."""
+
+_WITH_IDS: Final = re.compile(r"([0-9][0-9A-Fa-fxX,-]*)=(.+)")
+
+
+def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> Plant:
+    """The devices that the arguments name: "5=drive.eds", "drive.eds" with --id, "plant.toml".
+
+    common: what the options say of all of them. Raises Problem, DictionaryError.
+    """
+    plants = [name for name in files if name.lower().endswith(PLANT_SUFFIX)]
+    if plants:
+        if len(files) > 1:
+            raise usage(
+                "CO127", f"{plants[0]} is a plant file, which names all devices itself", tries=(f"canopen sim {plants[0]}",)
+            )
+        path = Path(plants[0])
+        plant = parse_plant(read_text(path), str(path))
+        return replace(
+            plant, devices=tuple(_beside(path, each, common) for each in plant.devices), state=_path(path, plant.state)
+        )
+    entries = []
+    for name in files:
+        match = None if Path(name).exists() else _WITH_IDS.fullmatch(name)
+        ids = () if match is None else NodeIds().convert(match[1], None, None)
+        entries.append(replace(common, file=name if match is None else match[2], node_ids=ids))
+    if node_ids is not None:
+        if len(entries) > 1 or entries[0].node_ids:
+            raise usage("CO127", "--id is for one file", tries=("canopen sim 5=a.eds 6=b.eds     node-IDs of several",))
+        entries = [replace(entries[0], node_ids=node_ids)]
+    return Plant(tuple(entries))
+
+
+def _path(plant: Path, name: str) -> str:
+    return str(plant.parent / name) if name else ""
+
+
+def _beside(plant: Path, entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry:
+    """Paths are relative to the plant file; what it does not say, the options do."""
+    return replace(
+        entry,
+        file=_path(plant, entry.file) if (plant.parent / entry.file).exists() else entry.file,  # else a sample's name
+        script=_path(plant, entry.script) or common.script,
+        overlays=(*common.overlays, *(_path(plant, name) for name in entry.overlays)),
+        profile=entry.profile if entry.profile != "auto" else common.profile,
+        shape=entry.shape or common.shape,
+        defaults=entry.defaults or common.defaults,
+        encoding=common.encoding,
+    )
+
+
+def models(entries: Iterable[DeviceEntry], screen: Screen) -> list[DeviceModel]:
+    """The devices, as they are to be served; tells what each is, and what of its file does not work. Raises Problem."""
+    names, _ = load_dictionary()
+    made: dict[int, DeviceModel] = {}
+    for entry in entries:
+        description = _load(entry, names, screen)
+        script = _script(entry.script)
+        for node_id in _node_ids(entry, description):
+            if node_id in made:
+                raise usage("CO127", f"there are two devices of node-ID {node_id}", tries=("give each its own: 5=a.eds 6=b.eds",))
+            made[node_id] = _model(entry, description, node_id, script, len(made), screen)
+    return list(made.values())
+
+
+def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> DeviceDescription:
+    from canopen_cli.eds_files import open_description, tell_faults
+    from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
+
+    file = open_description(entry.file, entry.encoding)
+    tell_faults(screen, file)
+    description = with_names(file.description, names)
+    dictionary = with_drive_names(identified(description))
+    if entry.defaults:
+        dictionary = without_configured_values(dictionary)
+    return replace(description, dictionary=overlaid(dictionary, entry.overlays, screen))
+
+
+def _script(path: str) -> Script | None:
+    if not path:
+        return None
+    try:
+        return Script(read_text(Path(path)), path)
+    except ScriptError as error:
+        raise script_problem(error) from None
+
+
+def script_problem(error: ScriptError) -> Problem:
+    """A script that cannot be used."""
+    return Problem(ExitCode.BAD_FILE, "CO331", f"{error.place}: {error.message}", cause="a mistake in the script")
+
+
+def _node_ids(entry: DeviceEntry, description: DeviceDescription) -> tuple[int, ...]:
+    if entry.node_ids:
+        return entry.node_ids
+    commissioning = description.commissioning
+    node_id = None if commissioning is None else commissioning.node_id
+    if node_id is None or not 1 <= node_id <= MAX_NODE_ID:
+        seen = "the file names none" if node_id is None else f"the file names {node_id}, which is none"
+        tries = (f"canopen sim {entry.file} --id 5", f"canopen sim 5={entry.file}")
+        raise usage("CO127", f"which node-ID is {entry.file} to have?", seen=seen, tries=tries)
+    return (node_id,)
+
+
+def _model(
+    entry: DeviceEntry, description: DeviceDescription, node_id: int, script: Script | None, number: int, screen: Screen
+) -> DeviceModel:
+    dictionary = configured(description.dictionary, entry.values, node_id, entry.file)
+    drive, reason = None, ""
+    if entry.profile == "402" or (entry.profile == "auto" and is_drive(dictionary)):
+        obstacle = drive_obstacle(dictionary)
+        if obstacle and entry.profile == "402":
+            raise Problem(
+                ExitCode.BAD_FILE, "CO332", f"{entry.file} cannot be a simulated drive: {obstacle}", tries=("--profile none",)
+            )
+        reason = f"no drive moves behind it: {obstacle}" if obstacle else ""
+        if not obstacle:
+            shape = SHAPES[entry.shape] if entry.shape else shape_of(description)
+            before = dictionary
+            dictionary, filled = drive_dictionary_of(before, shape)
+            drive = DriveSettings(shape=shape)
+            for variable in filled:
+                _tell_filled(screen, node_id, before.variable((variable.index, variable.subindex)), variable)
+    model = DeviceModel(dictionary, node_id, drive, script)
+    _tell(screen, model, entry, reason)
+    return model
+
+
+def shape_of(description: DeviceDescription) -> Shape:
+    """What the drives of that maker are like, beyond their dictionary."""
+    return Shape.SCHUNK_POWERBALL if "schunk" in description.device_info.vendor_name.casefold() else Shape.STANDARD
+
+
+def configured(dictionary: ObjectDictionary, values: Mapping[str, Any], node_id: int, file: str) -> ObjectDictionary:
+    """The dictionary with values for power-on, by key. Raises Problem."""
+    by_mux: dict[int, Value] = {}
+    for key, value in values.items():
+        try:
+            variable = dictionary.variable(key)
+            chosen = dictionary.value_from(variable, value)
+            variable.encode(chosen)
+        except (NotInDictionary, ValueRangeError) as error:
+            raise usage("CO127", f"{file}: values: {error}") from None
+        by_mux[variable.mux] = chosen
+    return configure(dictionary, by_mux, node_id) if by_mux else dictionary
+
+
+def _tell_filled(screen: Screen, node_id: int, before: Variable, after: Variable) -> None:
+    said = before.default if before.configured is None else before.configured
+    if said is None:
+        screen.detail(f"node {node_id}: {after.label} = {after.default!r}, which the file does not say")
+    else:
+        why = "with the file's, no drive would have a mode"
+        screen.say(f"[yellow]node {node_id}: {escape(after.label)} = {after.default!r} in place of {said!r}: {why}[/]")
+
+
+def _tell(screen: Screen, model: DeviceModel, entry: DeviceEntry, reason: str) -> None:
+    from canopen_proto.machine import Outbox
+
+    node = model(Outbox())
+    counts = f"objects: {len(model.dictionary)}, TPDOs: {len(node.pdos.producers)}, RPDOs: {len(node.pdos.consumers)}"
+    kind = "a simulated drive" if model.drive is not None else "plain memory"
+    what = f"{kind}{' with a script' if model.script is not None else ''}; {counts}"
+    screen.say(f"{node_text(model.node_id)}  {escape(entry.file)}: {what}")
+    notices = [*([reason] if reason else []), *map(str, node.notices)]
+    for notice in notices[:MAX_NOTICES]:
+        screen.say(f"    [yellow]{escape(notice)}[/]")
+    for notice in notices[MAX_NOTICES:]:
+        screen.detail(f"    {notice}")
+    if len(notices) > MAX_NOTICES and screen.verbosity < 1:
+        screen.say(f"    [yellow]and {len(notices) - MAX_NOTICES} more: -v shows them[/]")

@@ -1,0 +1,1 @@
+"""Drives, chains of them and their cycles, on top of a `Master`."""

@@ -1,0 +1,449 @@
+"""`Chain`: several joints that are moved as one. Made by `Master.load_chains` or `Master.chain`.
+
+    await arm.initialise()
+    await arm.home()
+    await arm.enable_interpolated_position()
+    async for cycle in arm.cycles():
+        arm.set_positions([...])
+
+Theory of operation
+-------------------
+**One thing at a time**: initialise, home, enable_interpolated_position, recover and shut_down run one procedure per joint, side
+by side; if one fails, the others are cancelled (what they moved is halted), and the error names the joint.
+
+**Cycle.** SYNC goes out, right behind it one PDO per joint with the set-points as they are then. A set-point given in cycle n so
+goes out behind SYNC n+1, acts at SYNC n+2, and is reached at the SYNC after it. If none was given in a cycle, the last one is
+repeated, and the cycle counts as missed; after `max_missed_cycles` in a row the chain is halted. It stays halted until
+`enable_interpolated_position` or `recover`. Nor does a path jump that is read at `cycle.time`: it advances only with SYNCs that
+took set-points along, so a late loop makes the path slower (see cycles.py).
+
+**Nothing jumps.** What makes the joints move begins with joints that stand: initialise, home, enable_interpolated_position and
+recover halt a chain that follows set-points, and wait for a halt under way, whoever ordered it. Then each joint is halted once
+more, and seen to stand, by the procedure itself (canopen_proto.procedures.drive.halt); one that does not stand is an error.
+
+**Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
+set-points, stops its whole chain: what runs is cancelled, all joints are halted, and everything that is asked of the chain raises
+ChainFault, which says what the joint did, until `recover`.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.dispatch import ProcedureTakenBack, Waiter
+from canopen_master.errors import CHAIN_NOT_READY, ChainError
+from canopen_master.motion.chain_errors import chain_halted, joint_failed, joint_fault, reference_lost
+from canopen_master.motion.cycles import Cycles, SetPoints
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import (
+    JointFailed,
+    exchange_named,
+    exchange_own,
+    follow,
+    of_joint,
+    power_down,
+    prepare,
+    quietly,
+    stop,
+)
+from canopen_master.motion.supervision import Supervision
+from canopen_proto.cia402.following import SILENT_SYNCS
+from canopen_proto.machine import SECOND, RequestId
+from canopen_proto.procedures.described_pdos import described_pdos
+from canopen_proto.procedures.drive import enable, halt, home, reset_fault, select_standing_mode
+from canopen_proto.procedures.steps import Procedure, all_of
+from canopen_proto.sync import SyncSent
+
+if TYPE_CHECKING:
+    from canopen_master.master import Master
+
+T = TypeVar("T")
+
+MAX_MISSED_CYCLES: Final = 10
+"""In a row; at the usual 10 ms a program that is 0.1 s late has lost control of the arm."""
+
+
+class ChainState(enum.Enum):
+    """What a chain is ready for."""
+
+    OFF = "off"
+    """Not initialised, or shut down."""
+    READY = "ready"
+    """All joints are in Operation enabled."""
+    FOLLOWING = "following"
+    """In interpolated position mode: set-points are sent behind each SYNC."""
+    HALTED = "halted"
+    """Halted; no set-points are followed."""
+    FAULT = "fault"
+    """Stopped because a joint failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSettings:
+    """cycle_time: seconds between two SYNCs. rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have
+    them declared to the devices (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the
+    joint's own dictionary describes (an EDS, a DCF), if it does, and set the device up like that where it is not. max_step: the
+    largest step of a set-point from one cycle to the next, in the user's unit, besides what the joint's own limits allow; None
+    for no such limit. max_missed_cycles: in a row, until the chain is halted. max_silent_cycles: in a row, of a joint that does
+    not send its PDO, until the chain is stopped; and 20 ms at least, since adapters hold frames back.
+    """
+
+    cycle_time: float = 0.01
+    rpdo: str = "schunk_default_rPDO"
+    tpdo: str = "schunk_default_tPDO"
+    define_pdos: bool = False
+    own_pdos: bool = False
+    max_step: float | None = None
+    max_missed_cycles: int = MAX_MISSED_CYCLES
+    max_silent_cycles: int = SILENT_SYNCS
+
+
+class _Operation:
+    """What a chain is doing. name: for messages; request_id: of its procedure."""
+
+    __slots__ = ("name", "request_id")
+
+    def __init__(self, name: str, request_id: RequestId) -> None:
+        self.name = name
+        self.request_id = request_id
+
+
+class Chain:
+    """See this module's text. devices: its joints in the order of the file. state: a ChainState."""
+
+    def __init__(self, master: Master, name: str, devices: Sequence[Device], settings: ChainSettings) -> None:
+        self._master = master
+        self.name = name
+        self.devices = tuple(devices)
+        self.settings = settings
+        self.state = ChainState.OFF
+        self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
+        self._supervision = Supervision(master, self.devices, self._joint_failed)
+        self._followed = False  # set-points, before it was stopped
+        self._running: _Operation | None = None
+        self._stopping: Waiter | None = None  # the procedure that halts the joints
+        self._culprit: tuple[Device, str, str] | None = None  # for whose sake it was stopped, why, and the likely cause
+        self._why_halted = ""
+        buses = tuple(dict.fromkeys(master.bus(device.node.bus) for device in devices))
+        master.watch((SyncSent,), self._on_sync, buses[0])
+
+    def __repr__(self) -> str:
+        return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
+
+    # ---- what is known ----
+
+    @property
+    def joints(self) -> Mapping[str, Device]:
+        """The joints by their names."""
+        return {device.name: device for device in self.devices}
+
+    @property
+    def positions(self) -> list[float]:
+        """The actual positions, as last heard. Raises ChainError for a joint that was never heard since its last boot."""
+        return self._known("position", [device.position for device in self.devices])
+
+    @property
+    def desired_positions(self) -> list[float]:
+        """The positions that the next PDOs command."""
+        return [device.desired_position for device in self.devices]
+
+    @property
+    def velocities(self) -> list[float]:
+        """The actual velocities, per second. Raises ChainError for a joint of which none is known yet."""
+        return self._known("velocity", [device.velocity for device in self.devices])
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether all joints are."""
+        return all(device.is_homed for device in self.devices)
+
+    @property
+    def sync_cycles(self) -> int:
+        """SYNCs sent while it followed set-points."""
+        return self._set_points.sync_cycles
+
+    @property
+    def missed_cycles(self) -> int:
+        """How many of these cycles brought no new set-point, though a loop over `cycles` was there to give it."""
+        return self._set_points.missed_cycles
+
+    @property
+    def skipped_cycles(self) -> int:
+        """Periods in which no SYNC was sent while it followed set-points, because this process was late."""
+        return self._set_points.skipped_cycles
+
+    # ---- what it does ----
+
+    async def initialise(self) -> None:
+        """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Joints that move are halted.
+
+        Raises ChainFault where a fault stays, ChainError for a joint that does not answer, does not stand, or refuses.
+        """
+        master, settings = self._master, self.settings
+        self._require_idle("initialise")
+        await self._joints_halted("initialise")
+        self._require_idle("initialise")
+        self._require_same_cycle()
+        self._supervision.is_on = False
+        self._end_following(ChainState.OFF)
+        self._culprit, self._why_halted = None, ""
+        await self._for_all("initialise", self._prepare)
+        for device in self.devices:
+            await master.nmt_start(device.node.node_id, bus=device.node.bus)
+        if master.sync_period != round(settings.cycle_time * SECOND):
+            master.sync_start(settings.cycle_time)
+        await self._for_all("initialise", lambda device: _reset_and_enable(device))
+        self.state, self._supervision.is_on = ChainState.READY, True
+
+    async def home(self) -> None:
+        """Home all joints, side by side, from where they stand. Cancelled, or if one fails, all are halted."""
+        await self._require_standing("home")
+        self._end_following(ChainState.READY)
+        await self._for_all("home", lambda device: home(device.axis))
+
+    async def enable_interpolated_position(self) -> None:
+        """Let all joints follow set-points, beginning where they stand. They need not be homed before.
+
+        A chain that follows set-points already is halted first. Raises ChainError where a drive does not stand, lacks the mode,
+        or has lost its reference: see `recover`.
+        """
+        await self._require_standing("enable interpolated position")
+        self._end_following(ChainState.READY)
+        cycle_time = round(self.settings.cycle_time * SECOND)
+        limits = await self._for_all("enable interpolated position", lambda device: follow(device, cycle_time))
+        if self.state is not ChainState.READY:  # a joint failed just now
+            raise self._stop_reason()
+        self._set_points.begin()
+        self._supervision.begin_following(limits, self.settings.max_silent_cycles)
+        self.state, self._followed = ChainState.FOLLOWING, True
+
+    async def halt(self) -> None:
+        """Stop all joints, whatever the chain is doing (that ends with ChainHalted), and wait until they stand.
+
+        They stay enabled. Raises ChainError that names a joint which did not confirm it.
+        """
+        self._master.check_open()
+        if self._stopping is None or self._stopping.done.is_set():
+            self._stop("by halt()")
+        failures = await self._joints_stopped()
+        self._raise_first("halt", failures)
+
+    async def recover(self) -> None:
+        """After a fault or a halt: reset and enable all joints again; a chain that followed set-points does so again.
+
+        A joint that was homed and has lost its reference since (a reset, its power) must be homed before it follows set-points:
+        ChainError then, and the chain is READY. Positions would mean something else. AxisSettings(keeps_reference=True) is for
+        drives with an absolute encoder. A chain that was never homed has no reference to lose.
+        """
+        followed = self._followed
+        await self.initialise()
+        if followed:
+            await self.enable_interpolated_position()
+
+    async def shut_down(self) -> None:
+        """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop). SYNC ends with the last chain.
+
+        All joints are shut down as far as they let themselves be; then ChainError names one that did not.
+        """
+        self._master.check_open()
+        self._supervision.is_on = self._followed = False
+        if self._running is not None:
+            self._stop("by shut_down()")
+        await self._joints_stopped()
+        self._end_following(ChainState.OFF)
+        failures = await self._for_all("shut down", lambda device: quietly(device, power_down(device)))
+        for device in self.devices:
+            await self._master.nmt_stop(device.node.node_id, bus=device.node.bus)
+        if all(chain.state is ChainState.OFF for chain in self._master.chains):
+            self._master.sync_stop()
+        self._raise_first("shut down", failures)
+
+    def cycles(self) -> Cycles:
+        """The SYNC cycles from now on, as an async iterator; read the path at `Cycle.time`. A late loop gets the newest cycle.
+
+        Raises ChainFault when a joint fails, ChainHalted when the chain is halted, once the other joints stand.
+        """
+        self._require("give cycles", ChainState.FOLLOWING)
+        return Cycles(self._set_points, self._why_stopped)
+
+    @enable_ki_protection
+    def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
+        """Give the next set-points, one per joint, in the user's unit; they go out behind the next SYNC.
+
+        cycles: be there in that many cycles, on a straight line from the last set-points; no cycle is missed meanwhile. Raises
+        SetPointRefused, with nothing changed, for a wrong count, a number that is not finite or does not fit, a position or a
+        speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises ChainFault,
+        ChainHalted, ChainError as the chain's state is.
+        """
+        self._require("follow set-points", ChainState.FOLLOWING)
+        self._set_points.give(positions, cycles)
+
+    @enable_ki_protection
+    def hold(self) -> None:
+        """Stay at the set-points that were sent last. What was given and not sent yet is dropped: the rest of a path, too.
+
+        The cycle does not count as missed. `Cycle.time` stands still.
+        """
+        self._require("follow set-points", ChainState.FOLLOWING)
+        self._set_points.hold()
+
+    # ---- procedures ----
+
+    def _prepare(self, device: Device) -> Procedure[None]:
+        dictionary, settings = device.node.dictionary, self.settings
+        if settings.own_pdos and described_pdos(dictionary, device.node.node_id):
+            exchange = exchange_own(device)
+        else:
+            pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
+            exchange = exchange_named(device, pdos, settings.define_pdos)
+        return prepare(device, exchange, self._master.heartbeat_timeout)
+
+    async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
+        """Run one procedure for each joint, side by side. A failure is told as this chain's."""
+        procedures = [of_joint(device, make(device)) for device in self.devices]
+        request_id, waiter = self._master.launch(all_of(*procedures))
+        running = self._running = _Operation(operation, request_id)
+        try:
+            results: list[T] = await self._master.outcome_of(request_id, waiter)
+            return results
+        except JointFailed as failed:
+            raise self._error_of(operation, failed) from failed.error
+        except ProcedureTakenBack:
+            error = await self._why_stopped()
+            raise error or chain_halted(self.name, "while it was stopped") from None
+        finally:
+            if self._running is running:  # else halt() or shut_down() took over
+                self._running = None
+
+    def _error_of(self, operation: str, failed: JointFailed) -> ChainError:
+        network = self._master.bus(failed.device.node.bus).network
+        return joint_failed(self.name, operation, failed, network, self._master.now())
+
+    def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
+        errors = [self._error_of(operation, failed) for failed in failures if failed is not None]
+        if errors:
+            for other in errors[1:]:
+                errors[0].add_note(str(other))
+            raise errors[0]
+
+    # ---- state ----
+
+    def _known(self, what: str, values: Sequence[float | None]) -> list[float]:
+        """The values, one for each joint, if all are known."""
+        known = []
+        for device, value in zip(self.devices, values, strict=True):
+            if value is None:
+                failed = f"chain {self.name} has no {what} of {device.where}"
+                seen = f"{device.name} was not heard since its last boot" if device.position is None else "it was heard once"
+                raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("await chain.initialise()",))
+            known.append(value)
+        return known
+
+    def _require_idle(self, what: str) -> None:
+        self._master.check_open()
+        if self._running is not None:
+            failed, seen = f"chain {self.name} cannot {what} now", f"it is busy: {self._running.name}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or halt() it",))
+
+    def _require(self, what: str, *states: ChainState) -> None:
+        if self.state is ChainState.FAULT:
+            self._master.check_open()
+            raise self._stop_reason()
+        if self.state is ChainState.HALTED and ChainState.HALTED not in states:
+            raise self._stop_reason()
+        self._require_idle(what)
+        if self.state not in states:
+            lost = next((device for device in self.devices if device.axis.has_lost_reference), None)
+            if self.state is ChainState.READY and lost is not None:
+                raise reference_lost(self.name, what, lost)
+            step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.enable_interpolated_position()"
+            failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
+
+    async def _require_standing(self, what: str) -> None:
+        """Raise unless the chain can do that from a standstill; halt it, and wait until the joints stand."""
+        states = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+        self._require(what, *states)
+        await self._joints_halted(what)
+        self._require(what, *states)  # somebody else may have been quicker
+
+    def _require_same_cycle(self) -> None:
+        """SYNC is one for all chains."""
+        period = self._master.sync_period
+        others = [chain.name for chain in self._master.chains if chain is not self and chain.state is not ChainState.OFF]
+        if others and period != round(self.settings.cycle_time * SECOND):
+            failed = f"chain {self.name} cannot run with a cycle of {self.settings.cycle_time:g} s"
+            seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("one cycle_time for all chains",))
+
+    def _end_following(self, state: ChainState) -> None:
+        self.state = state
+        self._set_points.end()
+        self._supervision.end_following()
+
+    # ---- being stopped ----
+
+    def _stop(self, why: str) -> None:
+        """Halt all joints, and have whatever runs on this chain end. Also in the pump's turn; `_joints_stopped` waits for it."""
+        self._why_halted = why
+        state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
+        self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
+        running, self._running = self._running, None
+        _, self._stopping = self._master.launch(all_of(*(quietly(device, stop(device)) for device in self.devices)))
+        if running is not None:
+            self._master.take_back(running.request_id)
+
+    async def _joints_stopped(self) -> list[JointFailed | None]:
+        """Wait until the joints that were told to stop stand; which of them did not confirm it."""
+        await trio.lowlevel.checkpoint()
+        if self._stopping is None:
+            return []
+        await self._stopping.done.wait()
+        failures: list[JointFailed | None] = self._master.result_of(self._stopping)
+        return failures
+
+    async def _joints_halted(self, what: str) -> None:
+        """Halt joints that follow set-points, and wait for a halt under way. Whether each stands is seen by what follows."""
+        if self.state is ChainState.FOLLOWING:
+            self._stop(f"to {what}")
+        await self._joints_stopped()
+
+    async def _why_stopped(self) -> ChainError | None:
+        """Why no set-points are followed (any more), once the joints stand; None while they are."""
+        if self.state is ChainState.FOLLOWING:
+            return None
+        await self._joints_stopped()
+        return self._stop_reason()
+
+    def _stop_reason(self) -> ChainError:
+        if self._culprit is not None:
+            return joint_fault(self.name, *self._culprit)
+        return chain_halted(self.name, self._why_halted or "by another command")
+
+    # ---- in the pump's turn ----
+
+    def _joint_failed(self, device: Device, reason: str, cause: str) -> None:
+        if self.state is not ChainState.FAULT and not self._master.is_closed:
+            self._culprit = device, reason, cause
+            self._stop(reason)
+
+    def _on_sync(self, sync: SyncSent) -> None:
+        if self.state is not ChainState.FOLLOWING:
+            return
+        set_points, settings = self._set_points, self.settings
+        set_points.on_sync(sync.skipped)
+        if set_points.missed_in_row >= settings.max_missed_cycles:
+            self._stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")
+
+
+def _reset_and_enable(device: Device) -> Procedure[None]:
+    yield from halt(device.axis)  # somebody else may have left it running
+    yield from reset_fault(device.axis)
+    yield from select_standing_mode(device.axis)
+    yield from enable(device.axis)

@@ -1,0 +1,89 @@
+"""What a chain raises: about a joint that failed, a chain that was halted, a reference that is lost. chain: its name."""
+
+from __future__ import annotations
+
+from canopen_master.errors import (
+    CHAIN_FAILED,
+    CHAIN_HALTED,
+    CHAIN_NOT_READY,
+    GIVEN_UP,
+    NO_ANSWER,
+    REFUSED,
+    ChainError,
+    ChainFault,
+    ChainHalted,
+)
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import JointFailed
+from canopen_master.silence import sdo_silence
+from canopen_proto.abort import AbortOrigin
+from canopen_proto.machine import Time
+from canopen_proto.network import Network
+from canopen_proto.procedures.drive import DriveFault, ReferenceLost
+from canopen_proto.procedures.grip import NotHeldError
+from canopen_proto.procedures.steps import SdoFailed
+
+
+def joint_failed(chain: str, operation: str, failed: JointFailed, network: Network, now: Time) -> ChainError:
+    """A joint's procedure failed in `operation`. network: the one of the joint's bus."""
+    device, error = failed.device, failed.error
+    if isinstance(error, DriveFault):
+        return joint_fault(chain, device, "is in fault")
+    if isinstance(error, ReferenceLost):
+        return reference_lost(chain, operation, device)
+    code, seen, cause = CHAIN_FAILED, "", ""
+    tries: tuple[str, ...] = ()
+    if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
+        code = NO_ANSWER
+        seen, cause, tries = sdo_silence(network, device.node.remote, now)
+    elif isinstance(error, SdoFailed):
+        code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
+    elif isinstance(error, NotHeldError):
+        cause = "Grip.required says that no such drive is enabled"
+        tries = ("open_master(..., grip=Grip()) enables it all the same, and names it",)
+    failure = f"chain {chain} could not {operation}: {device.where}: {error}"
+    return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
+
+
+def reference_lost(chain: str, operation: str, device: Device) -> ChainError:
+    """A joint was homed, and its positions mean something else now."""
+    return ChainError(
+        CHAIN_NOT_READY,
+        chain,
+        f"chain {chain} could not {operation}: {device.where} has lost its reference",
+        joint=device.name,
+        seen="it was homed, and then reset or without power, or homed without success: its positions mean something else now",
+        tries=(
+            "await chain.home(), then await chain.enable_interpolated_position()",
+            "AxisSettings(keeps_reference=True) if it has an absolute encoder",
+        ),
+    )
+
+
+def chain_halted(chain: str, why: str) -> ChainHalted:
+    """The chain was halted. why: "by halt()"."""
+    return ChainHalted(
+        CHAIN_HALTED,
+        chain,
+        f"chain {chain} was halted {why}",
+        tries=("await chain.enable_interpolated_position() starts where the joints stand",),
+    )
+
+
+def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> ChainFault:
+    """A joint is in fault, or was lost, or did not follow. reason: what it did; cause: likely."""
+    home_again = ", chain.home() and chain.enable_interpolated_position()" if device.axis.has_lost_reference else ""
+    return ChainFault(
+        chain,
+        device.name,
+        device.node.node_id,
+        device.node.bus,
+        reason,
+        state=device.state,
+        statusword=device.statusword,
+        error_code=device.error_code,
+        emcy=device.emcy,
+        seen=device.describe(),
+        cause=cause,
+        tries=(f"find the cause, then await chain.recover(){home_again}",),
+    )

@@ -1,0 +1,178 @@
+"""The cycle of a chain that follows set-points: which of them go out behind which SYNC, and which cycles brought none.
+
+The set-points stand in the images from which the core builds the PDOs behind each SYNC; here is kept what that means over time.
+A path of several cycles is put into the images step by step, each step right after the SYNC that took the one before.
+
+**The time of a path is no clock.** It advances by one period for each SYNC that took new set-points along, and stands still in
+all others. So a path that is read at `Cycle.time` is never ordered faster than it is, however late the loop or SYNC comes: it
+takes longer. A path that is read at a clock would catch up instead, with many times its speed for one cycle.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+
+import trio
+
+from canopen_master.errors import SetPointRefused
+from canopen_master.motion.device import Device
+from canopen_master.motion.set_point_check import check_set_point
+from canopen_proto.machine import SECOND, LocalProtocolError
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """One SYNC cycle, as a loop over `Chain.cycles` gets it.
+
+    number: of the turn of the loop, from 0. time: seconds of the path, at which to read it: one period for each SYNC that took
+    new set-points along since the first cycle; `Chain.hold` and lateness stop it. skipped: periods since the cycle before that
+    this loop did not see, 0 for a loop in time. late: seconds that the path has lost since the first cycle, in periods without
+    new set-points or without a SYNC; `Chain.hold` is not lateness.
+    """
+
+    number: int
+    time: float
+    skipped: int
+    late: float
+
+
+class SetPoints:
+    """What a chain is told to follow.
+
+    sync_cycles: SYNCs while it followed; missed_cycles: those of them without a new set-point; missed_in_row: the last ones of
+    these; skipped_cycles: periods in which no SYNC was sent, because this process was late; late_cycles: both together. number:
+    of the current period. taken: SYNCs that took new set-points along. given_in: the period in which the last ones were given,
+    or held. sent: the set-points that went out last, as they were given; empty while none are followed.
+    """
+
+    def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
+        self.devices = devices
+        self.cycle_time = cycle_time
+        self.max_step = max_step
+        self.sync_cycles = 0
+        self.missed_cycles = 0
+        self.skipped_cycles = 0
+        self.missed_in_row = 0
+        self.sent: list[float] = []
+        self.tick = trio.lowlevel.ParkingLot()
+        self.number = 0
+        self.taken = 0
+        self.given_in = -1
+        self.is_awaited = False  # somebody was handed a cycle: set-points are due from now on
+        self._is_new = self._is_held = False  # what the next SYNC takes along
+        self._next: Sequence[float] = ()
+        self._path: deque[list[float]] = deque()
+
+    @property
+    def late_cycles(self) -> int:
+        """See the class."""
+        return self.missed_cycles + self.skipped_cycles
+
+    def begin(self) -> None:
+        """From now on each SYNC takes the images along."""
+        self.end()
+        self._next = self.sent = [device.desired_position for device in self.devices]
+
+    def end(self) -> None:
+        """No set-points are followed any more."""
+        self.sent = []
+        self._path.clear()
+        self._is_new = self._is_held = self.is_awaited = False
+        self.missed_in_row = 0
+        self.given_in = -1
+        self.tick.unpark_all()
+
+    def give(self, positions: Sequence[float], cycles: int) -> None:
+        """See Chain.set_positions."""
+        self._check(positions, cycles)
+        shares = [number / cycles for number in range(1, cycles)]
+        line = [[a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares]
+        self._path = deque([*line, list(positions)])
+        self._put(self._path.popleft())
+        self.given_in = self.number
+
+    def hold(self) -> None:
+        """See Chain.hold. What was given and not sent yet is taken back."""
+        self._path.clear()
+        if self._is_new:
+            self._put(self.sent)
+            self._is_new = False
+        self._is_held = True
+        self.given_in = self.number
+
+    def on_sync(self, skipped: int) -> None:
+        """A SYNC went out, and the images behind it."""
+        self.number += 1 + skipped
+        self.sync_cycles += 1
+        self.skipped_cycles += skipped
+        self.sent = list(self._next)
+        if self._is_new or self._is_held:
+            self.missed_in_row = 0
+            self.taken += self._is_new
+        elif self.is_awaited:
+            self.missed_cycles += 1
+            self.missed_in_row += 1
+        self._is_new = self._is_held = False
+        if self._path:
+            self._put(self._path.popleft())
+        self.tick.unpark_all()
+
+    def _put(self, positions: Sequence[float]) -> None:
+        for device, position in zip(self.devices, positions, strict=True):
+            device.axis.set_position(position)
+        self._next = positions
+        self._is_new = True
+
+    def _check(self, positions: Sequence[float], cycles: int) -> None:
+        if cycles < 1:
+            raise LocalProtocolError(f"set-points are reached in 1 cycle or more, not {cycles}")
+        if len(positions) != len(self.devices):
+            names = ", ".join(device.name for device in self.devices)
+            counts = f"{len(positions)} set-points were given, not {len(self.devices)}"
+            raise SetPointRefused(counts, "", f"the joints are {names}")
+        time = cycles * round(self.cycle_time * SECOND)
+        for device, target, start in zip(self.devices, positions, self.sent, strict=True):
+            check_set_point(device, start, target, time)
+            step = abs(target - start) / cycles
+            if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # not to refuse the limit itself for its last bit
+                refused = f"set-point {target} of {device.name} was refused"
+                seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {self.max_step:g}"
+                raise SetPointRefused(refused, device.name, seen, ("a finer path, more `cycles`, or a larger max_step",))
+
+
+class Cycles:
+    """The iterator that `Chain.cycles` gives. A cycle is handed out once: right behind its SYNC, or later to a loop that is late.
+
+    A loop that has given its set-points waits for the SYNC that takes them, so that none are overwritten before they were sent.
+    """
+
+    def __init__(self, set_points: SetPoints, stopped: Callable[[], Awaitable[Exception | None]]) -> None:
+        """stopped: why no set-points are followed (any more), once the joints stand; None while they are."""
+        self._set_points = set_points
+        self._stopped = stopped
+        self._last = set_points.number
+        self._handed_out = 0
+        self._taken_before = self._late_before = 0  # when the first one was handed out
+
+    def __aiter__(self) -> Cycles:
+        return self
+
+    async def __anext__(self) -> Cycle:
+        set_points = self._set_points
+        await trio.lowlevel.checkpoint()
+        while (error := await self._stopped()) is None and set_points.number in (self._last, set_points.given_in):
+            await set_points.tick.park()
+        if error is not None:
+            raise error
+        if not self._handed_out:
+            self._last = set_points.number - 1
+            self._taken_before, self._late_before = set_points.taken, set_points.late_cycles
+        set_points.is_awaited = True
+        number, skipped = self._handed_out, set_points.number - self._last - 1
+        self._last = set_points.number
+        self._handed_out += 1
+        period = set_points.cycle_time
+        time, late = set_points.taken - self._taken_before, set_points.late_cycles - self._late_before
+        return Cycle(number, time * period, skipped, late * period)

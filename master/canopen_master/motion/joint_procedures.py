@@ -1,0 +1,158 @@
+"""What a chain does with each of its joints, as procedures; the sequences themselves are in canopen_proto.procedures.drive."""
+
+from __future__ import annotations
+
+from typing import Final, TypeVar
+
+from canopen_master.motion.device import Device
+from canopen_master.node import Node
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.cia402.limits import Limit
+from canopen_proto.cia402.objects import (
+    CONTROLWORD,
+    ERROR_CODE,
+    INTERPOLATION_SET_POINT,
+    MODES_OF_OPERATION_DISPLAY,
+    POSITION_ACTUAL_VALUE,
+    STATUSWORD,
+    TORQUE_ACTUAL_VALUE,
+    VELOCITY_ACTUAL_VALUE,
+)
+from canopen_proto.dictionary import Direction, Key, PdoDescription
+from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.procedures.configure_pdo import define_pdo
+from canopen_proto.procedures.described_pdos import exchange_described
+from canopen_proto.procedures.drive import engage_brake, halt, shut_down, start_interpolation
+from canopen_proto.procedures.drive.following import following_limit
+from canopen_proto.procedures.drive.identity import identify
+from canopen_proto.procedures.drive.limits import read_limits
+from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+
+T = TypeVar("T")
+
+DEVICE_TYPE: Final = "0x1000"
+"""The one object that every device has: reading it shows whether the device answers at all."""
+HEARTBEAT: Final = "0x1017"
+HEARTBEATS_PER_TIMEOUT: Final = 3
+"""One lost frame, or one late one, is no lost node."""
+MAX_HEARTBEAT_MS: Final = 0xFFFF
+DRIVE_COMMANDS: Final = (CONTROLWORD, INTERPOLATION_SET_POINT)
+"""What a chain says to its joints in each cycle."""
+DRIVE_FEEDBACK: Final = (
+    STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE, TORQUE_ACTUAL_VALUE, ERROR_CODE,
+)  # fmt: skip
+"""What it hears from them."""
+
+
+class JointFailed(ProcedureError):
+    """A joint's procedure failed; the error is its __cause__."""
+
+    def __init__(self, device: Device, error: ProcedureError) -> None:
+        super().__init__(str(error))
+        self.device = device
+        self.error = error
+
+
+def of_joint(device: Device, procedure: Procedure[T]) -> Procedure[T]:
+    """The same procedure, whose failure says which joint's it is."""
+    try:
+        return (yield from procedure)
+    except ProcedureError as error:
+        raise JointFailed(device, error) from error
+
+
+def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFailed | None]:
+    """The same procedure, whose failure is its result: what runs beside it goes on."""
+    try:
+        yield from procedure
+    except ProcedureError as error:
+        return JointFailed(device, error)
+    return None
+
+
+def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
+    """See whether the node answers reading an object. One that was stopped cannot, and becomes pre-operational for it.
+
+    Whoever used a drive before us has left it stopped: that is how a chain, and the manual's shutdownDevice, end.
+    """
+    if node.nmt_state is not NmtState.STOPPED:
+        try:
+            yield from read(node.remote, key)
+        except SdoFailed as failed:
+            silent = failed.origin is AbortOrigin.TIMEOUT and node.nmt_state in (None, NmtState.STOPPED)
+            booted = failed.origin is AbortOrigin.LOCAL  # it was being switched on, and is there now
+            if not silent and not booted:
+                raise
+        else:
+            return
+    if node.nmt_state in (None, NmtState.STOPPED):
+        yield from act(lambda now: node.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, now))
+    yield from read(node.remote, key)
+
+
+def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: bool) -> Procedure[None]:
+    """Exchange these PDOs with the joint, at each SYNC; define: and declare them to it before."""
+    node = device.node.remote
+    tpdos = [Mapping.from_description(each) for each in pdos if each.direction is Direction.TPDO]
+    device.cyclic = {mux: 1 for mapping in tpdos for mux in mapping.muxes}
+    for description in pdos:
+        if define:
+            yield from define_pdo(node, description)
+        else:
+            yield from act(lambda now, description=description: node.add_pdo(description, now))  # type: ignore[misc]
+
+
+def exchange_own(device: Device) -> Procedure[None]:
+    """Exchange the PDOs that the joint's own dictionary describes; at least one has to carry the set-points."""
+    exchanged = yield from exchange_described(device.node.remote, DRIVE_COMMANDS, DRIVE_FEEDBACK)
+    if INTERPOLATION_SET_POINT in exchanged.missing:
+        source = device.node.dictionary.source or "its dictionary"
+        raise ProcedureError(f"no RPDO that {source} describes for node {device.node.node_id} carries the set-points (0x60C1:01)")
+    device.cyclic = exchanged.cyclic
+
+
+def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
+    """See whether the joint answers and what it is, exchange PDOs with it, have it send its heartbeat if that is supervised."""
+    node = device.node.remote
+    yield from awake(device.node)
+    yield from identify(device.axis)
+    yield from read_if_present(node, "0x6064")  # where it stands; PDOs keep it up to date from the first one on
+    yield from exchange
+    is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
+    if heartbeat_timeout and HEARTBEAT in node.dictionary and not is_guarded:
+        period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))
+        try:
+            yield from write(node, HEARTBEAT, period)
+        except SdoFailed as failed:
+            if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
+                raise
+
+
+def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[Limit]:
+    """Halt the joint, read its limits, then let it follow set-points from where it stands; how far off them it may be.
+
+    cycle_time: ns.
+    """
+    yield from halt(device.axis)
+    device.limits = yield from read_limits(device.axis)
+    limit = yield from following_limit(device.axis, device.limits)
+    yield from start_interpolation(device.axis, cycle_time, sends_itself=sends_itself)
+    return limit
+
+
+def stop(device: Device) -> Procedure[None]:
+    """Halt the joint, and wait until it stands, also at the end of a fault reaction; of one in fault, read the error code."""
+    if device.has_fault:
+        yield from read_if_present(device.node.remote, "0x603F")
+    yield from halt(device.axis)
+
+
+def power_down(device: Device) -> Procedure[None]:
+    """Halt, engage the brake, take the power away. A joint in fault loses its power by itself, once it has braked."""
+    yield from halt(device.axis)
+    if not device.has_fault:
+        yield from engage_brake(device.axis)
+    yield from shut_down(device.axis)

@@ -1,0 +1,52 @@
+"""The check of a set-point before it goes to a joint: for a chain, and for the blocking API."""
+
+from __future__ import annotations
+
+import math
+
+from canopen_master.errors import SetPointRefused
+from canopen_master.motion.device import Device
+from canopen_proto.cia402.limits import Excess
+from canopen_proto.cia402.objects import INTERPOLATION_SET_POINT
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.machine import Time
+
+NO_SCALE = ("give its scale: AxisSettings(counts_per_unit=...) in `axes`, 180_000 / math.pi for millidegrees on the wire",)
+FINER = "a finer path, or more `cycles`"
+FASTER = "a larger max_speed, if it may go as fast as that: AxisSettings(max_speed=...) in `axes`; `set_max_speed` of `direct`"
+NARROWER = "a path within the limits of the joint: its `limits` tells them"
+
+
+def check_set_point(device: Device, start: float, target: float, time: Time) -> None:
+    """Raise SetPointRefused for a set-point that the joint must not be asked for; its `limits` count.
+
+    start: the set-point that it comes from; time: ns in which it is to get from there to `target`.
+    """
+    refused = f"set-point {target} of {device.name} was refused"
+    if device.axis.settings.counts_per_unit is None:
+        raise SetPointRefused(refused, device.name, "the joint has no scale: its unit is not known", NO_SCALE)
+    if not math.isfinite(target):
+        raise SetPointRefused(refused, device.name, "it is not a finite number")
+    variable = device.node.dictionary.get(INTERPOLATION_SET_POINT >> 8, INTERPOLATION_SET_POINT & 0xFF)
+    if variable is not None:
+        try:
+            variable.encode(device.axis.to_counts(target))
+        except (OverflowError, ValueRangeError) as error:
+            raise SetPointRefused(refused, device.name, str(error)) from error
+    check_limits(device, start, target, time)
+
+
+def check_limits(device: Device, start: float, target: float, time: Time) -> None:
+    """As `check_set_point`, for a set-point that is known to be a number that the drive's object can hold."""
+    excess = device.limits.excess(start, target, time)
+    if excess is not None:
+        raise SetPointRefused(f"set-point {target} of {device.name} was refused", device.name, *_words(excess, start))
+
+
+def _words(excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:
+    """What was seen, and what to try."""
+    limit, source = f"{excess.limit.value:.6g}", excess.limit.source
+    if excess.is_speed:
+        return f"from {start:.6g} that is {excess.value:.6g} per second, more than {limit}: {source}", (FINER, FASTER)
+    where = "above" if excess.value > excess.limit.value else "below"
+    return f"it is {where} {limit}: {source}", (NARROWER,)

@@ -1,0 +1,109 @@
+"""`Supervision`: tells a chain which of its joints has failed, and why.
+
+From the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, no longer sends its heartbeat, or no longer
+answers node guarding. While set-points are followed, also whatever `canopen_proto.cia402.following` sees of each drive, from what
+comes in each cycle.
+
+What a joint does not send at SYNCs by itself is read by SDO beside the cycle: with the PDOs of the manual's arm the mode of
+operation (0x6061). The joints take turns, one request behind each SYNC, and none waits for another's answer. So another mode that
+shows in nothing else is seen that much later: a cycle for each joint of the chain (60 ms for six joints at 10 ms), and an SDO
+time-out for each answer of this joint that is lost. An SDO transfer that is under way with a joint holds up the reads of this
+joint, unless it has a further SDO channel that is free. A joint that could not be read for three SDO time-outs (1.5 s) has
+failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from canopen_master.motion.device import Device
+from canopen_proto.cia402.axis import AxisStateChanged
+from canopen_proto.cia402.following import FollowingLost
+from canopen_proto.cia402.limits import Limit
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
+from canopen_proto.guarding import NodeGuardingLost
+from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.procedures.drive.following import read_unsent
+
+if TYPE_CHECKING:
+    from canopen_master.master import Master
+
+RECENT: Final = 1 * SECOND
+"""What another master said within this time may be the reason why a joint does not follow."""
+
+SILENT: Final = (
+    "its power is off, its cable is loose, or it was stopped; or it does not send its PDO at each SYNC (then "
+    "ChainSettings(define_pdos=True) tells it to)"
+)
+
+
+class Supervision:
+    """See this module's text. is_on: whether failures are told at all."""
+
+    def __init__(self, master: Master, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
+        """failed: called in the pump's turn with the joint, what it did, as "fell into fault", and the likely cause, or "".
+
+        It may be called several times for one failure.
+        """
+        self._master = master
+        self._devices = devices
+        self._failed = failed
+        self._reading: RequestId | None = None
+        self.is_on = False
+        for device in devices:
+            bus, node_id = master.bus(device.node.bus), device.node.node_id
+            kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeGuardingLost, NodeBooted)
+            master.watch(kinds, partial(self._on_event, device), bus, node_id)
+
+    def begin_following(self, limits: Sequence[Limit], silent_cycles: int) -> None:
+        """The joints follow set-points from now on. limits: of their following errors. silent_cycles: as in ChainSettings."""
+        for device, limit in zip(self._devices, limits, strict=True):
+            device.following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=device.cyclic, silent_syncs=silent_cycles)
+        self._reading, _ = self._master.launch(read_unsent([device.following for device in self._devices]))
+
+    def end_following(self) -> None:
+        """They do not any more."""
+        for device in self._devices:
+            device.following.end()
+        reading, self._reading = self._reading, None
+        if reading is not None:
+            self._master.take_back(reading)
+
+    def _on_event(
+        self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeGuardingLost | NodeBooted
+    ) -> None:
+        if not self.is_on:
+            return
+        cause = foreign_commands(self._master, device)
+        match report:
+            case FollowingLost(cause=reason, is_silent=is_silent):
+                self._failed(device, reason, cause or (SILENT if is_silent else ""))
+            case AxisStateChanged() if device.has_fault:
+                self._failed(device, "fell into fault", cause)
+            case HeartbeatLost(timeout=timeout):
+                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause)
+            case NodeGuardingLost(life_time=life_time):
+                self._failed(device, f"was lost: no answer to node guarding for {life_time / SECOND:g} s", cause)
+            case NodeBooted():
+                self._failed(device, "was reset, or lost its power: it has booted again", cause)
+
+
+def foreign_commands(master: Master, device: Device) -> str:
+    """Which commands of others were heard lately that may be why a joint does not follow, for people; "" for none."""
+    bus, node_id, now = master.bus(device.node.bus), device.node.node_id, master.now()
+    keys = {"an NMT command": NMT, "an SDO request to it": SDO_CLIENT_TO_SERVER + node_id}
+    if not bus.hears_own_sync:
+        keys["a SYNC"] = SYNC
+    for number, producer in device.node.remote.rpdos.items():
+        if producer.key is not None:
+            keys[f"its RPDO {number}"] = producer.key
+    heard = []
+    for what, key in keys.items():
+        time = bus.network.last_heard_of(key)
+        if time is not None and now - time <= RECENT:
+            heard.append(f"{what} {(now - time) / MILLISECOND:.0f} ms ago")
+    return f"somebody else commands this bus: {', '.join(heard)}" if heard else ""

@@ -1,0 +1,123 @@
+"""Runs the command line in virtual time, for its tests: `run("read", "3", "statusword", "-b", "demo")`."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import trio
+from trio.testing import MockClock
+
+from canopen_cli import demonstration, main, session, sim
+from canopen_cli.fleet import Fleet, simulated_fleet
+from canopen_proto.cia402.drive_node import DriveNode
+from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.machine import SECOND
+
+LATER = 10**9 * SECOND
+SHORT = ("--seconds", "0.5", "--cycle", "20ms")
+TWO_JOINTS = ("--chains", str(Path(__file__).parents[1] / "files" / "two_joints.csv"))
+"""Of `canopen demo`: where the six of its own say no more, in a third of the time."""
+TWO = (*SHORT, *TWO_JOINTS)
+
+
+class Outcome(NamedTuple):
+    """How a command ended, and what it wrote."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """What stdout is as JSON, which has no NaN."""
+        return json.loads(self.out, parse_constant=_no_json)
+
+    @property
+    def error(self) -> Any:
+        """The last line of stderr, as JSON: the error of --json."""
+        return json.loads(self.err.strip().splitlines()[-1], parse_constant=_no_json)
+
+
+def _no_json(text: str) -> None:
+    raise ValueError(f"{text} is no JSON")
+
+
+Run = Callable[..., Outcome]
+
+
+class Alarm:
+    """Sends this process signals, at virtual times that count from when the simulated drives are there."""
+
+    def __init__(self) -> None:
+        self.signals: list[tuple[float, int]] = []
+        self.task: Callable[[Fleet], Awaitable[None]] | None = None
+        """Something else that happens to the drives meanwhile."""
+
+    def set(self, *signals: tuple[float, int]) -> None:
+        """Send each signal so many seconds after the one before. For the next command only."""
+        self.signals = list(signals)
+
+    async def ring(self, fleet: Fleet) -> None:
+        """What goes on beside the command."""
+        if self.task is not None:
+            await self.task(fleet)
+        signals, self.signals = self.signals, []
+        for seconds, number in signals:
+            await trio.sleep(seconds)
+            signal.raise_signal(number)
+
+
+def runner(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, own_files: Path) -> Run:
+    """The function that runs a command. own_files: an empty folder, so that what a user has in ~/.canopen does not count."""
+    monkeypatch.setenv("CANOPEN_DATA", str(own_files))
+    for name in ("CANOPEN_BUS", "FORCE_COLOR", "COLUMNS", "TTY_COMPATIBLE"):
+        monkeypatch.delenv(name, raising=False)
+
+    def run(*arguments: str) -> Outcome:
+        capsys.readouterr()
+        status = main(arguments, clock=MockClock(autojump_threshold=0))
+        written = capsys.readouterr()
+        return Outcome(status, written.out, written.err)
+
+    return run
+
+
+def runner_in_folder(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """As `runner`, with an empty folder of its own as the current one, where commands leave their files."""
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return runner(capsys, monkeypatch, tmp_path)
+
+
+def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+    """The fleets of simulated drives that commands make from now on, to look into when they have ended. alarm: rings in them."""
+    fleets: list[Fleet] = []
+
+    @asynccontextmanager
+    async def watched(*arguments: Any, **options: Any) -> AsyncIterator[Fleet]:
+        async with simulated_fleet(*arguments, **options) as fleet:
+            fleets.append(fleet)
+            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
+            yield fleet
+
+    monkeypatch.setattr(demonstration, "simulated_fleet", watched)
+    monkeypatch.setattr(session, "simulated_fleet", watched)
+    monkeypatch.setattr(sim, "simulated_fleet", watched)
+    return fleets
+
+
+def stands(node: DriveNode) -> bool:
+    """Whether a drive that nobody commands any more is where it was when it was last looked at (each 10 ms while it moves)."""
+    before = node.values[POSITION_ACTUAL_VALUE]
+    node.drive.refresh(LATER)
+    after = node.values[POSITION_ACTUAL_VALUE]
+    assert isinstance(before, int)
+    assert isinstance(after, int)
+    return abs(after - before) <= 5

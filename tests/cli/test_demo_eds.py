@@ -1,0 +1,104 @@
+"""`canopen demo --eds`: drives made of a file, and the PDOs that it describes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from canopen_cli.fleet import Fleet
+from canopen_data.configured import with_configured
+from canopen_data.describing import describe
+from canopen_data.description import Commissioning, DeviceInfo, FileKind
+from canopen_data.eds.writer import write_eds
+from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.servo import Shape
+from canopen_proto.dictionary import Direction
+from canopen_proto.procedures.described_pdos import described_pdos
+from tests import vendor_files
+from tests.cli.cli_support import SHORT, TWO, Alarm, Run, runner, watched_fleets
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
+
+
+@pytest.fixture
+def fleets(monkeypatch: pytest.MonkeyPatch) -> list[Fleet]:
+    return watched_fleets(monkeypatch, Alarm())
+
+
+def written(path: Path, shape: Shape = Shape.SCHUNK_POWERBALL, values: dict[int, int] | None = None) -> str:
+    """A DCF of a simulated drive, with values that differ from its defaults."""
+    vendor = "SCHUNK GmbH" if shape is Shape.SCHUNK_POWERBALL else "Acme"
+    description = describe(drive_dictionary(shape), device_info=DeviceInfo(vendor_name=vendor))
+    described = with_configured(description, values or {}, Commissioning(node_id=3))
+    path.write_text(write_eds(described, FileKind.DCF), encoding="utf-8")
+    return str(path)
+
+
+def tpdos(fleet: Fleet, node_id: int = 3) -> dict[int, list[int]]:
+    """What the valid TPDOs of a drive carry: indices, by number."""
+    pdos = described_pdos(fleet.drives[node_id].values.dictionary, node_id)
+    return {each.number: [entry >> 16 for entry in each.entries] for each in pdos if each.direction is Direction.TPDO}
+
+
+def joints(out: str) -> list[list[str]]:
+    return [line.split() for line in out.splitlines() if line.startswith("joint") and "(" in line]
+
+
+@pytest.mark.parametrize("shape", Shape)
+def test_drives_made_of_a_file_home_and_move(run: Run, tmp_path: Path, shape: Shape) -> None:
+    outcome = run("demo", *SHORT, "--eds", written(tmp_path / "drive.dcf", shape))
+    assert outcome.status == 0, outcome.err
+    assert [line[:2] for line in joints(outcome.out)] == [[f"joint{n}", str(n + 2)] for n in range(1, 7)]
+    assert all("yes" in line for line in joints(outcome.out))
+    assert "6 simulated drives made of" in outcome.err
+
+
+def test_a_dcf_says_which_pdos_and_defaults_leave_that_out(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
+    path = written(tmp_path / "drive.dcf", values={0x1A0000: 2, 0x1A0002: 0x60640020})
+    assert run("demo", *TWO, "--eds", path).status == 0
+    assert run("demo", *TWO, "--eds", path, "--defaults").status == 0
+    assert [tpdos(fleet) for fleet in fleets] == [{1: [0x6041, 0x6064]}, {1: [0x6041, 0x6077, 0x6064]}]
+
+
+def test_only_one_joint_of_a_file(run: Run, tmp_path: Path) -> None:
+    outcome = run("demo", *TWO, "--eds", f"4={written(tmp_path / 'drive.dcf')}")
+    assert outcome.status == 0, outcome.err
+
+
+def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, tmp_path: Path) -> None:
+    outcome = run("demo", *TWO, "--eds", written(tmp_path / "drive.dcf", values={0x160000: 1}))
+    assert outcome.status == 12
+    assert "carries the set-points (0x60C1:01)" in outcome.err
+
+
+def test_a_file_of_no_drive(run: Run) -> None:
+    outcome = run("demo", "--eds", "sample_io.xdd")
+    assert outcome.status == 6
+    assert "CO332" in outcome.err
+    assert "statusword" in outcome.err
+
+
+def test_defaults_of_nothing(run: Run) -> None:
+    outcome = run("demo", "--defaults")
+    assert outcome.status == 2
+    assert "--eds" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("options", "carried"),
+    [
+        ((), {1: [0x6041, 0x6061], 3: [0x6064, 0x606C]}),
+        (("--defaults",), {1: [0x6041, 0x6077, 0x6064]}),
+    ],
+)
+def test_the_schunk_arm(run: Run, fleets: list[Fleet], options: tuple[str, ...], carried: dict[int, list[int]]) -> None:
+    path = vendor_files.path_of("schunk-powerball-lwa4p.dcf")
+    outcome = run("demo", *TWO, "--eds", str(path), *options)
+    assert outcome.status == 0, outcome.err
+    assert all("yes" in line for line in joints(outcome.out))
+    seen = tpdos(fleets[0])
+    assert {number: seen[number] for number in carried} == carried

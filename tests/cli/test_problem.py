@@ -1,0 +1,308 @@
+"""Whatever fails becomes one screen, one JSON object, one exit status."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+import trio
+
+from canopen_cli import entry, main
+from canopen_cli.problem import ExitCode, Problem, problem_of
+from canopen_cli.running import notes_of
+from canopen_cli.screen import Screen
+from canopen_data import DataError
+from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_master import errors
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_proto.sdo.client import SdoAborted
+from canopen_transports import TransportError
+from tests.cli.cli_support import TWO_JOINTS
+
+
+def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
+    return SdoAborted(5, 1, 0x6041, 0, code, origin)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "code"),
+    [
+        (TransportError("CO100", "x", "the bus 'x' makes no sense"), ExitCode.CANNOT_OPEN, "CO100"),
+        (TransportError("CO101", "x", "cannot open x"), ExitCode.CANNOT_OPEN, "CO101"),
+        (TransportError("CO102", "x", "cannot open x"), ExitCode.PERMISSION, "CO102"),
+        (TransportError("CO110", "x", "nothing acknowledged our frames"), ExitCode.BUS_FAULT, "CO110"),
+        (errors.BusError("x", TransportError("CO111", "x", "the bus is gone")), ExitCode.BUS_FAULT, "CO111"),
+        (errors.NodeSilent("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
+        (errors.UnexpectedAnswer("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
+        (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
+        (errors.UnknownChain("CO322", "no chain"), ExitCode.USAGE, "CO322"),
+        (errors.ChainError("CO401", "arm", "could not home"), ExitCode.DRIVE_FAULT, "CO401"),
+        (errors.ChainError("CO404", "arm", "is not ready"), ExitCode.DRIVE_FAULT, "CO404"),
+        (errors.ChainHalted("CO403", "arm", "it was halted"), ExitCode.DRIVE_FAULT, "CO403"),
+        (errors.ChainError(errors.NO_ANSWER, "arm", "no answer"), ExitCode.NO_ANSWER, "CO201"),
+        (errors.ChainError(errors.REFUSED, "arm", "refused"), ExitCode.SDO_ABORT, "CO202"),
+        (errors.ChainError(errors.GIVEN_UP, "arm", "given up"), ExitCode.SDO_ABORT, "CO203"),
+        (errors.HaltNotConfirmed("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
+        (SdoFailed(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
+        (SdoFailed(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),
+        (SdoFailed(aborted(AbortOrigin.LOCAL), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (SdoFailed(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
+        (DriveFault("drive 5 is in fault: x. Try: reset it"), ExitCode.DRIVE_FAULT, "CO402"),
+        (HomingFailed("drive 5 reports a homing error: x"), ExitCode.DRIVE_FAULT, "CO406"),
+        (ModeUnsupported("drive 5 does not support it: x"), ExitCode.DRIVE_FAULT, "CO405"),
+        (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
+        (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
+        (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),
+        (LocalProtocolError("not like this"), ExitCode.USAGE, "CO120"),
+        (PermissionError("no"), ExitCode.PERMISSION, "CO109"),
+        (click.UsageError("no such option"), ExitCode.USAGE, "CO001"),
+        (click.ClickException("hm"), ExitCode.USAGE, "CO001"),
+        (ZeroDivisionError("division by zero"), ExitCode.INTERNAL, "CO900"),
+    ],
+)
+def test_each_error_has_its_status(error: Exception, status: ExitCode, code: str) -> None:
+    problem = problem_of(error)
+    assert (problem.exit_code, problem.code) == (status, code)
+    assert problem_of(problem) is problem
+    assert str(problem).startswith(f"{code}: ")
+    assert len(str(problem).splitlines()) < 20
+    assert json.dumps(problem.as_json())
+
+
+def test_a_chain_error_knows_what_its_cause_knows() -> None:
+    error = errors.ChainError(errors.REFUSED, "arm", "joint1 refused")
+    error.__cause__ = SdoFailed(aborted(AbortOrigin.PEER), "reading")
+    problem = problem_of(error)
+    assert (problem.node, problem.index, problem.subindex, problem.abort) == (5, 0x6041, 0, AbortCode.READ_ONLY)
+
+
+def test_a_chain_error_has_the_status_of_its_cause() -> None:
+    error = errors.ChainError(errors.CHAIN_FAILED, "arm", "chain arm could not initialise: joint1")
+    error.__cause__ = UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1")
+    problem = problem_of(error)
+    assert (problem.exit_code, problem.code) == (ExitCode.SDO_ABORT, "CO204")
+
+
+def test_notes_are_told_too() -> None:
+    error = ProcedureError("drive 5 did not: x")
+    error.add_note("not confirmed to stand: joint1")
+    assert problem_of(error).more == ["not confirmed to stand: joint1"]
+    assert notes_of(ExceptionGroup("two", [error, ValueError()])) == ["not confirmed to stand: joint1"]
+    assert notes_of(None) == []
+
+
+def test_of_several_errors_the_one_that_is_not_ours_comes_first() -> None:
+    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveFault("drive 5 is in fault: x")])])
+    problem = problem_of(group)
+    assert problem.code == "CO402"
+    assert "CO900" in problem.more[0]
+
+
+def test_many_findings_are_cut() -> None:
+    problem = problem_of(DictionaryError(Finding(Severity.ERROR, "x", f"wrong {n}", "a.csv", n, 1) for n in range(1, 40)))
+    assert "a.csv:1:1" in problem.failed
+    assert problem.more[-1] == "and 30 more"
+    assert len(str(problem).splitlines()) < 14
+
+
+def test_on_a_terminal_the_lines_are_wrapped_and_hang(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "60")
+    problem = Problem(ExitCode.NO_ANSWER, "CO201", "node 5 [0x05] did not answer", seen="word " * 30, tries=("this", "that"))
+    Screen(color=False).problem(problem)
+    lines = capsys.readouterr().err.splitlines()
+    assert max(map(len, lines)) <= 90  # with its escapes
+    assert "[0x05]" in lines[0]
+    assert any("or:" in line and "that" in line for line in lines)
+
+
+def test_a_traceback_comes_with_vv_only(capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        raise ZeroDivisionError("oops")
+    except ZeroDivisionError as error:
+        problem = problem_of(error)
+    Screen(verbosity=1).problem(problem)
+    assert "Traceback" not in capsys.readouterr().err
+    Screen(verbosity=2).problem(problem)
+    assert "Traceback" in capsys.readouterr().err
+
+
+# ---- real processes: signals and pipes ----
+
+COMMAND = (sys.executable, "-c", "import sys; from canopen_cli import main; sys.exit(main())")
+
+
+def started(own_files: Path, *arguments: str) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each), "COLUMNS": "120"}
+    environment["CANOPEN_DATA"] = str(own_files)
+    return subprocess.Popen(
+        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, encoding="utf-8"
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
+def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
+    with started(tmp_path, "demo", "--seconds", "60", "--cycle", "20ms", *TWO_JOINTS) as process:
+        assert process.stderr is not None
+        told = ""
+        give_up = time.monotonic() + 60
+        while "✔ home" not in told and time.monotonic() < give_up:
+            told += process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=60)
+    assert process.returncode == ExitCode.INTERRUPTED
+    assert "interrupted by Ctrl-C" in rest
+    assert "halted: joint1, joint2\n" in rest
+    assert "STILL MOVING" not in rest
+    assert "Traceback" not in rest
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    with started(tmp_path, "--help") as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(60) == 141
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGPIPE")
+def test_readers_of_both_streams_that_go_away_while_the_arm_moves(tmp_path: Path) -> None:
+    with started(tmp_path, "demo", "--seconds", "1", *TWO_JOINTS) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stderr.readline()
+        process.stdout.close()
+        process.stderr.close()
+        assert process.wait(60) == 141
+
+
+def test_what_cannot_be_parsed_is_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scan", "--bogus", "--json"]) == ExitCode.USAGE
+    assert json.loads(capsys.readouterr().err)["code"] == "CO001"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell")
+@pytest.mark.parametrize(("redirection", "status"), [(">&-", 0), (">&- 2>&-", 0), (">/dev/full", ExitCode.BAD_FILE)])
+def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int) -> None:
+    if "full" in redirection and not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each), "CANOPEN_DATA": str(tmp_path)}
+    command = shlex.join([*COMMAND, "read", "3", "statusword", "-b", "demo"])
+    ended = subprocess.run(f"{command} {redirection}", shell=True, stderr=subprocess.PIPE, text=True, env=environment, timeout=60)
+    assert ended.returncode == status, ended.stderr
+    assert "CO900" not in ended.stderr
+    assert "Exception ignored" not in ended.stderr
+
+
+@pytest.mark.parametrize("missing", ["trio", "click", "rich", "can"])
+def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
+    program = f"import sys; sys.modules[{missing!r}] = None; from canopen_cli.entry import main; sys.exit(main())"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
+    assert ended.returncode == ExitCode.CANNOT_OPEN
+    assert ended.stderr == (
+        f"canopen: the command line needs {missing}, which is not installed.\nTry: pip install 'canopen-proto[master]'\n"
+    )
+
+
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+from canopen_cli.entry import main
+class Finder:
+    def find_spec(self, *arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
+def test_ctrl_c_while_the_command_line_is_read_in() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
+    program = [sys.executable, "-c", INTERRUPTED_IMPORT]
+    ended = subprocess.run(program, capture_output=True, text=True, env=environment, timeout=60)
+    assert ended.returncode == -signal.SIGINT  # which a shell calls 130
+    assert ended.stderr == ""
+
+
+def test_the_entry_runs_the_command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["canopen", "--version"])
+    assert entry.main() == 0
+    assert capsys.readouterr().out.startswith("canopen, version")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_pipe_that_is_closed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    from canopen_cli import app
+
+    class Closed(io.StringIO):
+        def flush(self) -> None:
+            raise BrokenPipeError
+
+        def fileno(self) -> int:
+            raise io.UnsupportedOperation
+
+    monkeypatch.setattr(sys, "stdout", Closed())
+    assert app.main(["data", "--help"]) == app.CLOSED_PIPE
+
+
+def test_an_interrupt_before_anything_has_begun(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from canopen_cli import app
+
+    for error in (KeyboardInterrupt(), BaseExceptionGroup("", [KeyboardInterrupt()])):
+
+        def interrupted(*arguments: object, error: BaseException = error, **options: object) -> None:
+            raise error
+
+        monkeypatch.setattr(app.cli, "main", interrupted)
+        assert app.main([]) == ExitCode.INTERRUPTED
+        assert "interrupted by Ctrl-C" in capsys.readouterr().err
+
+
+def test_the_rest_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from canopen_cli import app
+
+    def ended(*arguments: object, **options: object) -> None:
+        raise BaseExceptionGroup("", [SystemExit(5)])
+
+    monkeypatch.setattr(app.cli, "main", ended)
+    with pytest.raises(BaseExceptionGroup):
+        app.main([])
+
+
+def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from canopen_cli.options import Settings
+    from canopen_cli.running import run
+
+    async def command() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+            await trio.sleep(5)
+        finally:
+            raise DriveFault("drive 5 is in fault: it burns. Try: water")
+
+    with pytest.raises(Problem) as caught:
+        run(Settings(), Screen(), command)
+    problem = caught.value
+    assert problem.exit_code is ExitCode.INTERRUPTED
+    assert "CO402: drive 5 is in fault" in problem.more
+    assert problem.seen == "it burns"
+    assert problem.tries == ("water",)
