@@ -32,7 +32,7 @@ from canopen_master.motion.chain_file import ChainDescription, read_chains, same
 from canopen_master.motion.device import Device
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
-from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip

@@ -14,11 +14,11 @@ from canopen_cli.running import all_stand, run
 from canopen_cli.screen import escape, node_text
 from canopen_cli.session import Session, open_session
 from canopen_master.motion.joint_procedures import awake
-from canopen_proto.cia402.axis import Axis, AxisSettings, HomingStyle
+from canopen_proto import drive
 from canopen_proto.cia402.modes import describe_status
+from canopen_proto.drive.axis import Axis, AxisSettings, HomingStyle
+from canopen_proto.drive.identity import identify
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures import drive
-from canopen_proto.procedures.drive.identity import identify
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
 
 REFRESH: Final = 0.1

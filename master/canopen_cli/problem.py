@@ -23,8 +23,8 @@ from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import NotInDictionary
+from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.procedures.drive import DriveFault, HomingFailed, ModeUnsupported
 from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_transports import TransportError

@@ -40,7 +40,7 @@ from canopen_master.node_pdos import PdoDiffers
 from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation import DeviceModel, Host, powerballs, simulate, standard_drives
 from canopen_master.subscription import Subscription
-from canopen_proto.cia402.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
+from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
 from canopen_proto.procedures.grip import Grip
 
 __all__ = [

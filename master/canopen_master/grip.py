@@ -192,7 +192,7 @@ class Grips:
 
 
 class NodeGrip:
-    """What an Axis asks; see canopen_proto.cia402.axis.AxisGrip."""
+    """What an Axis asks; see canopen_proto.drive.axis.AxisGrip."""
 
     def __init__(self, grips: Grips, node: Node) -> None:
         self._grips = grips

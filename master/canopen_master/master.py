@@ -38,8 +38,8 @@ from canopen_master.node import Node
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
 from canopen_master.subscription import Subscription
-from canopen_proto.cia402.axis import Axis, AxisSettings
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drive.axis import Axis, AxisSettings
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster

@@ -12,9 +12,9 @@ from canopen_master.direct import AlreadyConnected, NotConnected, Session
 from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import ConstantNotFound, ObjectNotFound
+from canopen_proto.drive import ModeUnsupported
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.procedures.drive import ModeUnsupported
 from canopen_proto.procedures.steps import SdoFailed, StepTimeout
 from tests.master.direct_world import LIMIT, Devices, devices, until
 

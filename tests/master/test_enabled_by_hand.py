@@ -11,13 +11,13 @@ import trio
 
 from canopen_master import Grip, HaltNotConfirmed, Host, Master, MasterError, Node, NodeIdTaken, open_master, standard_drives
 from canopen_master.grip import LOGGER
+from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, mux
 from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.objects import write

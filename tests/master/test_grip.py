@@ -23,6 +23,7 @@ from canopen_master import (
     standard_drives,
 )
 from canopen_master.grip import LOGGER
+from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.states import State
@@ -30,7 +31,6 @@ from canopen_proto.dictionary import mux
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat
 from canopen_proto.machine import SECOND
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.grip import DEFAULT_GRIP, NotHeldError
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import open_transport

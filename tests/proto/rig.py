@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from canopen_proto.cia402.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, Axis, AxisSettings
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import Direction
+from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, Axis, AxisSettings
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster

@@ -8,14 +8,14 @@ from itertools import groupby
 
 import pytest
 
-from canopen_proto.cia402.axis import Axis, AxisSettings, AxisStateChanged
+from canopen_proto import drive
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drive.axis import Axis, AxisSettings, AxisStateChanged
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import ProcedureError, StepTimeout
 from canopen_proto.remote_node import RemoteNode

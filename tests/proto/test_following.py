@@ -8,11 +8,9 @@ from collections.abc import Mapping
 import pytest
 
 from canopen_data import load_dictionary
-from canopen_proto.cia402.axis import Axis, AxisSettings
+from canopen_proto import drive
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.following import SILENT_TIME, Following, FollowingLost
-from canopen_proto.cia402.limits import DEFAULT_SPEED, Limit, limits_of
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import (
     FOLLOWING_ERROR_WINDOW,
@@ -22,12 +20,13 @@ from canopen_proto.cia402.objects import (
 )
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
+from canopen_proto.drive.axis import Axis, AxisSettings
+from canopen_proto.drive.following import READ_INTERVAL, SILENT_TIME, Following, FollowingLost, following_limit, read_unsent
+from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, limits_of
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.procedures import drive
-from canopen_proto.procedures.drive.following import READ_INTERVAL, following_limit, read_unsent
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto import drive
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.drive import Drive
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drive.axis import Axis
 from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
 from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep

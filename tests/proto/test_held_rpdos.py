@@ -13,14 +13,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_proto.cia402.axis import Axis
+from canopen_proto import drive
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.servo import Shape
 from canopen_proto.cia402.states import ControlBit, State
 from canopen_proto.dictionary import Direction
+from canopen_proto.drive.axis import Axis
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.pdo.producer import PdoProducer
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure

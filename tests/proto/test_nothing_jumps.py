@@ -11,11 +11,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFinished
 from tests.examples import examples

@@ -31,22 +31,21 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
 from canopen_master.motion.set_point_check import check_limits
 from canopen_master.silence import missing_frame
-from canopen_proto.cia402.axis import AxisSettings
-from canopen_proto.cia402.following import FollowingLost
+from canopen_proto import drive
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
+from canopen_proto.drive.axis import AxisSettings
+from canopen_proto.drive.following import FollowingLost, read_unsent
+from canopen_proto.drive.identity import identify
+from canopen_proto.drive.limits import read_limits
 from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
-from canopen_proto.procedures import drive
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
-from canopen_proto.procedures.drive.following import read_unsent
-from canopen_proto.procedures.drive.identity import identify
-from canopen_proto.procedures.drive.limits import read_limits
 from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 from canopen_proto.sync import SyncReceived, SyncSent
@@ -97,7 +96,7 @@ class DirectDrive:
     # ---- sequences ----
 
     async def reset_fault(self) -> None:
-        """As procedures.drive.reset_fault. The manual's programs begin with it: one that ended left the node stopped."""
+        """As canopen_proto.drive.reset_fault. The manual's programs begin with it: one that ended left the node stopped."""
         if STATUSWORD in self.node.dictionary:
             await self._run(awake(self.node, STATUSWORD))
         await self._run(drive.reset_fault(self.axis))

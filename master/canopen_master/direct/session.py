@@ -40,10 +40,10 @@ from canopen_master.motion.chain_file import ChainDescription, parse_chains, rea
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
+from canopen_proto.drive import read_position
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.procedures.drive import read_position
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 R = TypeVar("R")

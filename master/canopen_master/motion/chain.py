@@ -19,7 +19,7 @@ took set-points along, so a late loop makes the path slower (see cycles.py).
 
 **Nothing jumps.** What makes the joints move begins with joints that stand: initialise, home, enable_interpolated_position and
 recover halt a chain that follows set-points, and wait for a halt under way, whoever ordered it. Then each joint is halted once
-more, and seen to stand, by the procedure itself (canopen_proto.procedures.drive.halt); one that does not stand is an error.
+more, and seen to stand, by the procedure itself (canopen_proto.drive.halt); one that does not stand is an error.
 
 **Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
 set-points, stops its whole chain: what runs is cancelled, all joints are halted, and everything that is asked of the chain raises
@@ -53,10 +53,10 @@ from canopen_master.motion.joint_procedures import (
     stop,
 )
 from canopen_master.motion.supervision import Supervision
-from canopen_proto.cia402.following import SILENT_SYNCS
+from canopen_proto.drive import enable, halt, home, reset_fault, select_standing_mode
+from canopen_proto.drive.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId
 from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.procedures.drive import enable, halt, home, reset_fault, select_standing_mode
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 

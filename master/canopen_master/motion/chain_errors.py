@@ -17,9 +17,9 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.drive import DriveFault, ReferenceLost
 from canopen_proto.machine import Time
 from canopen_proto.network import Network
-from canopen_proto.procedures.drive import DriveFault, ReferenceLost
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 from canopen_master.node import Node
 from canopen_master.subscription import Subscription
-from canopen_proto.cia402.axis import Axis
-from canopen_proto.cia402.following import Following
-from canopen_proto.cia402.limits import limits_of
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
+from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.following import Following
+from canopen_proto.drive.limits import limits_of
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.nmt import NmtState

@@ -1,4 +1,4 @@
-"""What a chain does with each of its joints, as procedures; the sequences themselves are in canopen_proto.procedures.drive."""
+"""What a chain does with each of its joints, as procedures; the sequences themselves are in canopen_proto.drive."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Final, TypeVar
 from canopen_master.motion.device import Device
 from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.cia402.limits import Limit
 from canopen_proto.cia402.objects import (
     CONTROLWORD,
     ERROR_CODE,
@@ -19,15 +18,15 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.dictionary import Direction, Key, PdoDescription
+from canopen_proto.drive import engage_brake, halt, shut_down, start_interpolation
+from canopen_proto.drive.following import following_limit
+from canopen_proto.drive.identity import identify
+from canopen_proto.drive.limits import Limit, read_limits
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import exchange_described
-from canopen_proto.procedures.drive import engage_brake, halt, shut_down, start_interpolation
-from canopen_proto.procedures.drive.following import following_limit
-from canopen_proto.procedures.drive.identity import identify
-from canopen_proto.procedures.drive.limits import read_limits
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 

@@ -1,7 +1,7 @@
 """`Supervision`: tells a chain which of its joints has failed, and why.
 
 From the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, no longer sends its heartbeat, or no longer
-answers node guarding. While set-points are followed, also whatever `canopen_proto.cia402.following` sees of each drive, from what
+answers node guarding. While set-points are followed, also whatever `canopen_proto.drive.following` sees of each drive, from what
 comes in each cycle.
 
 What a joint does not send at SYNCs by itself is read by SDO beside the cycle: with the PDOs of the manual's arm the mode of
@@ -19,15 +19,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from canopen_master.motion.device import Device
-from canopen_proto.cia402.axis import AxisStateChanged
-from canopen_proto.cia402.following import FollowingLost
-from canopen_proto.cia402.limits import Limit
 from canopen_proto.cia402.modes import Mode
+from canopen_proto.drive.axis import AxisStateChanged
+from canopen_proto.drive.following import FollowingLost, read_unsent
+from canopen_proto.drive.limits import Limit
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
-from canopen_proto.procedures.drive.following import read_unsent
 
 if TYPE_CHECKING:
     from canopen_master.master import Master

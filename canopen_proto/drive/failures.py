@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import State
+from canopen_proto.drive.axis import Axis
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
 from canopen_proto.machine import SECOND, Event

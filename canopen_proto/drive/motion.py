@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_proto.cia402.axis import OBEYED, Axis
-from canopen_proto.cia402.limits import limits_of
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
+from canopen_proto.drive.axis import OBEYED, Axis
+from canopen_proto.drive.controlword import command
+from canopen_proto.drive.failures import LimitReached, ReferenceLost, name_of
+from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.limits import limits_of
+from canopen_proto.drive.state import enable, set_mode
+from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.procedures.drive.controlword import command
-from canopen_proto.procedures.drive.failures import LimitReached, ReferenceLost, name_of
-from canopen_proto.procedures.drive.halting import halt, halt_after
-from canopen_proto.procedures.drive.state import enable, set_mode
-from canopen_proto.procedures.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
 

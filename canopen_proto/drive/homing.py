@@ -22,15 +22,15 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import Final
 
-from canopen_proto.cia402.axis import Axis, HomingStyle
 from canopen_proto.cia402.modes import HomingStatus, Mode, ModeControl, ModeStatus, homing_status
 from canopen_proto.cia402.states import Command, State, StatusBit
+from canopen_proto.drive.axis import Axis, HomingStyle
+from canopen_proto.drive.controlword import command
+from canopen_proto.drive.failures import HomingFailed, name_of
+from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.state import enable, set_mode
+from canopen_proto.drive.watching import Watch
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.drive.controlword import command
-from canopen_proto.procedures.drive.failures import HomingFailed, name_of
-from canopen_proto.procedures.drive.halting import halt, halt_after
-from canopen_proto.procedures.drive.state import enable, set_mode
-from canopen_proto.procedures.drive.watching import Watch
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 

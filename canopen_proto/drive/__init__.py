@@ -1,4 +1,4 @@
-"""The manual's sequences for a CiA 402 drive, as procedures over an `Axis`.
+"""The master's side of one CiA 402 drive: the `Axis`, its limits, whether it follows; the manual's sequences, as procedures.
 
     reset_fault   0x0000, then 0x0080: the reset is a rising edge             manual: faultReset
     enable        up to Operation enabled, step by step                       manual: initDevice
@@ -23,8 +23,8 @@ ModeLost (somebody else's 0x6060), NodeLost (boot-up, lost heartbeat), LimitReac
 Source: IEC 61800-7-201 (CiA 402-2).
 """
 
-from canopen_proto.procedures.drive.controlword import command
-from canopen_proto.procedures.drive.failures import (
+from canopen_proto.drive.controlword import command
+from canopen_proto.drive.failures import (
     DriveFault,
     HomingFailed,
     LimitReached,
@@ -35,10 +35,10 @@ from canopen_proto.procedures.drive.failures import (
     StateLost,
     fault_of,
 )
-from canopen_proto.procedures.drive.halting import halt, halt_after
-from canopen_proto.procedures.drive.homing import home
-from canopen_proto.procedures.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
-from canopen_proto.procedures.drive.state import (
+from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.homing import home
+from canopen_proto.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
+from canopen_proto.drive.state import (
     change_state,
     enable,
     engage_brake,
@@ -48,7 +48,7 @@ from canopen_proto.procedures.drive.state import (
     set_mode,
     shut_down,
 )
-from canopen_proto.procedures.drive.watching import read_statusword, wait_for_statusword
+from canopen_proto.drive.watching import read_statusword, wait_for_statusword
 
 __all__ = [
     "DriveFault",

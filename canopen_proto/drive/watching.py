@@ -18,12 +18,12 @@ from collections.abc import Callable, Mapping
 from typing import Final, Generic, TypeVar
 
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
+from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.procedures.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
 from canopen_proto.procedures.objects import read_int, value_of
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, StepTimeout, Wait, current_time
 from canopen_proto.remote_node import FRESH

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import ModeControl
 from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.states import Command, State
+from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.failures import is_loss_of, node_lost
 from canopen_proto.machine import MILLISECOND, Event
-from canopen_proto.procedures.drive.failures import is_loss_of, node_lost
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
 from canopen_proto.sync import SyncReceived, SyncSent

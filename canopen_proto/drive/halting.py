@@ -11,7 +11,6 @@ from collections import deque
 from itertools import pairwise
 from typing import Final
 
-from canopen_proto.cia402.axis import Axis, HomingStyle
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import (
     CONTROLWORD,
@@ -24,10 +23,11 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
+from canopen_proto.drive.axis import Axis, HomingStyle
+from canopen_proto.drive.controlword import STAYS, command, command_held
+from canopen_proto.drive.failures import name_of
+from canopen_proto.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
-from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
-from canopen_proto.procedures.drive.failures import name_of
-from canopen_proto.procedures.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import (
     Cancelled,

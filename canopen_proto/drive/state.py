@@ -6,15 +6,15 @@ from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
+from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.controlword import STAYS, command, command_held
+from canopen_proto.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
+from canopen_proto.drive.halting import halt
+from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import Time
-from canopen_proto.procedures.drive.controlword import STAYS, command, command_held
-from canopen_proto.procedures.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
-from canopen_proto.procedures.drive.halting import halt
-from canopen_proto.procedures.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, current_time
 

@@ -3,7 +3,7 @@
 Theory of operation
 -------------------
 An Axis stands on a `RemoteNode` and adds meaning to its values: state, mode, position in the user's unit. Its sequences (enable,
-homing, interpolation) are procedures, in `canopen_proto.procedures.drive`.
+homing, interpolation) are procedures, in `canopen_proto.drive`.
 
 **One controlword image per axis.** It is the node's own image of 0x6040, the one that an RPDO is built from. While a live RPDO
 carries 0x6040, a command goes into the image and out by that PDO; otherwise by SDO, and a confirmed SDO write sets the image too,
@@ -13,11 +13,11 @@ Units: positions outside are in the user's unit (radians for an arm), on the wir
 counts = round(direction * unit * counts_per_unit) + offset. Without a scale, positions outside are counts, too.
 
 **What it is.** A drive is a CiA 402 drive, unless the user says Schunk or its vendor-ID (0x1018:01) does. What the settings leave
-open (None) is settled by `procedures.identity.identify`, which reads the vendor-ID once; 0x6502 decides nothing.
+open (None) is settled by `drive.identity.identify`, which reads the vendor-ID once; 0x6502 decides nothing.
 
 **Reference.** A drive that this master has homed, and that boots then, counts as not homed: it may have lost its power, and its
 positions may mean something else. It `has_lost_reference` until it is homed again, and absolute set-points are refused meanwhile
-(`procedures.drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master has never
+(`drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master has never
 homed has no reference to lose.
 
 Events: `AxisStateChanged` whenever a statusword shows another state, or the node boots: then nothing is known of the drive.
@@ -77,7 +77,7 @@ class AxisSettings:
     direction: 1, or -1 for a motor that is mounted the other way round; offset: counts at position 0. homing: how it homes; None
     leaves that to its vendor-ID. homing_method: written to 0x6098, None leaves what the drive has. homing_timeout, state_timeout:
     ns for a whole homing, for one change of state or mode. following_error_limit: how far off its set-points the drive may be, in
-    the user's unit, before it counts as lost; None: as `procedures.following.following_limit` finds it, math.inf: no limit.
+    the user's unit, before it counts as lost; None: as `drive.following.following_limit` finds it, math.inf: no limit.
     keeps_reference: whether the drive knows its position after a reset or without power, as one with an absolute encoder does; it
     need not be homed again then. reaction_time: ns that the drive may take until what it shows answers what it was commanded; for
     that long the end of a homing, a move or a halt that it has shown before is not believed. halt_time: ns that a halted drive
@@ -248,7 +248,7 @@ class Axis:
 
     @property
     def is_homed(self) -> bool:
-        """Whether it was homed, by this master, since it was switched on; set by `procedures.drive.home`."""
+        """Whether it was homed, by this master, since it was switched on; set by `axis.home`."""
         return self._is_homed
 
     @is_homed.setter
@@ -342,7 +342,7 @@ class Axis:
     def set_controlword(self, word: int, now: Time) -> None:
         """Put a command into the image; an event-driven RPDO takes it along at once, a synchronous one behind the next SYNC.
 
-        Without a live RPDO of 0x6040 it is only noted: `procedures.drive.command` sends it in every case.
+        Without a live RPDO of 0x6040 it is only noted: `axis.command` sends it in every case.
         """
         self.node.values.store[CONTROLWORD] = word & 0xFFFF
         producer = self.node.rpdo_of(0x6040)

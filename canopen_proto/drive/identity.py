@@ -9,8 +9,8 @@ Source: CiA 301 v4.2.0, 7.5.2.21 (identity object); CiA's list of vendor-IDs.
 
 from __future__ import annotations
 
-from canopen_proto.cia402.axis import Axis
 from canopen_proto.cia402.objects import VENDOR_ID
+from canopen_proto.drive.axis import Axis
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 

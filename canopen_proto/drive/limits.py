@@ -1,0 +1,229 @@
+"""`SetPointLimits`: what a drive must not be asked for by set-points, in the user's unit. `limits_of` gathers them for one axis.
+
+Where they come from
+--------------------
+    position   0x607D of the drive, and min_position, max_position of the settings; where both say something, the narrower
+    speed      max_speed of the settings; else the lower of 0x607F and 0x6080 of the drive; else DEFAULT_SPEED
+
+The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Where nobody limits
+the position, it has no limit: a turntable has none.
+
+A direction of -1 makes the drive's upper limit the user's lower one.
+
+**Acceleration** (0x60C5) is shown and refuses nothing. A path that misses a cycle stands still for it and then goes on; from one
+period to the next that is an acceleration to its whole speed, and to refuse it would be to stop the path for good. What a drive
+cannot follow for that reason shows as its following error.
+
+Left out: 0x607D is taken as it stands, without the home offset 0x607C (drives differ in whether it counts).
+
+**What a drive says** (`read_limits`) is read by number, whatever the dictionary has: it may be that of another drive, and a limit
+that it lacks is a limit all the same. An object that the drive does not have, or does not let us read, says nothing. Nor does
+0x607D if its minimum is not below its maximum (0 and 0 are no limits), an end of INTEGER32, or a speed or an acceleration of 0 or
+beyond INTEGER32.
+
+Units. 0x607F is in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). Counts per motor revolution are feed
+constant / gear ratio (0x6092, 0x6091), or, if the feed constant is the 1 that stands for none, the encoder's increments (0x608F).
+A velocity unit is a count per second, unless the drive tells another one: in 0x60A9 (0xB4 is a revolution, 0xB5 an increment;
+0x03 a second, 0x47 a minute; the first byte a power of ten), or as the older 0x608C (0xA4 is rev/min, its power of ten in
+0x608B). A speed whose unit we do not know, or cannot convert, is left out.
+
+Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, factor
+group; CiA 303-2 (units); all from memory, and as the files of four makers have them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from canopen_proto.abort import AbortOrigin
+from canopen_proto.drive.axis import Axis
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
+from canopen_proto.remote_node import RemoteNode
+
+DEFAULT_SPEED: Final = 30_000
+"""Counts per second. Nobody says how fast the drive may go: this is three times the speed of the manual's paths. On its arm it is
+30 degrees per second. Half a metre from the joint that is 250 mm/s, which ISO 10218-1 calls reduced speed."""
+
+_DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
+_TOLERANCE: Final = 1 + 1e-6
+"""A path at the limit itself is not refused for what floating point makes of it."""
+
+
+class Limit(NamedTuple):
+    """source: who says so, for people: "0x607D:02 of the drive", "the settings (max_speed)", "the default ..."."""
+
+    value: float
+    source: str
+
+
+class DriveLimits(NamedTuple):
+    """What a drive says by itself, in counts, counts per second, counts per second²; None where it says nothing."""
+
+    lowest: Limit | None = None
+    highest: Limit | None = None
+    speed: Limit | None = None
+    acceleration: Limit | None = None
+
+
+class Excess(NamedTuple):
+    """A limit that a set-point is beyond. is_speed: of the speed, else of the position. value: what was asked for."""
+
+    is_speed: bool
+    value: float
+    limit: Limit
+
+
+@dataclass(frozen=True, slots=True)
+class SetPointLimits:
+    """The limits of one axis, in its user's unit; see this module's text. lowest, highest: positions, None for no limit.
+
+    speed: per second; acceleration: per second², None if the drive tells none; it refuses nothing.
+    """
+
+    axis: Axis
+    lowest: Limit | None
+    highest: Limit | None
+    speed: Limit
+    acceleration: Limit | None
+
+    def excess(self, start: float, target: float, time: Time) -> Excess | None:
+        """The limit that a straight way from `start` to `target` within `time` ns is beyond; None if it may be asked for."""
+        speed = abs(target - start) * SECOND / time
+        if speed > self.speed.value * _TOLERANCE:
+            return Excess(True, speed, self.speed)
+        limit = self.position_excess(start, target)
+        return None if limit is None else Excess(False, target, limit)
+
+    def position_excess(self, start: float, target: float) -> Limit | None:
+        """The position limit that a way from `start` to `target` is beyond; None if it may be asked for.
+
+        A joint that stands beyond a limit may stay there and come back, but not go further.
+        """
+        for limit, outward in ((self.highest, 1), (self.lowest, -1)):
+            # Compared as counts: a set-point that is rounded to the limit is within it.
+            if limit is not None and self._is_further(target, limit.value, outward) and self._is_further(target, start, outward):
+                return limit
+        return None
+
+    def _is_further(self, one: float, other: float, outward: int) -> bool:
+        to_counts = self.axis.to_counts
+        return (to_counts(one) - to_counts(other)) * outward * self.axis.settings.direction > 0
+
+
+def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
+    """The limits of an axis. told: what its drive says, None if it was not asked."""
+    settings, told = axis.settings, told or DriveLimits()
+    ends = [_converted(limit, axis.from_counts) for limit in (told.lowest, told.highest)]
+    lowest, highest = ends[:: settings.direction]
+    if settings.min_position is not None and (lowest is None or settings.min_position > lowest.value):
+        lowest = Limit(settings.min_position, "the settings (min_position)")
+    if settings.max_position is not None and (highest is None or settings.max_position < highest.value):
+        highest = Limit(settings.max_position, "the settings (max_position)")
+    if settings.max_speed is not None:
+        speed = Limit(settings.max_speed, "the settings (max_speed)")
+    else:
+        speed = _converted(told.speed, axis.amount_from_counts) or Limit(axis.amount_from_counts(DEFAULT_SPEED), _DEFAULT)
+    acceleration = _converted(told.acceleration, axis.amount_from_counts)
+    return SetPointLimits(axis, lowest, highest, speed, acceleration)
+
+
+def _converted(limit: Limit | None, convert: Callable[[float], float]) -> Limit | None:
+    return None if limit is None else Limit(convert(limit.value), limit.source)
+
+
+_INTEGER32: Final = 1 << 31
+_REVOLUTION, _INCREMENT = 0xB4, 0xB5
+_SECONDS: Final = {0x03: 1, 0x47: 60}
+_REVOLUTIONS_PER_MINUTE: Final = 0xA4
+_OF_DRIVE: Final = "of the drive"
+
+
+def read_limits(axis: Axis) -> Procedure[SetPointLimits]:
+    """The limits of an axis, by its settings and by what its drive says. Raises SdoFailed where the drive does not answer."""
+    node = axis.node
+    lowest = yield from _read(node, 0x607D, 1, signed=True)
+    highest = yield from _read(node, 0x607D, 2, signed=True)
+    speeds = []
+    profile = yield from _read_amount(node, 0x607F)
+    if profile is not None:
+        unit = yield from _velocity_unit(node)
+        if unit is not None:
+            speeds.append(Limit(profile * unit, f"0x607F {_OF_DRIVE}"))
+    motor = yield from _read_amount(node, 0x6080)
+    if motor is not None:
+        counts = yield from _counts_per_revolution(node)
+        if counts is not None:
+            speeds.append(Limit(motor * counts / 60, f"0x6080 {_OF_DRIVE}"))
+    acceleration = yield from _read_amount(node, 0x60C5)
+    told = DriveLimits(
+        *_position_limits(lowest, highest),
+        min(speeds, default=None),
+        None if acceleration is None else Limit(acceleration, f"0x60C5 {_OF_DRIVE}"),
+    )
+    return limits_of(axis, told)
+
+
+def _position_limits(lowest: int | None, highest: int | None) -> tuple[Limit | None, Limit | None]:
+    if lowest is not None and highest is not None and lowest >= highest:
+        return None, None
+    return (
+        None if lowest is None or lowest <= -_INTEGER32 + 1 else Limit(lowest, f"0x607D:01 {_OF_DRIVE}"),
+        None if highest is None or highest >= _INTEGER32 - 1 else Limit(highest, f"0x607D:02 {_OF_DRIVE}"),
+    )
+
+
+def _read(node: RemoteNode, index: int, subindex: int = 0, *, signed: bool = False) -> Procedure[int | None]:
+    try:
+        data = yield from upload(node.sdo, index, subindex)
+    except SdoFailed as failed:
+        if failed.origin is AbortOrigin.PEER:
+            return None
+        raise
+    return int.from_bytes(data, "little", signed=signed) if 0 < len(data) <= 4 else None
+
+
+def _read_amount(node: RemoteNode, index: int) -> Procedure[int | None]:
+    """A limit that is an amount; None where it is none."""
+    amount = yield from _read(node, index)
+    return amount if amount is not None and 0 < amount < _INTEGER32 - 1 else None
+
+
+def _read_ratio(node: RemoteNode, index: int) -> Procedure[float]:
+    """Subindex 1 by subindex 2; 1, which changes nothing, where the drive has none."""
+    numerator = yield from _read(node, index, 1)
+    denominator = yield from _read(node, index, 2)
+    return numerator / denominator if numerator and denominator else 1.0
+
+
+def _counts_per_revolution(node: RemoteNode) -> Procedure[float | None]:
+    """Counts on the wire for a turn of the motor; None if the drive does not tell."""
+    feed = yield from _read_ratio(node, 0x6092)
+    if feed > 1:
+        gear = yield from _read_ratio(node, 0x6091)
+        return feed / gear
+    increments = yield from _read_ratio(node, 0x608F)
+    return increments if increments > 1 else None
+
+
+def _velocity_unit(node: RemoteNode) -> Procedure[float | None]:
+    """Counts per second in one velocity unit; None if that cannot be told."""
+    unit = yield from _read(node, 0x60A9)
+    if unit:
+        prefix, numerator, denominator, _ = unit.to_bytes(4, "big")
+        power, is_revolution, seconds = prefix, numerator == _REVOLUTION, _SECONDS.get(denominator)
+        if seconds is None or numerator not in (_REVOLUTION, _INCREMENT):
+            return None
+    else:
+        dimension = yield from _read(node, 0x608C)
+        if not dimension:
+            return 1.0
+        if dimension & 0xFF != _REVOLUTIONS_PER_MINUTE:
+            return None
+        power = (yield from _read(node, 0x608B)) or 0
+        is_revolution, seconds = True, 60
+    counts = (yield from _counts_per_revolution(node)) if is_revolution else 1.0
+    exponent = power - 256 if power & 0x80 else power
+    return None if counts is None else counts / seconds * 10.0**exponent
