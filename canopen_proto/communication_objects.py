@@ -24,7 +24,8 @@ producer's own, and are copied into the values when they are read (`refresh`).
     0x1029   error behaviour: 0, 1 or 2; the rest is reserved, or of manufacturers other than us      7.5.2.32
 
 A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40). Where the
-description of a device has one, or another type than the standard, the service is off or goes by its default: device_notices.py.
+description of a device has one, or another type than the standard, the service is off or goes by its default:
+`canopen_data.device_notices` tells of it.
 
 The synchronous window (0x1007) and the PDO parameters are in pdo/parameters.py.
 

@@ -31,7 +31,6 @@ from __future__ import annotations
 import datetime
 from typing import Final
 
-from canopen_data.device_notices import Notice, notices_of
 from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.application import Application
 from canopen_proto.communication_errors import (
@@ -149,11 +148,6 @@ class LocalNode(Group):
     def dictionary(self) -> ObjectDictionary:
         """What the device is."""
         return self.values.dictionary
-
-    @property
-    def notices(self) -> tuple[Notice, ...]:
-        """What of its description does not work, and why; see device_notices.py. Made anew of the values as they are now."""
-        return notices_of(self.node_id, self.values, self.pdos)
 
     @property
     def state(self) -> NmtState:

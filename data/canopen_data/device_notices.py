@@ -1,4 +1,4 @@
-"""What of a device's description does not work in its `LocalNode`, and why: for whoever makes a device from a file that he got.
+"""Say what of a device's description does not work in its `LocalNode`, and why: for a user with a file from elsewhere.
 
 Theory of operation
 -------------------
@@ -31,6 +31,7 @@ from canopen_proto.dictionary import Direction, Values, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.dictionary.values import nearest
 from canopen_proto.frame import COB_ID_INVALID, EMCY, KEY_EXTENDED, SYNC, key_of_cob_id
+from canopen_proto.local_node import LocalNode
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.pdo.parameters import DevicePdos
@@ -67,8 +68,8 @@ class Notice:
         return f"{where}: {self.text}"
 
 
-def notices_of(node_id: int, values: Values, pdos: DevicePdos) -> tuple[Notice, ...]:
-    """All of it by index, MAX_NOTICES at most. pdos: the machines that were made of these values."""
+def notices_of(node: LocalNode) -> tuple[Notice, ...]:
+    """Return what does not work in a device with its values as they are now: by index, MAX_NOTICES at most."""
     checks: tuple[Callable[[int, Values, DevicePdos], Iterator[Notice]], ...] = (
         _values,
         _types,
@@ -77,7 +78,7 @@ def notices_of(node_id: int, values: Values, pdos: DevicePdos) -> tuple[Notice, 
         _channels,
         _storage,
     )
-    found = [notice for check in checks for notice in islice(check(node_id, values, pdos), MAX_NOTICES)]
+    found = [notice for check in checks for notice in islice(check(node.node_id, node.values, node.pdos), MAX_NOTICES)]
     return tuple(sorted(found, key=lambda each: (each.index, each.subindex or 0))[:MAX_NOTICES])
 
 

@@ -1,5 +1,1 @@
-"""The `canopen` command. `main` runs it and gives the exit status; see `problem.ExitCode` for what that means."""
-
-from canopen_cli.app import main
-
-__all__ = ["main"]
+"""The `canopen` command. entry.py starts it, app.py is the command line; see `problem.ExitCode` for its exit status."""

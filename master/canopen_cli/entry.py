@@ -21,7 +21,7 @@ def main() -> int:
     if raises:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        from canopen_cli import main as run
+        from canopen_cli.app import main as run
     except ModuleNotFoundError as missing:
         library = (missing.name or "").partition(".")[0]
         if library not in NEEDED:

@@ -16,6 +16,7 @@ from canopen_data import load_dictionary
 from canopen_data.configured import configure, without_configured_values
 from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
+from canopen_data.device_notices import notices_of
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
 from canopen_master.hooks import Script, ScriptError
 from canopen_master.plant import DeviceEntry, Plant, parse_plant
@@ -193,7 +194,7 @@ def _tell(screen: Screen, model: DeviceModel, entry: DeviceEntry, reason: str) -
     kind = "a simulated drive" if model.drive is not None else "plain memory"
     what = f"{kind}{' with a script' if model.script is not None else ''}; {counts}"
     screen.say(f"{node_text(model.node_id)}  {escape(entry.file)}: {what}")
-    notices = [*([reason] if reason else []), *map(str, node.notices)]
+    notices = [*([reason] if reason else []), *map(str, notices_of(node))]
     for notice in notices[:MAX_NOTICES]:
         screen.say(f"    [yellow]{escape(notice)}[/]")
     for notice in notices[MAX_NOTICES:]:

@@ -13,7 +13,8 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli import demonstration, main, session, sim
+from canopen_cli import demonstration, session, sim
+from canopen_cli.app import main
 from canopen_cli.fleet import Fleet, simulated_fleet
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli import main
+from canopen_cli.app import main
 from canopen_cli.fleet import simulated_fleet
 from canopen_transports.log_files import LogReader
 from canopen_transports.tcp import BusServer, serve_bus

@@ -16,7 +16,8 @@ import click
 import pytest
 import trio
 
-from canopen_cli import entry, main
+from canopen_cli import entry
+from canopen_cli.app import main
 from canopen_cli.problem import ExitCode, Problem, problem_of
 from canopen_cli.running import notes_of
 from canopen_cli.screen import Screen
@@ -146,7 +147,7 @@ def test_a_traceback_comes_with_vv_only(capsys: pytest.CaptureFixture[str]) -> N
 
 # ---- real processes: signals and pipes ----
 
-COMMAND = (sys.executable, "-c", "import sys; from canopen_cli import main; sys.exit(main())")
+COMMAND = (sys.executable, "-c", "import sys; from canopen_cli.app import main; sys.exit(main())")
 
 
 def started(own_files: Path, *arguments: str) -> subprocess.Popen[str]:

@@ -36,7 +36,7 @@ def test_a_fact_without_a_text(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="no poll")
 @pytest.mark.parametrize("moment", ["arm1 of", "✔ boot"])
 def test_a_demonstration_ends_with_its_reader(tmp_path: Path, moment: str) -> None:
-    program = "import sys; from canopen_cli import main; sys.exit(main(['demo', '--seconds', '60']))"
+    program = "import sys; from canopen_cli.app import main; sys.exit(main(['demo', '--seconds', '60']))"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each), "CANOPEN_DATA": str(tmp_path)}
     with subprocess.Popen(
         [sys.executable, "-c", program],

@@ -11,6 +11,7 @@ import pytest
 
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
+from canopen_data.device_notices import notices_of
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.drive_node import DriveNode
@@ -118,7 +119,7 @@ def test_it_boots_and_answers(name: str) -> None:
 
 @pytest.mark.parametrize("name", ALL_NAMES)
 def test_what_is_said_of_it(name: str) -> None:
-    notices = LocalNode(Outbox(), NODE, description(name).dictionary).notices
+    notices = notices_of(LocalNode(Outbox(), NODE, description(name).dictionary))
     assert len(notices) == NOTICES.get(name, 0), "\n".join(map(str, notices))
 
 

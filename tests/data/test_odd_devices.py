@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_data.device_notices import MAX_NOTICES
+from canopen_data.device_notices import MAX_NOTICES, notices_of
 from canopen_data.eds.reader import read_eds
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, encode, is_integer, range_of
@@ -51,7 +51,7 @@ def bench_of(*objects: Object) -> DeviceBench:
 
 
 def told(*objects: Object) -> list[str]:
-    return [str(notice) for notice in bench_of(*objects).node.notices]
+    return [str(notice) for notice in notices_of(bench_of(*objects).node)]
 
 
 # ---- one oddity each: what it does, and what is said
@@ -60,7 +60,7 @@ def told(*objects: Object) -> list[str]:
 def test_a_description_of_nothing_is_a_device() -> None:
     bench = bench_of()
     assert bench.node.state is NmtState.PRE_OPERATIONAL
-    assert bench.node.notices == ()
+    assert notices_of(bench.node) == ()
     assert bench.read(0x1000) == AbortCode.NO_SUCH_OBJECT
     bench.node.raise_error(0x1000, 1, b"", 0)
     assert bench.take() == ["085#0010010000000000"]
@@ -96,7 +96,7 @@ def test_a_pdo_that_cannot_be(objects: list[Object], notice: str) -> None:
 
 def test_a_pdo_of_sixteen_bits_works_as_far_as_it_goes() -> None:
     bench = bench_of(*tpdo(kind=U16))
-    assert [str(each) for each in bench.node.notices] == [
+    assert [str(each) for each in notices_of(bench.node)] == [
         "0x1800:01: s1: UNSIGNED16, not UNSIGNED32 as in CiA 301: it has no room for every value"
     ]
     bench.tell(START)
@@ -115,7 +115,7 @@ def test_a_negative_cob_id_is_its_twos_complement() -> None:
 def test_sync_and_emcy_fall_back(index: int, cob_id: int) -> None:
     bench = bench_of(*tpdo(transmission=1), var(index, default=cob_id))
     name, default = ("SYNC", 0x80) if index == 0x1005 else ("EMCY", 0x85)
-    assert [str(each) for each in bench.node.notices] == [
+    assert [str(each) for each in notices_of(bench.node)] == [
         f"0x{index:04X}:00: COB-ID 0x{cob_id:X} has a CAN-ID that {name} may not have: it goes by 0x{default:X}"
     ]
     bench.tell(START)
@@ -137,7 +137,7 @@ def test_an_emcy_that_is_not_valid_stays_so() -> None:
     bench = bench_of(var(0x1014, default=0x80000000))
     bench.node.raise_error(0x1000, 1, b"", 0)
     assert bench.take() == []
-    assert bench.node.notices == ()
+    assert notices_of(bench.node) == ()
 
 
 def test_services_that_share_a_can_id() -> None:
@@ -205,7 +205,7 @@ def test_a_further_server_with_the_can_ids_of_the_first() -> None:
 
 def test_a_default_beyond_its_type_is_told_shortly() -> None:
     bench = bench_of(var(0x2000, U8, 300), var(0x2001, U8, 1 << 9999), var(0x2002, TEXT, b"x" * 1000))
-    assert [str(each) for each in bench.node.notices] == [
+    assert [str(each) for each in notices_of(bench.node)] == [
         "0x2000:00: o2000: UNSIGNED8 cannot hold 0x12c, its value at power-on: it is zero instead",
         "0x2001:00: o2001: UNSIGNED8 cannot hold an integer of 10000 bits, its value at power-on: it is zero instead",
         f"0x2002:00: o2002: VISIBLE_STRING cannot hold b'{'x' * 38}, its value at power-on: it is zero instead",
@@ -220,7 +220,7 @@ def test_a_default_beyond_its_type_is_told_shortly() -> None:
 
 def test_notices_are_bounded() -> None:
     bench = bench_of(*(var(index, U8, 300) for index in range(0x2000, 0x2200)))
-    assert len(bench.node.notices) == MAX_NOTICES
+    assert len(notices_of(bench.node)) == MAX_NOTICES
 
 
 # ---- what the host does
@@ -305,7 +305,7 @@ STIMULI = [
 def test_any_description_makes_a_device_that_boots_and_answers(dictionary: ObjectDictionary, node_id: int) -> None:
     bench = DeviceBench(dictionary, make=lambda out, _, described: LocalNode(out, 5, described))
     assert bench.node.state is NmtState.PRE_OPERATIONAL
-    assert all(str(notice) for notice in bench.node.notices)
+    assert all(str(notice) for notice in notices_of(bench.node))
     LocalNode(Outbox(), node_id, dictionary)
     readable(bench)
     for frame in STIMULI:
@@ -316,7 +316,7 @@ def test_any_description_makes_a_device_that_boots_and_answers(dictionary: Objec
             bench.network.handle_timeout(bench.now)
             legal(bench)
     readable(bench)
-    assert all(str(notice) for notice in bench.node.notices)
+    assert all(str(notice) for notice in notices_of(bench.node))
 
 
 FIELDS = {
@@ -364,7 +364,7 @@ def test_whatever_a_reader_makes_of_a_file_is_a_device(text: str, node_id: int) 
         bench.network.receive(Frame.parse(frame), bench.now)
         legal(bench)
     readable(bench)
-    assert all(str(notice) for notice in bench.node.notices)
+    assert all(str(notice) for notice in notices_of(bench.node))
 
 
 def legal(bench: DeviceBench) -> None:
