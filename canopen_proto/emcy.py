@@ -32,7 +32,7 @@ from typing import Final
 
 from canopen_proto.error_codes import error_text as error_text
 from canopen_proto.frame import COB_ID_INVALID, EMCY, Frame, frame_for_key, key_of_cob_id
-from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 
 NO_ERROR: Final = 0x0000
 """The error code of the frame that says: all errors are gone."""
@@ -50,23 +50,30 @@ _GENERIC_BIT: Final = 0x01
 _MESSAGE: Final = struct.Struct("<HB5s")
 
 
-@event
 class EmcySent(Event):
     """Our producer's emergency frame is in the outbox. The fields are those of EmcyReceived."""
 
-    code: int
-    error_register: int
-    vendor_data: bytes
+    __slots__ = ("code", "error_register", "vendor_data")
+    __match_args__ = ("node_id", "code", "error_register", "vendor_data")
+
+    def __init__(self, node_id: int, code: int, error_register: int, vendor_data: bytes) -> None:
+        self.node_id = node_id
+        self.code = code
+        self.error_register = error_register
+        self.vendor_data = vendor_data
 
 
-@event
 class EmcyDropped(Event):
     """An emergency of ours will not go out: the oldest of a full queue (it is in the history), or one beyond MAX_ACTIVE."""
 
-    code: int
+    __slots__ = ("code",)
+    __match_args__ = ("node_id", "code")
+
+    def __init__(self, node_id: int, code: int) -> None:
+        self.node_id = node_id
+        self.code = code
 
 
-@event
 class EmcyReceived(Event):
     """A node's emergency frame.
 
@@ -75,12 +82,19 @@ class EmcyReceived(Event):
     came; below 8 the rest was filled up with zeros. timestamp: the transport's, if it has one.
     """
 
-    code: int
-    error_register: int
-    vendor_data: bytes
-    text: str
-    length: int
-    timestamp: int | None
+    __slots__ = ("code", "error_register", "length", "text", "timestamp", "vendor_data")
+    __match_args__ = ("node_id", "code", "error_register", "vendor_data", "text", "length", "timestamp")
+
+    def __init__(
+        self, node_id: int, code: int, error_register: int, vendor_data: bytes, text: str, length: int, timestamp: int | None
+    ) -> None:
+        self.node_id = node_id
+        self.code = code
+        self.error_register = error_register
+        self.vendor_data = vendor_data
+        self.text = text
+        self.length = length
+        self.timestamp = timestamp
 
 
 class EmcyProducer(Machine):

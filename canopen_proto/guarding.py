@@ -40,7 +40,6 @@ from canopen_proto.machine import (
     Outbox,
     Time,
     check_node_id,
-    event,
 )
 from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 
@@ -51,65 +50,91 @@ MAX_LIFE_TIME_FACTOR: Final = 255
 """0x100D is an UNSIGNED8."""
 
 
-@event
 class GuardingAnswered(Event):
     """A node answered a guarding request. timestamp: the transport's, if it has one."""
 
-    state: NmtState
-    timestamp: int | None
+    __slots__ = ("state", "timestamp")
+    __match_args__ = ("node_id", "state", "timestamp")
+
+    def __init__(self, node_id: int, state: NmtState, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.timestamp = timestamp
 
 
-@event
 class GuardingToggleRepeated(FrameIgnored):
     """An answer with the toggle bit of the one before; it counts as not received."""
 
+    __slots__ = ()
 
-@event
+
 class GuardingRequestsSkipped(Event):
     """The master was woken so late that it left out requests. skipped: how many, 1 or more."""
 
-    skipped: int
+    __slots__ = ("skipped",)
+    __match_args__ = ("node_id", "skipped")
+
+    def __init__(self, node_id: int, skipped: int) -> None:
+        self.node_id = node_id
+        self.skipped = skipped
 
 
-@event
 class GuardingStateUnexpected(Event):
     """A node answered with another NMT state than it is expected to have. Once for each state that it shows instead.
 
     Together with NodeGuardingLost this is the "node guarding event". CiA 301 v4.2.0, 7.2.8.2.2.1
     """
 
-    state: NmtState
-    expected: NmtState
+    __slots__ = ("expected", "state")
+    __match_args__ = ("node_id", "state", "expected")
+
+    def __init__(self, node_id: int, state: NmtState, expected: NmtState) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.expected = expected
 
 
-@event
 class NodeGuardingLost(Event):
     """A node did not answer within the node life time. Once; NodeGuardingRecovered follows with its next answer.
 
     state: what it answered last, None if it never did. life_time: ns.
     """
 
-    state: NmtState | None
-    life_time: Time
+    __slots__ = ("life_time", "state")
+    __match_args__ = ("node_id", "state", "life_time")
+
+    def __init__(self, node_id: int, state: NmtState | None, life_time: Time) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.life_time = life_time
 
 
-@event
 class NodeGuardingRecovered(Event):
     """A lost node answered (the GuardingAnswered before this one)."""
 
-    state: NmtState
+    __slots__ = ("state",)
+    __match_args__ = ("node_id", "state")
+
+    def __init__(self, node_id: int, state: NmtState) -> None:
+        self.node_id = node_id
+        self.state = state
 
 
-@event
 class LifeGuardingLost(Event):
     """Nobody asked our own slave for its node life time (ns). Once; LifeGuardingRecovered follows with the next request."""
 
-    life_time: Time
+    __slots__ = ("life_time",)
+    __match_args__ = ("node_id", "life_time")
+
+    def __init__(self, node_id: int, life_time: Time) -> None:
+        self.node_id = node_id
+        self.life_time = life_time
 
 
-@event
 class LifeGuardingRecovered(Event):
     """Our own slave is being asked again."""
+
+    __slots__ = ()
 
 
 class GuardingMaster(Machine):

@@ -45,7 +45,6 @@ from canopen_proto.machine import (
     Outbox,
     Time,
     check_node_id,
-    event,
 )
 from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 
@@ -53,61 +52,89 @@ MIN_PERIOD: Final = MILLISECOND
 """The shortest heartbeat time: the unit of 0x1016 and 0x1017."""
 
 
-@event
 class HeartbeatsSkipped(Event):
     """Our producer was woken so late that it left out heartbeats. skipped: how many, 1 or more."""
 
-    skipped: int
+    __slots__ = ("skipped",)
+    __match_args__ = ("node_id", "skipped")
+
+    def __init__(self, node_id: int, skipped: int) -> None:
+        self.node_id = node_id
+        self.skipped = skipped
 
 
-@event
 class HeartbeatReceived(Event):
     """A heartbeat. timestamp: the transport's, if it has one."""
 
-    state: NmtState
-    timestamp: int | None
+    __slots__ = ("state", "timestamp")
+    __match_args__ = ("node_id", "state", "timestamp")
+
+    def __init__(self, node_id: int, state: NmtState, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.timestamp = timestamp
 
 
-@event
 class NodeBooted(Event):
     """A boot-up frame: the node was reset or switched on, and is in PRE-OPERATIONAL now. timestamp: as in HeartbeatReceived."""
 
-    timestamp: int | None
+    __slots__ = ("timestamp",)
+    __match_args__ = ("node_id", "timestamp")
+
+    def __init__(self, node_id: int, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.timestamp = timestamp
 
 
-@event
 class NmtStateReported(Event):
     """A node's heartbeat or boot-up shows a state that is not the one known before. previous: None if none was known."""
 
-    previous: NmtState | None
-    state: NmtState
+    __slots__ = ("previous", "state")
+    __match_args__ = ("node_id", "previous", "state")
+
+    def __init__(self, node_id: int, previous: NmtState | None, state: NmtState) -> None:
+        self.node_id = node_id
+        self.previous = previous
+        self.state = state
 
 
-@event
 class HeartbeatLost(Event):
     """No heartbeat within the consumer time. Once; HeartbeatRecovered follows with the next heartbeat.
 
     state: the last one heard. last_heard: when the last frame came. timeout: the consumer time that is over.
     """
 
-    state: NmtState | None
-    last_heard: Time
-    timeout: Time
+    __slots__ = ("last_heard", "state", "timeout")
+    __match_args__ = ("node_id", "state", "last_heard", "timeout")
+
+    def __init__(self, node_id: int, state: NmtState | None, last_heard: Time, timeout: Time) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.last_heard = last_heard
+        self.timeout = timeout
 
 
-@event
 class HeartbeatRecovered(Event):
     """A lost node's heartbeat is back (the HeartbeatReceived before this one)."""
 
-    state: NmtState
+    __slots__ = ("state",)
+    __match_args__ = ("node_id", "state")
+
+    def __init__(self, node_id: int, state: NmtState) -> None:
+        self.node_id = node_id
+        self.state = state
 
 
-@event
 class ForeignHeartbeat(Event):
     """Another node uses the node-ID under which our own heartbeat is being sent. Whoever watches that ID does not notice when we
     are gone. Reported once in each run of our heartbeat. state: what the other one shows, None for a boot-up frame."""
 
-    state: NmtState | None
+    __slots__ = ("state",)
+    __match_args__ = ("node_id", "state")
+
+    def __init__(self, node_id: int, state: NmtState | None) -> None:
+        self.node_id = node_id
+        self.state = state
 
 
 def _check_time(name: str, value: Time) -> Time:

@@ -28,9 +28,8 @@ held for it, and in `out.rerouted` when its `can_ids()` changed.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
-from typing import Any, Final, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, ClassVar, Final, TypeAlias
 
 from canopen_proto.frame import MAX_NODE_ID, Frame
 
@@ -47,45 +46,56 @@ MICROSECOND: Final = 1_000
 MILLISECOND: Final = 1_000_000
 SECOND: Final = 1_000_000_000
 
-_T = TypeVar("_T")
-
 
 class LocalProtocolError(Exception):
     """Our own caller broke a rule (a busy client, node-ID 200). Nothing changed and nothing was sent."""
 
 
-@dataclass_transform(frozen_default=True)
-def event(cls: type[_T]) -> type[_T]:
-    """Class decorator of events: slots, a constructor and equality made from the annotations.
-
-    Events are immutable to the type checker only: a dataclass that is frozen at run time costs three times as much to make.
-    """
-    return dataclasses.dataclass(slots=True)(cls)
-
-
-@event
 class Event:
-    """Something that a machine reports. Plain values only, no references to machines; usable in `match`.
+    """Something that a machine reports. Plain values only, no references to machines; usable in `match`. Never change one.
+
+    A kind of event is a subclass with its own fields in `__slots__`, all fields in `__match_args__`, and an `__init__` that sets
+    all of them itself: the call of another `__init__` would cost as much again. Equality and repr come from here.
 
     node_id: the node that it is about, 1..127; 0 where it is about the network (SYNC, a procedure) and no single node.
     """
 
-    node_id: int
+    __slots__ = ("node_id",)
+    __match_args__: ClassVar[tuple[str, ...]] = ("node_id",)
+
+    def __init__(self, node_id: int) -> None:
+        self.node_id = node_id
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(getattr(self, name) == getattr(other, name) for name in self.__match_args__)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__qualname__}({', '.join(f'{name}={value!r}' for name, value in fields_of(self).items())})"
 
 
-@event
 class Outcome(Event):
     """The one answer to a command that returned a RequestId. Never dropped: there are as many as there were requests."""
 
-    request_id: RequestId
+    __slots__ = ("request_id",)
+    __match_args__ = ("node_id", "request_id")
+
+    def __init__(self, node_id: int, request_id: RequestId) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
 
 
-@event
 class FrameIgnored(Event):
     """A frame that was ours by its CAN-ID made no sense, and was not acted on. reason: one line for people."""
 
-    frame: Frame
-    reason: str
+    __slots__ = ("frame", "reason")
+    __match_args__ = ("node_id", "frame", "reason")
+
+    def __init__(self, node_id: int, frame: Frame, reason: str) -> None:
+        self.node_id = node_id
+        self.frame = frame
+        self.reason = reason
 
 
 class Outbox:
@@ -177,4 +187,4 @@ def check_node_id(node_id: int) -> int:
 
 def fields_of(report: Event) -> dict[str, Any]:
     """An event's fields by name, for logs and JSON."""
-    return {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
+    return {name: getattr(report, name) for name in report.__match_args__}

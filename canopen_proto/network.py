@@ -25,7 +25,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
 from canopen_proto.frame import Frame
 from canopen_proto.group import Members, Reaction
-from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time, event
+from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtCommandSent
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
@@ -38,11 +38,15 @@ MAX_UNDRAINED_EVENTS: Final = 10_000
 """Notifications held for a driver that does not drain: half a second of a 1 Mbit/s bus that is full of empty frames."""
 
 
-@event
 class EventsDropped(Event):
     """The driver did not drain for so long that `count` notifications were dropped, the oldest first. Outcomes never are."""
 
-    count: int
+    __slots__ = ("count",)
+    __match_args__ = ("node_id", "count")
+
+    def __init__(self, node_id: int, count: int) -> None:
+        self.node_id = node_id
+        self.count = count
 
 
 @runtime_checkable

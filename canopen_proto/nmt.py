@@ -26,7 +26,7 @@ from types import MappingProxyType
 from typing import Final
 
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame
-from canopen_proto.machine import Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.machine import Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 
 ALL_NODES: Final = 0
 """As the node-ID of an NMT command: every node of the network."""
@@ -107,29 +107,41 @@ def target_of(command: NmtCommand) -> NmtState:
     return _TARGETS[command]
 
 
-@event
 class NmtCommandSent(Event):
     """The master's command is in the outbox. node_id 0: it goes to all nodes."""
 
-    command: NmtCommand
+    __slots__ = ("command",)
+    __match_args__ = ("node_id", "command")
+
+    def __init__(self, node_id: int, command: NmtCommand) -> None:
+        self.node_id = node_id
+        self.command = command
 
 
-@event
 class NmtStateChanged(Event):
     """Our own slave (NmtSlave) is in another state now."""
 
-    previous: NmtState
-    state: NmtState
+    __slots__ = ("previous", "state")
+    __match_args__ = ("node_id", "previous", "state")
+
+    def __init__(self, node_id: int, previous: NmtState, state: NmtState) -> None:
+        self.node_id = node_id
+        self.previous = previous
+        self.state = state
 
 
-@event
 class NmtResetRequested(Event):
     """Our own slave shall reset: everything (RESET_NODE) or the communication parameters, 0x1000 to 0x1FFF (RESET_COMMUNICATION).
 
     It is in INITIALISING already (the NmtStateChanged before this one). The node resets itself, then calls `NmtSlave.boot`.
     """
 
-    command: NmtCommand
+    __slots__ = ("command",)
+    __match_args__ = ("node_id", "command")
+
+    def __init__(self, node_id: int, command: NmtCommand) -> None:
+        self.node_id = node_id
+        self.command = command
 
 
 class NmtMaster(Machine):

@@ -27,7 +27,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.frame import SYNC, Frame, frame_for_key
-from canopen_proto.machine import MICROSECOND, NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, event
+from canopen_proto.machine import MICROSECOND, NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
 
 MAX_COUNTER: Final = 240
 """The largest counter overflow value of 0x1019."""
@@ -35,30 +35,44 @@ MIN_PERIOD: Final = MICROSECOND
 """The shortest period: the unit of 0x1006."""
 
 
-@event
 class SyncSent(Event):
     """Our producer's SYNC is in the outbox; node_id is 0.
 
     counter: the one it bears, or None. skipped: the cycles that were left out before it because the driver came late.
     """
 
-    counter: int | None
-    skipped: int
+    __slots__ = ("counter", "skipped")
+    __match_args__ = ("node_id", "counter", "skipped")
+
+    def __init__(self, node_id: int, counter: int | None, skipped: int) -> None:
+        self.node_id = node_id
+        self.counter = counter
+        self.skipped = skipped
 
 
-@event
 class SyncReceived(Event):
     """A SYNC came; node_id is 0. counter: the one it bears, or None. timestamp: the transport's, if it has one."""
 
-    counter: int | None
-    timestamp: int | None
+    __slots__ = ("counter", "timestamp")
+    __match_args__ = ("node_id", "counter", "timestamp")
+
+    def __init__(self, node_id: int, counter: int | None, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.counter = counter
+        self.timestamp = timestamp
 
 
-@event
 class SyncLengthUnexpected(FrameIgnored):
     """A SYNC whose length is not what 0x1019 says. expected: 0 or 1 byte. (A device may send EMCY 0x8240 for it.)"""
 
-    expected: int
+    __slots__ = ("expected",)
+    __match_args__ = ("node_id", "frame", "reason", "expected")
+
+    def __init__(self, node_id: int, frame: Frame, reason: str, expected: int) -> None:
+        self.node_id = node_id
+        self.frame = frame
+        self.reason = reason
+        self.expected = expected
 
 
 def check_counter_overflow(value: int) -> int:

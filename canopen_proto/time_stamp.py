@@ -23,24 +23,32 @@ from typing import Final
 
 from canopen_proto.datatypes import DataType, ValueRangeError, decode, encode
 from canopen_proto.frame import TIME, Frame, frame_for_key
-from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time, event
+from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time
 
 TIME_BYTES: Final = 6
 
 
-@event
 class TimeSent(Event):
     """Our producer's TIME is in the outbox; node_id is 0. time: what it says (whole milliseconds, UTC)."""
 
-    time: datetime.datetime
+    __slots__ = ("time",)
+    __match_args__ = ("node_id", "time")
+
+    def __init__(self, node_id: int, time: datetime.datetime) -> None:
+        self.node_id = node_id
+        self.time = time
 
 
-@event
 class TimeReceived(Event):
     """A TIME came; node_id is 0. time: what it says, in UTC. timestamp: the transport's, if it has one."""
 
-    time: datetime.datetime
-    timestamp: int | None
+    __slots__ = ("time", "timestamp")
+    __match_args__ = ("node_id", "time", "timestamp")
+
+    def __init__(self, node_id: int, time: datetime.datetime, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.time = time
+        self.timestamp = timestamp
 
 
 class TimeProducer(Machine):

@@ -31,15 +31,19 @@ from canopen_proto.cia402.drive_modes import OperationMode
 from canopen_proto.cia402.modes import HOMING_BITS, HomingStatus, ModeControl
 from canopen_proto.cia402.servo import Servo, Shape, Track
 from canopen_proto.cia402.states import ControlBit
-from canopen_proto.machine import Event, Outbox, event
+from canopen_proto.machine import Event, Outbox
 
 
-@event
 class HomingFinished(Event):
     """A homing that had begun is over. status: COMPLETE, INTERRUPTED or ERROR_STOPPED. method: of 6098h, or the drive's own."""
 
-    status: HomingStatus
-    method: int
+    __slots__ = ("method", "status")
+    __match_args__ = ("node_id", "status", "method")
+
+    def __init__(self, node_id: int, status: HomingStatus, method: int) -> None:
+        self.node_id = node_id
+        self.status = status
+        self.method = method
 
 
 class Switch(Enum):

@@ -38,30 +38,39 @@ from canopen_proto.cia402.modes import ModeControl, ModeStatus
 from canopen_proto.cia402.servo import UNLIMITED, Servo
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.communication_objects import CYCLE_PERIOD
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time, event
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
 """SYNC that stays away for less is late, not lost: the axis brakes meanwhile, and the next one takes it along again."""
 _MISSED_SYNCS: Final = 3
 
 
-@event
 class SetPointUnderrun(Event):
     """A SYNC found no set-point while the axis moved. It stops by the halt option code, and interpolation is over."""
 
+    __slots__ = ()
 
-@event
+
 class SetPointLost(Event):
     """A set-point came while the buffer was full. set_point: the one that will not be driven."""
 
-    set_point: int
+    __slots__ = ("set_point",)
+    __match_args__ = ("node_id", "set_point")
+
+    def __init__(self, node_id: int, set_point: int) -> None:
+        self.node_id = node_id
+        self.set_point = set_point
 
 
-@event
 class SyncOverdue(Event):
     """In ip or csp no SYNC came for `timeout` ns. The axis brakes by the quick stop ramp, and set-points are not followed."""
 
-    timeout: Time
+    __slots__ = ("timeout",)
+    __match_args__ = ("node_id", "timeout")
+
+    def __init__(self, node_id: int, timeout: Time) -> None:
+        self.node_id = node_id
+        self.timeout = timeout
 
 
 class SynchronousMode(OperationMode):

@@ -25,7 +25,8 @@ _T = TypeVar("_T")
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def _description(cls: type[_T]) -> type[_T]:
-    """Class decorator: a dataclass with slots and a hash, immutable to the type checker only (see `machine.event`)."""
+    """Class decorator: a dataclass with slots and a hash, immutable to the type checker only: one frozen at run time costs three
+    times as much to make."""
     return dataclasses.dataclass(slots=True, unsafe_hash=True)(cls)
 
 

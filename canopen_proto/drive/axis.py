@@ -48,7 +48,7 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
-from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time, event
+from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.remote_node import FRESH, RemoteNode
 
 if TYPE_CHECKING:
@@ -148,13 +148,17 @@ SCHUNK_POWERBALL: Final = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN, 
 """The manual's arm: millidegrees on the wire, radians outside."""
 
 
-@event
 class AxisStateChanged(Event):
     """The drive's statusword shows another state than before (UNKNOWN: it has booted). statusword: as last heard."""
 
-    previous: State
-    state: State
-    statusword: int
+    __slots__ = ("previous", "state", "statusword")
+    __match_args__ = ("node_id", "previous", "state", "statusword")
+
+    def __init__(self, node_id: int, previous: State, state: State, statusword: int) -> None:
+        self.node_id = node_id
+        self.previous = previous
+        self.state = state
+        self.statusword = statusword
 
 
 class AxisGrip(Protocol):

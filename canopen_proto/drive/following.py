@@ -45,7 +45,7 @@ from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, POSITION_AC
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time, event
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import ABSENT, read_if_present, value_of
 from canopen_proto.procedures.steps import (
@@ -81,15 +81,19 @@ _NAMES: Final[dict[int, str]] = {
 }
 
 
-@event
 class FollowingLost(Event):
     """A drive does not follow its set-points (any more); told once for each `Following.begin`.
 
     cause: in words, as "no longer follows ...". is_silent: its PDOs do not come any more.
     """
 
-    cause: str
-    is_silent: bool = False
+    __slots__ = ("cause", "is_silent")
+    __match_args__ = ("node_id", "cause", "is_silent")
+
+    def __init__(self, node_id: int, cause: str, is_silent: bool = False) -> None:
+        self.node_id = node_id
+        self.cause = cause
+        self.is_silent = is_silent
 
 
 class Following:

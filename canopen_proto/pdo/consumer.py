@@ -35,7 +35,7 @@ from typing import Final
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, PdoDescription
 from canopen_proto.frame import REMOTE, Frame
-from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id
 from canopen_proto.pdo.mapping import Mapping
 
 LAST_SYNCHRONOUS: Final = 240
@@ -49,7 +49,6 @@ EMCY_PDO_LENGTH_EXCEEDED: Final = 0x8220
 EMCY_RPDO_TIMEOUT: Final = 0x8250
 
 
-@event
 class PdoReceived(Event):
     """The values of a PDO are in the store (a synchronous one: not at its reception, but at the SYNC behind it).
 
@@ -57,12 +56,26 @@ class PdoReceived(Event):
     the order of `mapping.components`; by name: `get`, `values`. timestamp: when the frame came, as the transport says.
     """
 
-    number: int
-    key: int
-    mapping: Mapping
-    data: bytes
-    components: tuple[Value, ...]
-    timestamp: int | None
+    __slots__ = ("components", "data", "key", "mapping", "number", "timestamp")
+    __match_args__ = ("node_id", "number", "key", "mapping", "data", "components", "timestamp")
+
+    def __init__(
+        self,
+        node_id: int,
+        number: int,
+        key: int,
+        mapping: Mapping,
+        data: bytes,
+        components: tuple[Value, ...],
+        timestamp: int | None,
+    ) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.mapping = mapping
+        self.data = data
+        self.components = components
+        self.timestamp = timestamp
 
     @property
     def values(self) -> dict[str, Value]:
@@ -75,36 +88,50 @@ class PdoReceived(Event):
         return None if position is None else self.components[position]
 
 
-@event
 class PdoLengthError(Event):
     """A PDO was shorter or longer than its mapping (bytes). emcy_code: 0x8210, it was not processed; 0x8220, it was too long, and
     what is mapped is used."""
 
-    number: int
-    key: int
-    expected: int
-    received: int
-    emcy_code: int
-    timestamp: int | None
+    __slots__ = ("emcy_code", "expected", "key", "number", "received", "timestamp")
+    __match_args__ = ("node_id", "number", "key", "expected", "received", "emcy_code", "timestamp")
+
+    def __init__(
+        self, node_id: int, number: int, key: int, expected: int, received: int, emcy_code: int, timestamp: int | None
+    ) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.expected = expected
+        self.received = received
+        self.emcy_code = emcy_code
+        self.timestamp = timestamp
 
 
-@event
 class PdoTooLate(Event):
     """A synchronous PDO came after the synchronous window and was dropped. late: ns behind its end. timestamp: of the frame."""
 
-    number: int
-    key: int
-    late: Time
-    timestamp: int | None
+    __slots__ = ("key", "late", "number", "timestamp")
+    __match_args__ = ("node_id", "number", "key", "late", "timestamp")
+
+    def __init__(self, node_id: int, number: int, key: int, late: Time, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.late = late
+        self.timestamp = timestamp
 
 
-@event
 class PdoOverdue(Event):
     """A PDO did not come within the event time after the last one. Reported once; the next one that comes is watched again."""
 
-    number: int
-    key: int
-    emcy_code: int
+    __slots__ = ("emcy_code", "key", "number")
+    __match_args__ = ("node_id", "number", "key", "emcy_code")
+
+    def __init__(self, node_id: int, number: int, key: int, emcy_code: int) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.emcy_code = emcy_code
 
 
 class PdoConsumer(Machine):

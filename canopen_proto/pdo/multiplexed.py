@@ -37,7 +37,7 @@ from typing import Final, NamedTuple
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Access, Direction, ObjectDictionary, Values, Variable
 from canopen_proto.frame import MAX_NODE_ID, Frame, frame_for_key
-from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.pdo.producer import PdoNotSent
@@ -66,7 +66,6 @@ class MpdoMode(IntEnum):
     DESTINATION = 0xFF
 
 
-@event
 class MpdoReceived(Event):
     """An MPDO's value is in the dictionary.
 
@@ -75,24 +74,35 @@ class MpdoReceived(Event):
     transport's, if it has one.
     """
 
-    number: int
-    key: int
-    producer: int
-    index: int
-    subindex: int
-    value: Value
-    timestamp: int | None
+    __slots__ = ("index", "key", "number", "producer", "subindex", "timestamp", "value")
+    __match_args__ = ("node_id", "number", "key", "producer", "index", "subindex", "value", "timestamp")
+
+    def __init__(
+        self, node_id: int, number: int, key: int, producer: int, index: int, subindex: int, value: Value, timestamp: int | None
+    ) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.producer = producer
+        self.index = index
+        self.subindex = subindex
+        self.value = value
+        self.timestamp = timestamp
 
 
-@event
 class MpdoNotProcessed(Event):
     """An MPDO in destination address mode was for an object that we lack, or that no MPDO can write. emcy_code: 0x8230."""
 
-    number: int
-    key: int
-    index: int
-    subindex: int
-    emcy_code: int
+    __slots__ = ("emcy_code", "index", "key", "number", "subindex")
+    __match_args__ = ("node_id", "number", "key", "index", "subindex", "emcy_code")
+
+    def __init__(self, node_id: int, number: int, key: int, index: int, subindex: int, emcy_code: int) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.index = index
+        self.subindex = subindex
+        self.emcy_code = emcy_code
 
 
 class ScannerEntry(NamedTuple):

@@ -37,7 +37,7 @@ from typing import Final
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
 from canopen_proto.frame import KEY_REMOTE, Frame, frame_for_key
-from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import Mapping
 
@@ -46,22 +46,30 @@ ON_REQUEST: Final = 253
 FIRST_EVENT_DRIVEN: Final = 254
 
 
-@event
 class PdoPeriodsSkipped(Event):
     """The event timer was served late: the PDO was sent once in place of 1 + skipped times."""
 
-    number: int
-    key: int
-    skipped: int
+    __slots__ = ("key", "number", "skipped")
+    __match_args__ = ("node_id", "number", "key", "skipped")
+
+    def __init__(self, node_id: int, number: int, key: int, skipped: int) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.skipped = skipped
 
 
-@event
 class PdoNotSent(Event):
     """A PDO was due, and its store holds a value that its object cannot have: our own application's fault. reason: for people."""
 
-    number: int
-    key: int
-    reason: str
+    __slots__ = ("key", "number", "reason")
+    __match_args__ = ("node_id", "number", "key", "reason")
+
+    def __init__(self, node_id: int, number: int, key: int, reason: str) -> None:
+        self.node_id = node_id
+        self.number = number
+        self.key = key
+        self.reason = reason
 
 
 class PdoProducer(Machine):

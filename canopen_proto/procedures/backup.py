@@ -30,7 +30,7 @@ from typing import Final
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
-from canopen_proto.machine import Event, event
+from canopen_proto.machine import Event
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act, upload
 from canopen_proto.remote_node import RemoteNode
@@ -112,15 +112,19 @@ class Backup:
         return not any(each.result.is_missing for each in self.readings)
 
 
-@event
 class ObjectRead(Event):
     """One object of a backup is known. done, total: how many of all; total 0: not known."""
 
-    index: int
-    subindex: int
-    result: ReadResult
-    done: int
-    total: int
+    __slots__ = ("done", "index", "result", "subindex", "total")
+    __match_args__ = ("node_id", "index", "subindex", "result", "done", "total")
+
+    def __init__(self, node_id: int, index: int, subindex: int, result: ReadResult, done: int, total: int) -> None:
+        self.node_id = node_id
+        self.index = index
+        self.subindex = subindex
+        self.result = result
+        self.done = done
+        self.total = total
 
 
 def back_up(

@@ -41,7 +41,7 @@ from canopen_proto.dictionary.download_order import download_order, switches_of
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
 from canopen_proto.heartbeat import HeartbeatReceived
-from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time, event
+from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.parameter_storage import ON_COMMAND, SIGNATURES, STORE
 from canopen_proto.procedures.backup import Backup, Reading, ReadResult, back_up, same_value, upload_again
@@ -169,15 +169,19 @@ class VerifyMismatch(ProcedureError):
         self.shown = shown
 
 
-@event
 class ObjectRestored(Event):
     """One write of a restore was confirmed (and read back, where that was asked for). done, total: writes of the plan."""
 
-    index: int
-    subindex: int
-    data: bytes
-    done: int
-    total: int
+    __slots__ = ("data", "done", "index", "subindex", "total")
+    __match_args__ = ("node_id", "index", "subindex", "data", "done", "total")
+
+    def __init__(self, node_id: int, index: int, subindex: int, data: bytes, done: int, total: int) -> None:
+        self.node_id = node_id
+        self.index = index
+        self.subindex = subindex
+        self.data = data
+        self.done = done
+        self.total = total
 
 
 # ---- the plan ----

@@ -18,7 +18,7 @@ from __future__ import annotations
 import enum
 from typing import Any, Final, TypeVar
 
-from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time, event
+from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.procedures.steps import Act, AllOf, AskForTime, Cancelled, Procedure, ProcedureError, Request, Step, Wait
 from canopen_proto.sdo.events import SdoProgress
 
@@ -28,25 +28,40 @@ CLEAN_UP_TIME: Final = 1 * SECOND
 """What a cancelled procedure's clean-up may take if it asks for no more: a dead node must not hold up a shutdown."""
 
 
-@event
 class ProcedureFinished(Outcome):
     """A procedure came to its end; `result` is what it returned."""
 
-    result: Any
+    __slots__ = ("result",)
+    __match_args__ = ("node_id", "request_id", "result")
+
+    def __init__(self, node_id: int, request_id: RequestId, result: Any) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.result = result
 
 
-@event
 class ProcedureFailed(Outcome):
     """A procedure raised: a ProcedureError with a message for people, or whatever else its code raised (a bug in it)."""
 
-    error: Exception
+    __slots__ = ("error",)
+    __match_args__ = ("node_id", "request_id", "error")
+
+    def __init__(self, node_id: int, request_id: RequestId, error: Exception) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.error = error
 
 
-@event
 class ProcedureCancelled(Outcome):
     """A procedure was cancelled and has cleaned up. clean_up_error: what went wrong in that, or None."""
 
-    clean_up_error: Exception | None
+    __slots__ = ("clean_up_error",)
+    __match_args__ = ("node_id", "request_id", "clean_up_error")
+
+    def __init__(self, node_id: int, request_id: RequestId, clean_up_error: Exception | None) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.clean_up_error = clean_up_error
 
 
 class CleanUpTimeout(ProcedureError):

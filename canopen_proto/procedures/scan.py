@@ -25,7 +25,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, text_for_people
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame
 from canopen_proto.group import Group
-from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id, event
+from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.nmt import SERVICES, STATE_OF_BYTE, NmtState, Service
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act, all_of, sleep, upload
 from canopen_proto.sdo.client import SdoClient
@@ -51,7 +51,6 @@ IDENTITY: Final = 0x1018
 _IDENTITY_FIELDS: Final = 4
 
 
-@event
 class NodeFound(Event):
     """A node is there. state: what its last heartbeat said, None if none was heard.
 
@@ -59,11 +58,24 @@ class NodeFound(Event):
     answered; name: 0x1008 or "". remark: why something is missing, for people.
     """
 
-    state: NmtState | None
-    device_type: int | None = None
-    identity: tuple[int | None, int | None, int | None, int | None] = (None, None, None, None)
-    name: str = ""
-    remark: str = ""
+    __slots__ = ("device_type", "identity", "name", "remark", "state")
+    __match_args__ = ("node_id", "state", "device_type", "identity", "name", "remark")
+
+    def __init__(
+        self,
+        node_id: int,
+        state: NmtState | None,
+        device_type: int | None = None,
+        identity: tuple[int | None, int | None, int | None, int | None] = (None, None, None, None),
+        name: str = "",
+        remark: str = "",
+    ) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.device_type = device_type
+        self.identity = identity
+        self.name = name
+        self.remark = remark
 
 
 class Scanner(Group):

@@ -23,7 +23,7 @@ from typing import Final
 from canopen_proto.datatypes import DataType, integer_type
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
-from canopen_proto.machine import Event, LocalProtocolError, event
+from canopen_proto.machine import Event, LocalProtocolError
 from canopen_proto.procedures.backup import Backup, Patience, Reading, ReadResult, ask, back_up, reading_of
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
@@ -42,14 +42,18 @@ PROGRESS_STEP: Final = 64
 _INTEGER_SIZES: Final = range(1, 9)
 
 
-@event
 class WalkProgress(Event):
     """A walk has come to an index. done, total: indices; found: objects that have answered."""
 
-    index: int
-    done: int
-    total: int
-    found: int
+    __slots__ = ("done", "found", "index", "total")
+    __match_args__ = ("node_id", "index", "done", "total", "found")
+
+    def __init__(self, node_id: int, index: int, done: int, total: int, found: int) -> None:
+        self.node_id = node_id
+        self.index = index
+        self.done = done
+        self.total = total
+        self.found = found
 
 
 def walk(

@@ -3,38 +3,52 @@
 from __future__ import annotations
 
 from canopen_proto.abort import AbortOrigin, text_of
-from canopen_proto.machine import Event, Outcome, Time, event
+from canopen_proto.machine import Event, Outcome, RequestId, Time
 
 # ---- a client ----
 
 
-@event
 class SdoUploaded(Outcome):
     """An object was read: its bytes as the server sent them (4 where it sent an expedited value without its size)."""
 
-    index: int
-    subindex: int
-    data: bytes
+    __slots__ = ("data", "index", "subindex")
+    __match_args__ = ("node_id", "request_id", "index", "subindex", "data")
+
+    def __init__(self, node_id: int, request_id: RequestId, index: int, subindex: int, data: bytes) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
+        self.data = data
 
 
-@event
 class SdoDownloaded(Outcome):
     """An object was written: the server has confirmed it."""
 
-    index: int
-    subindex: int
+    __slots__ = ("index", "subindex")
+    __match_args__ = ("node_id", "request_id", "index", "subindex")
+
+    def __init__(self, node_id: int, request_id: RequestId, index: int, subindex: int) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
 
 
-@event
 class SdoStreamUploaded(Outcome):
     """An object was read piece by piece: the pieces that came as SdoChunk are all, `size` bytes, and right."""
 
-    index: int
-    subindex: int
-    size: int
+    __slots__ = ("index", "size", "subindex")
+    __match_args__ = ("node_id", "request_id", "index", "subindex", "size")
+
+    def __init__(self, node_id: int, request_id: RequestId, index: int, subindex: int, size: int) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
+        self.size = size
 
 
-@event
 class SdoAborted(Outcome):
     """A transfer ended without success.
 
@@ -43,12 +57,28 @@ class SdoAborted(Outcome):
     waited: where the server fell silent, how long that was, in ns; else 0.
     """
 
-    index: int
-    subindex: int
-    abort_code: int
-    origin: AbortOrigin
-    not_confirmed: bool = False
-    waited: Time = 0
+    __slots__ = ("abort_code", "index", "not_confirmed", "origin", "subindex", "waited")
+    __match_args__ = ("node_id", "request_id", "index", "subindex", "abort_code", "origin", "not_confirmed", "waited")
+
+    def __init__(
+        self,
+        node_id: int,
+        request_id: RequestId,
+        index: int,
+        subindex: int,
+        abort_code: int,
+        origin: AbortOrigin,
+        not_confirmed: bool = False,
+        waited: Time = 0,
+    ) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
+        self.abort_code = abort_code
+        self.origin = origin
+        self.not_confirmed = not_confirmed
+        self.waited = waited
 
     @property
     def text(self) -> str:
@@ -56,37 +86,54 @@ class SdoAborted(Outcome):
         return text_of(self.abort_code)
 
 
-@event
 class SdoProgress(Event):
     """Base of what is told of a stream while it is under way. request_id: of its request."""
 
-    request_id: int
-    index: int
-    subindex: int
+    __slots__ = ("index", "request_id", "subindex")
+    __match_args__ = ("node_id", "request_id", "index", "subindex")
+
+    def __init__(self, node_id: int, request_id: int, index: int, subindex: int) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
 
 
-@event
 class SdoChunk(SdoProgress):
     """A piece of an upload stream, 1 to 889 bytes, `offset` bytes behind its beginning. `proceed` asks for the next one.
 
     It counts only once SdoStreamUploaded has come: the checksum stands at the end of the transfer.
     """
 
-    offset: int
-    data: bytes
+    __slots__ = ("data", "offset")
+    __match_args__ = ("node_id", "request_id", "index", "subindex", "offset", "data")
+
+    def __init__(self, node_id: int, request_id: int, index: int, subindex: int, offset: int, data: bytes) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
+        self.offset = offset
+        self.data = data
 
 
-@event
 class SdoDataWanted(SdoProgress):
     """A download stream runs short: `feed` it, with up to `room` bytes."""
 
-    room: int
+    __slots__ = ("room",)
+    __match_args__ = ("node_id", "request_id", "index", "subindex", "room")
+
+    def __init__(self, node_id: int, request_id: int, index: int, subindex: int, room: int) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.index = index
+        self.subindex = subindex
+        self.room = room
 
 
 # ---- a server ----
 
 
-@event
 class ObjectAccessPending(Event):
     """The host has to serve an access: data to write, or None to read; it answers by `complete(access_id, ...)`.
 
@@ -94,27 +141,42 @@ class ObjectAccessPending(Event):
     one, and only then all of them are known to be right. To read: the piece from `offset` on is wanted.
     """
 
-    access_id: int
-    index: int
-    subindex: int
-    data: bytes | None
-    more: bool = False
-    offset: int = 0
+    __slots__ = ("access_id", "data", "index", "more", "offset", "subindex")
+    __match_args__ = ("node_id", "access_id", "index", "subindex", "data", "more", "offset")
+
+    def __init__(
+        self, node_id: int, access_id: int, index: int, subindex: int, data: bytes | None, more: bool = False, offset: int = 0
+    ) -> None:
+        self.node_id = node_id
+        self.access_id = access_id
+        self.index = index
+        self.subindex = subindex
+        self.data = data
+        self.more = more
+        self.offset = offset
 
 
-@event
 class ObjectWritten(Event):
     """A client wrote an object; the store has it, and the confirmation is on its way."""
 
-    index: int
-    subindex: int
+    __slots__ = ("index", "subindex")
+    __match_args__ = ("node_id", "index", "subindex")
+
+    def __init__(self, node_id: int, index: int, subindex: int) -> None:
+        self.node_id = node_id
+        self.index = index
+        self.subindex = subindex
 
 
-@event
 class SdoServerAborted(Event):
     """A transfer ended without success. A pending access of it needs no answer any more. 0x0000:00: there was no transfer."""
 
-    index: int
-    subindex: int
-    abort_code: int
-    origin: AbortOrigin
+    __slots__ = ("abort_code", "index", "origin", "subindex")
+    __match_args__ = ("node_id", "index", "subindex", "abort_code", "origin")
+
+    def __init__(self, node_id: int, index: int, subindex: int, abort_code: int, origin: AbortOrigin) -> None:
+        self.node_id = node_id
+        self.index = index
+        self.subindex = subindex
+        self.abort_code = abort_code
+        self.origin = origin

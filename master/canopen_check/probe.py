@@ -10,19 +10,23 @@ from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import Event, Machine, Outbox, Time, event
+from canopen_proto.machine import Event, Machine, Outbox, Time
 
 MAX_HEARD: Final = 10_000
 """Frames kept; ten seconds of heartbeats each millisecond, the most that any case counts."""
 
 
-@event
 class FrameHeard(Event):
     """A frame with one of the probe's keys came. node_id is 0: whose it is, is for the caller to know. at: on the driver's
     clock."""
 
-    frame: Frame
-    at: Time
+    __slots__ = ("at", "frame")
+    __match_args__ = ("node_id", "frame", "at")
+
+    def __init__(self, node_id: int, frame: Frame, at: Time) -> None:
+        self.node_id = node_id
+        self.frame = frame
+        self.at = at
 
 
 class RawProbe(Machine):

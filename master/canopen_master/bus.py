@@ -29,7 +29,7 @@ from typing import Final
 import trio
 
 from canopen_proto.frame import EXTENDED, Frame, frame_for_key
-from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time, event
+from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.network import Network
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSent
 from canopen_transports import (
@@ -51,29 +51,36 @@ SDO_GUARD: Final = 300 * MICROSECOND
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
 
 
-@event
 class FramesLost(Event):
     """Received frames were lost, at this place in the order of frames: PDOs and answers may be missing. node_id is 0.
 
     lost: how many at least. reason: where, for people.
     """
 
-    lost: int
-    reason: str
+    __slots__ = ("lost", "reason")
+    __match_args__ = ("node_id", "lost", "reason")
+
+    def __init__(self, node_id: int, lost: int, reason: str) -> None:
+        self.node_id = node_id
+        self.lost = lost
+        self.reason = reason
 
 
-@event
 class BusChanged(Event):
     """A bus reports something that is no frame, at this place in the order of frames. node_id is 0.
 
     state: what it is now. reason: what was seen, for people.
     """
 
-    state: BusState
-    reason: str
+    __slots__ = ("reason", "state")
+    __match_args__ = ("node_id", "state", "reason")
+
+    def __init__(self, node_id: int, state: BusState, reason: str) -> None:
+        self.node_id = node_id
+        self.state = state
+        self.reason = reason
 
 
-@event
 class FramesNotSent(Event):
     """Frames were dropped, as the bus is away for the time being. node_id is 0. One event for the first of them, at once; another
     for the rest, when the bus changes or takes a frame again.
@@ -81,8 +88,13 @@ class FramesNotSent(Event):
     count: how many. reason: what was seen with the first, for people.
     """
 
-    count: int
-    reason: str
+    __slots__ = ("count", "reason")
+    __match_args__ = ("node_id", "count", "reason")
+
+    def __init__(self, node_id: int, count: int, reason: str) -> None:
+        self.node_id = node_id
+        self.count = count
+        self.reason = reason
 
 
 class Bus:

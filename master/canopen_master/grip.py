@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Final
 
 from canopen_master.plain_text import clean
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
-from canopen_proto.machine import SECOND, Event, event
+from canopen_proto.machine import SECOND, Event
 from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
 
@@ -43,12 +43,16 @@ PERIODS_HEARD: Final = 2
 """A master like this one, with the same node-ID and period, is heard within one."""
 
 
-@event
 class NotHeld(Event):
     """A drive that was enabled will not stop by itself if this master falls silent. drive: its name. reason: what it lacks."""
 
-    drive: str
-    reason: str
+    __slots__ = ("drive", "reason")
+    __match_args__ = ("node_id", "drive", "reason")
+
+    def __init__(self, node_id: int, drive: str, reason: str) -> None:
+        self.node_id = node_id
+        self.drive = drive
+        self.reason = reason
 
 
 class NodeIdTaken(ProcedureError):

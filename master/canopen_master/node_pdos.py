@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import trio
 
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import Event, RequestId, event
+from canopen_proto.machine import Event, RequestId
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.device_pdos import PdoDifference, exchange_device_pdos
 from canopen_proto.procedures.steps import Procedure, ProcedureError
@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 log: Final = logging.getLogger("canopen_master")
 
 
-@event
 class PdoDiffers(Event):
     """A device has a PDO set up otherwise than its file describes it. The device's own mapping is used."""
 
-    difference: PdoDifference
+    __slots__ = ("difference",)
+    __match_args__ = ("node_id", "difference")
+
+    def __init__(self, node_id: int, difference: PdoDifference) -> None:
+        self.node_id = node_id
+        self.difference = difference
 
 
 class NodePdos:

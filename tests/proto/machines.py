@@ -6,38 +6,56 @@ from collections.abc import Callable, Iterable
 
 from canopen_proto.frame import Frame
 from canopen_proto.group import Group
-from canopen_proto.machine import NEVER, Event, Machine, Outbox, Outcome, RequestId, Time, event
+from canopen_proto.machine import NEVER, Event, Machine, Outbox, Outcome, RequestId, Time
 
 
-@event
 class Rang(Event):
     """An Alarm was woken, at its time or later. timestamp: that of the outbox, of the frame if it was one."""
 
-    name: str
-    at: Time
+    __slots__ = ("at", "name")
+    __match_args__ = ("node_id", "name", "at")
+
+    def __init__(self, node_id: int, name: str, at: Time) -> None:
+        self.node_id = node_id
+        self.name = name
+        self.at = at
 
 
-@event
 class Heard(Event):
     """An Alarm received a frame."""
 
-    name: str
-    frame: Frame
-    timestamp: int | None
+    __slots__ = ("frame", "name", "timestamp")
+    __match_args__ = ("node_id", "name", "frame", "timestamp")
+
+    def __init__(self, node_id: int, name: str, frame: Frame, timestamp: int | None) -> None:
+        self.node_id = node_id
+        self.name = name
+        self.frame = frame
+        self.timestamp = timestamp
 
 
-@event
 class Answered(Outcome):
     """A Clerk's request was granted."""
 
-    name: str
+    __slots__ = ("name",)
+    __match_args__ = ("node_id", "request_id", "name")
+
+    def __init__(self, node_id: int, request_id: RequestId, name: str) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.name = name
 
 
-@event
 class Withdrawn(Outcome):
     """A Clerk's request was taken back."""
 
-    name: str
+    __slots__ = ("name",)
+    __match_args__ = ("node_id", "request_id", "name")
+
+    def __init__(self, node_id: int, request_id: RequestId, name: str) -> None:
+        self.node_id = node_id
+        self.request_id = request_id
+        self.name = name
 
 
 class Alarm(Machine):

@@ -5,15 +5,19 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, Time, event
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, Time
 from canopen_proto.network import Network
 from tests.proto.bus import CAN_FATES, Bus, Fate
 
 
-@event
 class Heard(Event):
-    text: str
-    at: Time
+    __slots__ = ("at", "text")
+    __match_args__ = ("node_id", "text", "at")
+
+    def __init__(self, node_id: int, text: str, at: Time) -> None:
+        self.node_id = node_id
+        self.text = text
+        self.at = at
 
 
 class Ear(Machine):

@@ -21,14 +21,17 @@ from canopen_proto.machine import (
     Outcome,
     Time,
     check_node_id,
-    event,
     fields_of,
 )
 
 
-@event
 class Rang(Event):
-    at: Time
+    __slots__ = ("at",)
+    __match_args__ = ("node_id", "at")
+
+    def __init__(self, node_id: int, at: Time) -> None:
+        self.node_id = node_id
+        self.at = at
 
 
 class Alarm(Machine):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Machine, Outbox, Outcome, Time, event
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Machine, Outbox, Outcome, Time
 from canopen_proto.network import MAX_UNDRAINED_EVENTS, EventsDropped, Follower, Network
 from canopen_proto.nmt import NmtCommand, NmtCommandSent, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
@@ -14,11 +14,15 @@ from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSen
 from tests.proto.machines import Alarm, Answered, Box, Clerk, Heard, Rang, Withdrawn
 
 
-@event
 class Followed(Event):
     """What a follower was told."""
 
-    what: str
+    __slots__ = ("what",)
+    __match_args__ = ("node_id", "what")
+
+    def __init__(self, node_id: int, what: str) -> None:
+        self.node_id = node_id
+        self.what = what
 
 
 class Shadow(Machine):
