@@ -5,7 +5,7 @@ Each case of the conformance test is a procedure written against an object dicti
     bench = Bench(network, node_id=5, dictionary)
     request_id = network.run(run_all(bench), now)        # ProcedureFinished.result: a list of (case, verdict)
 
-    case.py         Case, Verdict, and how a body says what it expects
+    case.py         Case: what a case is, and how it ends; expectations.py: how a body says what it expects
     bench.py        Bench: a device under test, and the tools to ask it; probe.py: frames made by hand
     catalogue.py    all cases by number; `run_all`; the table in docs/conformance.md
     *_cases.py      the cases, a chapter each

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias, TypeVar
 
-from canopen_check.case import LateOrEarly, Notes, NotInTime, Violation, does_not_apply, expect, expect_equal
+from canopen_check.expectations import LateOrEarly, Notes, NotInTime, Violation, does_not_apply, expect, expect_equal
 from canopen_check.probe import FrameHeard, RawProbe
 from canopen_data.description import DeviceDescription
 from canopen_proto.abort import AbortOrigin

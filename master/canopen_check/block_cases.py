@@ -6,7 +6,8 @@ from functools import partial
 from typing import Final
 
 from canopen_check.bench import Bench
-from canopen_check.case import Case, expect_equal, expect_refusal
+from canopen_check.case import Case
+from canopen_check.expectations import expect_equal, expect_refusal
 from canopen_check.raw_block import (
     begin_block_upload,
     block_download,

@@ -22,8 +22,9 @@ from canopen_check import (
     sync_cases,
 )
 from canopen_check.bench import Bench
-from canopen_check.case import Case, Verdict
+from canopen_check.case import Case
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import Verdict
 
 # Chapter 8 comes last: where it restores defaults, a device that was commissioned by a DCF is not what that says any more.
 CASES: Final[tuple[Case, ...]] = (

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
-from canopen_check.case import Case, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.case import Case, for_each
 from canopen_check.dictionary_cases import expect_defaults
+from canopen_check.expectations import does_not_apply, expect, expect_equal, expect_refusal
 from canopen_check.raw_sdo import ask, initiate
 from canopen_check.sdo_cases import DEVICE_TYPE, NO_OBJECT
 from canopen_check.storing_cases import save

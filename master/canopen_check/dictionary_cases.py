@@ -13,7 +13,8 @@ from functools import partial
 from typing import Final
 
 from canopen_check.bench import Bench
-from canopen_check.case import Case, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.case import Case, for_each
+from canopen_check.expectations import does_not_apply, expect, expect_equal, expect_refusal
 from canopen_check.sdo_cases import (
     ANY_TIME,
     NEVER_WRITTEN,

@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
-from canopen_check.case import Case, expect, expect_equal, expect_refusal
+from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, next_error
+from canopen_check.expectations import expect, expect_equal, expect_refusal
 from canopen_check.pdo_cases import PROFILE_EVENTS
 from canopen_check.pdo_tools import key_of, length_of, set_up, usable
 from canopen_proto.abort import AbortCode

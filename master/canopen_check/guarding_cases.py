@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, PERIOD_TOLERANCE, REACTION_TIME, Bench
-from canopen_check.case import Case, LateOrEarly, does_not_apply, expect, expect_equal
+from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
+from canopen_check.expectations import LateOrEarly, does_not_apply, expect, expect_equal
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID

@@ -6,15 +6,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
-from canopen_check.case import (
-    Case,
-    LateOrEarly,
-    Violation,
-    does_not_apply,
-    expect_equal,
-    expect_refusal,
-)
+from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
+from canopen_check.expectations import LateOrEarly, Violation, does_not_apply, expect_equal, expect_refusal
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, SECOND, Time

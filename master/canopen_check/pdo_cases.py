@@ -12,7 +12,8 @@ from functools import partial
 from typing import Final, TypeAlias
 
 from canopen_check.bench import REACTION_TIME, Bench
-from canopen_check.case import Body, Case, Violation, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.case import Body, Case, for_each
+from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal, expect_refusal
 from canopen_check.pdo_tools import (
     Pdo,
     all_pdos,

@@ -10,7 +10,8 @@ from functools import partial
 from typing import Final
 
 from canopen_check.bench import REACTION_TIME, Bench
-from canopen_check.case import Case, Violation, does_not_apply, expect, expect_refusal, for_each
+from canopen_check.case import Case, for_each
+from canopen_check.expectations import Violation, does_not_apply, expect, expect_refusal
 from canopen_check.pdo_tools import (
     INTO,
     Pdo,

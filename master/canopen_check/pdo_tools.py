@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from canopen_check.bench import Bench
-from canopen_check.case import does_not_apply
+from canopen_check.expectations import does_not_apply
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id

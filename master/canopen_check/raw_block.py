@@ -9,7 +9,7 @@ from binascii import crc_hqx
 from typing import Final
 
 from canopen_check.bench import Bench
-from canopen_check.case import Violation, does_not_apply, expect, expect_equal
+from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal
 from canopen_check.raw_sdo import (
     MAX_SEGMENTS,
     abort_code_in,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, Bench
-from canopen_check.case import Violation, expect, expect_equal
+from canopen_check.expectations import Violation, expect, expect_equal
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import (
     ABORT,

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from canopen_check.bench import Bench
-from canopen_check.case import Case, Violation, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.case import Case, for_each
+from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal, expect_refusal
 from canopen_check.raw_sdo import (
     abort_code_in,
     ask,

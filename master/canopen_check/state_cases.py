@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
-from canopen_check.case import Case, NotApplicable, expect, expect_equal
+from canopen_check.case import Case
 from canopen_check.dictionary_cases import (
     FIRST_OF_MAKER,
     change_settings,
@@ -20,6 +20,7 @@ from canopen_check.dictionary_cases import (
     expect_put_back,
     with_default,
 )
+from canopen_check.expectations import NotApplicable, expect, expect_equal
 from canopen_check.pdo_cases import EVENT_TIME, PROFILE_EVENTS
 from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
 from canopen_check.raw_sdo import initiate

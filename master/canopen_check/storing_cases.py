@@ -12,7 +12,8 @@ from functools import partial
 from typing import Final
 
 from canopen_check.bench import Bench
-from canopen_check.case import Body, Case, Violation, does_not_apply, expect_equal, expect_refusal, for_each
+from canopen_check.case import Body, Case, for_each
+from canopen_check.expectations import Violation, does_not_apply, expect_equal, expect_refusal
 from canopen_check.sdo_cases import ANY_TIME, settings, takes_any_time
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType

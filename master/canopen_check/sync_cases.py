@@ -10,7 +10,8 @@ from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, Bench
 from canopen_check.bench import SYNC_PRODUCER as PRODUCER
-from canopen_check.case import Case, does_not_apply, expect, expect_equal, expect_refusal, for_each
+from canopen_check.case import Case, for_each
+from canopen_check.expectations import does_not_apply, expect, expect_equal, expect_refusal
 from canopen_check.pdo_cases import expect_data
 from canopen_check.pdo_tools import Pdo, key_of, set_up, usable
 from canopen_check.sdo_cases import TOO_HIGH, TOO_LOW

@@ -12,7 +12,7 @@ import trio
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from canopen_check.bench import Bench
-from canopen_check.case import Case, Result, Verdict
+from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_cli.check_report import CaseRun, Report, list_cases, write_junit
 from canopen_cli.device_files import description_of, read_device_files
@@ -31,6 +31,7 @@ from canopen_proto.machine import Outbox
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import ProcedureError
+from canopen_proto.verdict import Result, Verdict
 
 if TYPE_CHECKING:
     from canopen_data.description import DeviceDescription

@@ -13,10 +13,11 @@ from itertools import groupby
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from canopen_check.case import Case, Result, Verdict
+from canopen_check.case import Case
 from canopen_cli.new_files import write_file
 from canopen_cli.screen import Screen, escape, node_text
 from canopen_master.plain_text import clean
+from canopen_proto.verdict import Result, Verdict
 
 PACKAGE: Final = "canopen.conformance"
 """Where all test cases belong, so that CI groups them."""

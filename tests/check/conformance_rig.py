@@ -13,7 +13,7 @@ from functools import cache
 from typing import TypeAlias, TypeVar
 
 from canopen_check.bench import Bench
-from canopen_check.case import Case, Result, Verdict
+from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER
 from canopen_data.description import DeviceDescription
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -24,6 +24,7 @@ from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.events import ObjectAccessPending
+from canopen_proto.verdict import Result, Verdict
 from tests.proto.bus import Bus
 from tests.proto.full_device import NODE_ID, full_device
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from canopen_check import block_cases
-from canopen_check.case import Result
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, Variable
 from canopen_proto.local_node import LocalNode
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import Endless, without_crc
 from tests.proto.full_device import full_device

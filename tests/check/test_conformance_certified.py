@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from canopen_check.case import Result
 from canopen_check.catalogue import BY_NUMBER, CASES, run_all
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.nmt import NmtState
+from canopen_proto.verdict import Result
 from tests.check import certified_nodes as nodes
 from tests.check.certified_nodes import EXPECTS_SYNC, PRODUCES_SYNC, SYNC_PERIOD_US
 from tests.check.conformance_rig import Fault, Site, verdict_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from canopen_check import channel_cases
-from canopen_check.case import Result
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import KeepsChannels, KeepsCommunication, KeepsNothing
 from tests.proto.full_device import full_device

@@ -6,11 +6,11 @@ import re
 
 import pytest
 
-from canopen_check.case import Result, Verdict
 from canopen_check.catalogue import BY_NUMBER, run_all
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description, read_file
 from canopen_data.reading import read_description
+from canopen_proto.verdict import Result, Verdict
 from tests.check.conformance_rig import Site, verdict_of
 
 SAMPLE = "sample_io.eds"

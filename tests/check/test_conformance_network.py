@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from canopen_check import heartbeat_cases, sync_cases
-from canopen_check.case import Result
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import KeepsAll, KeepsNothing
 from tests.proto.full_device import full_device

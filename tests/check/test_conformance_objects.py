@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from canopen_check import dictionary_cases, emergency_cases
-from canopen_check.case import Result
 from canopen_check.catalogue import BY_NUMBER
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import BusyWhenOperational, Inverting, KeepsCommunication
 from tests.proto.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device

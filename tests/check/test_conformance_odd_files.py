@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from canopen_check.case import Result, Verdict
 from canopen_check.catalogue import CASES, run_all
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
@@ -17,6 +16,7 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
 from canopen_proto.sdo.server import Pending
+from canopen_proto.verdict import Result, Verdict
 from tests.check.conformance_rig import Fault, Site, verdict_of
 from tests.proto.full_device import full_device
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from canopen_check import pdo_cases, pdo_mapping_cases
-from canopen_check.case import Result
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
@@ -15,6 +14,7 @@ from canopen_proto.dictionary.standard import standard_object, standard_variable
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
 from canopen_proto.sdo.server import Pending
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import SelfStarting
 from tests.proto.full_device import INPUT_16, OUTPUT_16, full_device

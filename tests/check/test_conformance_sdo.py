@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from canopen_check import sdo_cases
-from canopen_check.case import Result
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
@@ -15,6 +14,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
 from canopen_proto.sdo.server import Pending
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import Endless
 from tests.proto.full_device import LIMITED, SECRET, full_device

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from canopen_check import storing_cases
-from canopen_check.case import Result
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import KeepsNothing, RestoresNothing
 from tests.proto.full_device import full_device

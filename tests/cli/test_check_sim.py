@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import pytest
 
-from canopen_check.case import Result
 from canopen_check.catalogue import CASES, run_all
 from canopen_cli.screen import Screen
 from canopen_cli.sim_devices import models
 from canopen_data.reading import read_description
 from canopen_master.plant import DeviceEntry
+from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site
 from tests.proto.full_device import NODE_ID
 from tests.vendor_files import ALL_NAMES, load, path_of

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 
-from canopen_check.case import Result
 from canopen_check.catalogue import run_all
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox
+from canopen_proto.verdict import Result
 from tests.check.certified_nodes import certified
 from tests.check.conformance_rig import Fault, Site
 from tests.interop.cct_session import Difference, Replay, load_device, load_session, unexplained, with_application

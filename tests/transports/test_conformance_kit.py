@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_check.case import Result
 from canopen_proto.frame import Frame
+from canopen_proto.verdict import Result
 from canopen_transports import Transport, TransportError
 from canopen_transports.conformance import CASES, Bus, Case, NotApplicable, Site, Violation, run_all
 from canopen_transports.conformance.__main__ import main

@@ -10,7 +10,7 @@ import sys
 
 import trio
 
-from canopen_check.case import Result
+from canopen_proto.verdict import Result
 from canopen_transports.conformance.catalogue import run_all
 from canopen_transports.conformance.site import Site, at
 from canopen_transports.errors import TransportError

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import trio
 import trio.testing
 
-from canopen_check.case import Result, Verdict
+from canopen_proto.verdict import Result, Verdict
 from canopen_transports.conformance import leftovers
 
 if TYPE_CHECKING:

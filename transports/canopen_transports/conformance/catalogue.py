@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from canopen_check.case import Verdict
+from canopen_proto.verdict import Verdict
 from canopen_transports.conformance import (
     cancelling_cases,
     carrying_cases,
