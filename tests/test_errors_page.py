@@ -14,7 +14,8 @@ import pytest
 
 from canopen_cli.app import CLOSED_PIPE
 from canopen_cli.demonstration import MAX_LATE_SHARE
-from canopen_cli.problem import KINDS, ExitCode, problem_of
+from canopen_cli.failures import problem_of
+from canopen_cli.problem import KINDS, ExitCode
 from canopen_master import errors
 from canopen_master.direct.connection import AlreadyConnected, NotConnected
 from canopen_proto.abort import AbortCode, AbortOrigin

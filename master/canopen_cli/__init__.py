@@ -1,1 +1,1 @@
-"""The `canopen` command. entry.py starts it, app.py is the command line; see `problem.ExitCode` for its exit status."""
+"""The `canopen` command. `entry.main` starts it, `app.main` runs one command line; see `problem.ExitCode` for its exit status."""

@@ -3,55 +3,50 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import sys
 from collections.abc import Sequence
-from importlib import metadata
-from typing import IO
+from typing import IO, TYPE_CHECKING, Final
 
 import click
-import trio
 
-from canopen_cli.data import data
-from canopen_cli.demo import demo
-from canopen_cli.doctor import doctor
-from canopen_cli.eds import eds
-from canopen_cli.home import home
-from canopen_cli.info import info
-from canopen_cli.nmt import nmt
-from canopen_cli.objects import read, write
+from canopen_cli.importing import LibraryMissing, importing
+from canopen_cli.lazy import LazyGroup
 from canopen_cli.options import Settings, common
-from canopen_cli.plan import plan
-from canopen_cli.problem import NO_ROOM, ExitCode, Problem, problem_of
-from canopen_cli.scan import scan
-from canopen_cli.sim import sim
+from canopen_cli.problem import NO_ROOM, ExitCode, Problem
+
+if TYPE_CHECKING:
+    import trio
 
 CLOSED_PIPE = 128 + 13
 """What a shell reports of a command whose reader went away (SIGPIPE)."""
 
+COMMANDS: Final = {
+    "demo": ("demo", "A six-joint arm boots, homes itself and moves."),
+    "doctor": ("doctor", "Check adapters, drivers and permissions; with -b also what is heard on a bus."),
+    "scan": ("scan", "Find the nodes of a bus."),
+    "info": ("info", "Show what a node is, and how it is."),
+    "read": ("objects", "Read objects of a node."),
+    "write": ("objects", "Write an object of a node, and show its value before and after."),
+    "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
+    "home": ("home", "Home drives (CiA 402), all at the same time."),
+    "backup": ("backup", "Read all that a node holds into a DCF, which `canopen restore` writes back."),
+    "restore": ("restore", "Write the settings of a DCF or XDC to a node: what differs from what it has."),
+    "compare": ("compare", "Compare the values of a node, or of a file, with those of another file."),
+    "dump": ("dump", "Read all objects of a node, and show them."),
+    "check": ("check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),
+    "bus": ("bus", "A bus of our own: for several terminals, or for several programs."),
+    "log": ("log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc."),
+    "sim": ("sim", "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own."),
+    "plan": ("plan", "Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits."),
+    "eds": ("eds", "Device descriptions: EDS, DCF, XDD and XDC files."),
+    "data": ("data", "The object dictionary and the chain files."),
+}
+"""The first thing to try comes first."""
 
-class InOrder(click.Group):
-    """Lists its commands in the order in which they were added: the first thing to try comes first. Those of LATE, which stand
-    before `sim`, are read in only when they are called."""
 
-    LATE = ("backup", "restore", "compare", "dump", "check", "bus", "log")
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        names = list(self.commands)
-        place = names.index("sim")
-        return [*names[:place], *self.LATE, *names[place:]]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in self.LATE:
-            return super().get_command(ctx, cmd_name)
-        command = getattr(importlib.import_module(f"canopen_cli.{cmd_name}"), cmd_name)
-        assert isinstance(command, click.Command)
-        return command
-
-
-@click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(metadata.version("canopen-proto"), prog_name="canopen")
+@click.group(cls=LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="canopen-proto", prog_name="canopen")
 @common
 def cli() -> None:
     """CANopen from the command line. Without hardware, begin with `canopen demo`; every command takes `-b demo`.
@@ -61,12 +56,11 @@ def cli() -> None:
     """
 
 
-for _command in (demo, doctor, scan, info, read, write, nmt, home, sim, plan, eds, data):
-    cli.add_command(_command)
-
-
 def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None = None) -> int:
-    """Run the command line; the exit status. arguments: by default those of this process. clock: trio's, for tests."""
+    """Run the command line and return its exit status. arguments: by default those of this process. clock: trio's, for tests.
+
+    Raises LibraryMissing.
+    """
     settings = Settings(clock=clock)
     _open_closed_streams()
     try:
@@ -84,11 +78,15 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     except click.exceptions.NoArgsIsHelpError as no_arguments:
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
+    except LibraryMissing:
+        raise  # it may be what a screen is made with
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
         if isinstance(error, click.UsageError | Problem) and "--json" in (sys.argv if arguments is None else arguments):
             settings.json = True  # click did not come to that
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             _put_to_rest(sys.stdout)
+        with importing():
+            from canopen_cli.failures import problem_of
         return _show(settings, problem_of(error))
     except BaseExceptionGroup as group:  # a Ctrl-C before anything was begun comes out of trio like this
         if group.subgroup(KeyboardInterrupt) is None:

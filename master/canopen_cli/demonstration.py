@@ -18,9 +18,10 @@ import trio
 
 from canopen_cli.demo_view import DemoView, JointView
 from canopen_cli.drive_files import DriveFile
+from canopen_cli.failures import problem_of
 from canopen_cli.fleet import Fleet, drive_maker, simulated_fleet
 from canopen_cli.path import MAX_SPEED, Path
-from canopen_cli.problem import ExitCode, problem_of, usage
+from canopen_cli.problem import ExitCode, usage
 from canopen_cli.recording import JointTrack, Recording
 from canopen_cli.running import all_stand
 from canopen_cli.screen import Screen, escape

@@ -1,41 +1,25 @@
-"""`canopen eds`: device descriptions (EDS, DCF, XDD, XDC) looked at, checked, compared, repaired and turned into others.
-
-Its commands are read in only when one of them is called: `canopen scan` needs none of this.
-"""
+"""`canopen eds`: device descriptions (EDS, DCF, XDD, XDC) looked at, checked, compared, repaired and turned into others."""
 
 from __future__ import annotations
 
-import importlib
 from typing import Final
 
 import click
 
-_COMMANDS: Final = {
-    "lint": "eds_lint",
-    "show": "eds_show",
-    "diff": "eds_diff",
-    "fix": "eds_fix",
-    "doc": "eds_doc",
-    "to-dcf": "eds_dcf",
-    "to-cdcf": "eds_dcf",
+from canopen_cli.lazy import LazyGroup
+
+COMMANDS: Final = {
+    "lint": ("eds_lint", "Check device descriptions: EDS, DCF, XDD, XDC."),
+    "show": ("eds_show", "Show what a device description says: EDS, DCF, XDD, XDC."),
+    "diff": ("eds_diff", "Compare two device descriptions by meaning: EDS, DCF, XDD, XDC, in any mixture."),
+    "fix": ("eds_fix", "Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding."),
+    "doc": ("eds_doc", "Make one readable page of a device description: HTML that needs nothing else, or Markdown."),
+    "to-dcf": ("eds_dcf", "Make a DCF: this device, with this node-ID and these settings."),
+    "to-cdcf": ("eds_dcf", "Make a concise DCF: the bytes that object 0x1F22 of a configuration manager takes."),
 }
-"""Commands, and the modules where they are, in the order in which they are listed."""
 
 
-class _Commands(click.Group):
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        module = _COMMANDS.get(cmd_name)
-        if module is None:
-            return None
-        command = getattr(importlib.import_module(f"canopen_cli.{module}"), cmd_name.replace("-", "_"))
-        assert isinstance(command, click.Command)
-        return command
-
-
-@click.group(cls=_Commands)
+@click.group(cls=LazyGroup, table=COMMANDS)
 def eds() -> None:
     """Device descriptions: EDS, DCF, XDD and XDC files.
 

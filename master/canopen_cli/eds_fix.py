@@ -27,7 +27,7 @@ _STYLES = {"+": "green", "-": "red", "@": "cyan"}
 @common
 @click.pass_obj
 def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_run: bool) -> int:
-    """Repair an EDS or DCF: counts and lists, missing types and access rights, forms of numbers, duplicate sections, encoding.
+    """Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding.
 
     Each repair is told. Nothing is guessed: what the file means stays what it was, and values are never made up.
     `canopen eds lint` tells of the rest.

@@ -8,8 +8,9 @@ import click
 import trio
 
 from canopen_cli.demo_view import DemoView, JointView
+from canopen_cli.failures import problem_of
 from canopen_cli.options import Duration, NodeId, Settings, common, enabling
-from canopen_cli.problem import problem_of, usage
+from canopen_cli.problem import usage
 from canopen_cli.running import all_stand, run
 from canopen_cli.screen import escape, node_text
 from canopen_cli.session import Session, open_session

@@ -15,15 +15,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
-import trio
 
+from canopen_cli.importing import importing
 from canopen_cli.problem import Problem, usage
-from canopen_cli.screen import Screen
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 if TYPE_CHECKING:
+    import trio
+
+    from canopen_cli.screen import Screen
+    from canopen_proto.procedures.grip import Grip
+
     Kind: TypeAlias = click.ParamType[Any, Any]
 else:
     Kind = click.ParamType  # generic since click 8.4 only
@@ -59,10 +62,14 @@ class Settings:
     @property
     def grip(self) -> Grip:
         """How drives that are enabled notice that we are gone."""
+        from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+
         return DEFAULT_GRIP if self.master_id is None else Grip(node_id=self.master_id)
 
     def screen(self) -> Screen:
         """Where the command writes."""
+        with importing():
+            from canopen_cli.screen import Screen
         return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color)
 
     def named_bus(self) -> str | None:
@@ -221,6 +228,8 @@ def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
 
 def enabling(command: F) -> F:
     """Add the option of commands that enable drives."""
+    from canopen_proto.procedures.grip import DEFAULT_GRIP
+
     help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {DEFAULT_GRIP.node_id}]"
     added: F = _option("--master-id", type=NodeId(), help=help_text)(command)
     return added

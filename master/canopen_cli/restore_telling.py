@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from canopen_cli.backup_reading import both_notations
-from canopen_cli.problem import ExitCode, Problem, problem_of
+from canopen_cli.failures import problem_of
+from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.screen import Screen, escape, node_text
 from canopen_cli.values import as_json, hex_text, place_text
 from canopen_proto.dictionary import ObjectDictionary, Variable

@@ -18,9 +18,10 @@ from typing import TypeAlias, TypeVar
 
 import trio
 
+from canopen_cli.failures import problem_of
 from canopen_cli.new_files import check_new_file
 from canopen_cli.options import Settings
-from canopen_cli.problem import ExitCode, Problem, problem_of, usage
+from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape
 from canopen_master.errors import HaltNotConfirmed
 from canopen_master.grip import LOGGER

@@ -14,10 +14,11 @@ from typing import Final
 import trio
 
 from canopen_cli.device_files import DeviceFiles, description_of, read_device_files
+from canopen_cli.failures import advice, problem_of
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_cli.options import DEMO, Settings
 from canopen_cli.overlays import overlaid
-from canopen_cli.problem import Problem, advice, problem_of
+from canopen_cli.problem import Problem
 from canopen_cli.screen import Screen, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription

@@ -62,7 +62,7 @@ def sim(
     defaults: bool,
     seconds: float | None,
 ) -> None:
-    """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own where no FILE is named.
+    """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.
 
     Two terminals without hardware meet on udp_multicast:
 

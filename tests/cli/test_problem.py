@@ -18,7 +18,8 @@ import trio
 
 from canopen_cli import entry
 from canopen_cli.app import main
-from canopen_cli.problem import ExitCode, Problem, problem_of
+from canopen_cli.failures import problem_of
+from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.running import notes_of
 from canopen_cli.screen import Screen
 from canopen_data import DataError
@@ -217,7 +218,8 @@ def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int)
 def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
     program = f"import sys; sys.modules[{missing!r}] = None; from canopen_cli.entry import main; sys.exit(main())"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
+    command = [sys.executable, "-c", program, "scan"]
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
     assert ended.returncode == ExitCode.CANNOT_OPEN
     assert ended.stderr == (
         f"canopen: the command line needs {missing}, which is not installed.\nTry: pip install 'canopen-proto[master]'\n"

@@ -1,0 +1,208 @@
+"""The Problem that each exception of the layers below is.
+
+Most of them bring their own words (`TransportError`, `MasterError`, `DataError`, ...). `problem_of` is the one table that gives
+each of them its exit status, and a message to those that have none. It stands apart from problem.py because it knows all layers,
+and `canopen --help` needs none of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import click
+
+from canopen_cli.problem import NO_ROOM, ExitCode, Problem, usage
+from canopen_data import DataError
+from canopen_data.findings import DictionaryError
+from canopen_master import errors
+from canopen_master.silence import LONGER, SCAN
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.dictionary import NotInDictionary
+from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_transports import TransportError
+from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
+from canopen_transports.log_files import LogFileError
+
+
+def problem_of(error: BaseException) -> Problem:
+    """The Problem that an exception is. What nobody foresaw is CO900, our own fault."""
+    if isinstance(error, Problem):
+        error.more += [note for note in getattr(error, "__notes__", ()) if note not in error.more]
+        return error
+    if isinstance(error, BaseExceptionGroup):
+        return _of_group(error)
+    problem = _of_expected(error)
+    if problem is None:
+        problem = Problem(
+            ExitCode.INTERNAL,
+            "CO900",
+            f"this should not happen: {type(error).__name__}: {error}",
+            cause="a mistake in this program, not yours",
+            tries=("the same with -vv, and report what it shows",),
+        )
+    problem.more += getattr(error, "__notes__", [])
+    problem.__cause__ = error
+    return problem
+
+
+def _of_group(group: BaseExceptionGroup[BaseException]) -> Problem:
+    """The first error that matters, with the others beside it."""
+    problems = sorted((problem_of(each) for each in group.exceptions), key=lambda each: each.exit_code is ExitCode.INTERNAL)
+    first, rest = problems[0], problems[1:]
+    first.more += [f"{each.code}: {each.failed}" for each in rest if each.failed != first.failed]
+    return first
+
+
+def _of_expected(error: BaseException) -> Problem | None:
+    match error:
+        case TransportError():
+            return _spoken(error, _of_bus(error.code))
+        case errors.BusError():
+            return _spoken(error, _of_bus(error.code))
+        case errors.SdoTimeout() | errors.NodeSilent():
+            return _spoken(error, ExitCode.NO_ANSWER)
+        case errors.SdoError():
+            return _spoken(error, ExitCode.SDO_ABORT)
+        case errors.ChainFileError():
+            return _spoken(error, ExitCode.BAD_FILE)
+        case errors.UnknownChain() | errors.SetPointRefused():
+            return _spoken(error, ExitCode.USAGE)
+        case errors.NodeError():
+            return _spoken(error, ExitCode.SDO_ABORT)
+        case errors.MasterError():
+            return _of_chain(error)
+        case SdoFailed():
+            return _of_sdo(error)
+        case ProcedureError():
+            return _of_procedure(error)
+        case DataError():
+            return Problem(ExitCode.BAD_FILE, "CO330", error.message, tries=(error.hint,))
+        case DictionaryError():
+            first, *rest = [str(each) for each in error.findings]
+            shown = [*rest[:8], f"and {len(rest) - 8} more"] if len(rest) > 9 else rest
+            hint = "correct the file; `canopen data init --force` brings the installed one back"
+            problem = Problem(ExitCode.BAD_FILE, "CO301", first, tries=(hint,))
+            problem.more += shown
+            return problem
+        case NotInDictionary():
+            failed, _, hint = str(error).partition("; ")
+            return usage("CO302", failed, tries=(hint,) if hint else ())
+        case ValueRangeError():
+            return usage("CO304", str(error), seen="nothing was sent")
+        case LocalProtocolError():
+            return usage("CO120", str(error), seen="nothing was sent")
+        case OSError(errno=number) if number in NO_ROOM:
+            return Problem(
+                ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
+            )
+        case LogFileError():
+            return Problem(ExitCode.BAD_FILE, "CO342", error.failed, seen=error.seen, tries=error.tries)
+        case PermissionError():
+            return Problem(ExitCode.PERMISSION, "CO109", str(error))
+        case click.UsageError():
+            return _of_usage(error)
+        case click.ClickException():
+            return usage("CO001", error.format_message())
+    return None
+
+
+def _of_usage(error: click.UsageError) -> Problem:
+    command = error.ctx.command_path if error.ctx is not None else "canopen"
+    tries = [f"{command} --help"]
+    if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
+        tries.insert(0, f"negative numbers behind `--`: {command} ... -- {error.option_name}")
+    return usage("CO001", error.format_message(), tries=tries)
+
+
+def _of_bus(code: str) -> ExitCode:
+    if code == NO_PERMISSION:
+        return ExitCode.PERMISSION
+    return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
+
+
+def advice(steps: Iterable[str]) -> list[str]:
+    """What the library advises its callers, as it is on the command line."""
+    chosen = []
+    for step in steps:
+        longer, _, limit = step.partition(": ")
+        if longer == LONGER:
+            chosen.append(f"--timeout {limit.replace(' ', '')}" if limit else "a longer --timeout")
+        elif not step.startswith("await "):
+            chosen.append(step)
+    return chosen
+
+
+def _spoken(error: TransportError | errors.MasterError, exit_code: ExitCode) -> Problem:
+    """The Problem of an error that brings its own words."""
+    return Problem(
+        exit_code,
+        error.code,
+        error.failed,
+        seen=error.seen,
+        cause=error.cause,
+        tries=advice(error.tries),
+        node=getattr(error, "node_id", None),
+        index=getattr(error, "index", None),
+        subindex=getattr(error, "subindex", None),
+        abort=getattr(error, "abort_code", None),
+    )
+
+
+_OF_CHAIN = {
+    errors.NO_ANSWER: ExitCode.NO_ANSWER,
+    errors.REFUSED: ExitCode.SDO_ABORT,
+    errors.GIVEN_UP: ExitCode.SDO_ABORT,
+}
+
+
+def _of_chain(error: errors.MasterError) -> Problem:
+    """A chain fails because of one of its joints, whose error may know more."""
+    problem = _spoken(error, _OF_CHAIN.get(error.code, ExitCode.DRIVE_FAULT))
+    below = _of_expected(error.__cause__) if error.__cause__ is not None else None
+    if below is not None:
+        problem.exit_code, problem.code = below.exit_code, below.code
+        problem.tries = problem.tries or below.tries
+        problem.node = problem.node or below.node
+        problem.index, problem.subindex, problem.abort = below.index, below.subindex, below.abort
+    return problem
+
+
+def _of_sdo(error: SdoFailed) -> Problem:
+    silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # that was our own side
+    code = errors.NO_ANSWER if silent else errors.REFUSED if error.origin is AbortOrigin.PEER else errors.GIVEN_UP
+    failed, _, seen = str(error).partition(": ")
+    return Problem(
+        ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
+        code,
+        failed,
+        seen=seen,
+        cause="no device has this node-ID, its power is off, or it is stopped" if silent else "",
+        tries=(SCAN, "a longer --timeout") if silent else (),
+        node=error.node_id,
+        index=error.index,
+        subindex=error.subindex,
+        abort=error.abort_code,
+    )
+
+
+def _of_procedure(error: ProcedureError) -> Problem:
+    failed, _, hint = str(error).partition(". Try: ")
+    what, _, seen = failed.partition(": ")
+    tries = (hint,) if hint else ()
+    match error:
+        case UnexpectedLength():
+            what, _, cause = failed.partition("; ")
+            return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
+        case DriveFault():
+            return Problem(ExitCode.DRIVE_FAULT, errors.CHAIN_FAULT, what, seen=seen, tries=tries)
+        case HomingFailed():
+            tries = ("look whether the axis can move freely, and at its homing method (0x6098)",)
+            return Problem(ExitCode.DRIVE_FAULT, errors.HOMING_FAILED, what, seen=seen, tries=tries)
+        case ModeUnsupported():
+            return Problem(ExitCode.DRIVE_FAULT, errors.MODE_UNSUPPORTED, what, seen=seen, tries=("choose a mode that it has",))
+    return Problem(ExitCode.DRIVE_FAULT, errors.PROCEDURE_FAILED, what, seen=seen, tries=tries)

@@ -1,0 +1,108 @@
+"""How the command starts: what it imports before a command is named, and what it says of itself without importing that command.
+
+Modules are counted, never time.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+
+import click
+import pytest
+from click.shell_completion import ShellComplete
+
+from canopen_cli import app, eds
+from canopen_cli.lazy import LazyGroup
+from canopen_cli.problem import ExitCode
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
+
+
+def python(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
+
+
+WHAT_IS_IMPORTED = """
+import sys
+before = set(sys.modules)
+from canopen_cli.entry import main
+status = main()
+ours = {name for name in sys.modules if name.startswith("canopen")}
+others = {name.partition(".")[0] for name in set(sys.modules) - before} - sys.stdlib_module_names - ours
+print(*sorted(name for name in ours if "." in name), "|", *sorted(others - {name.partition(".")[0] for name in ours}))
+sys.exit(status)
+"""
+
+
+@pytest.mark.parametrize("option", ["--version", "--help"])
+def test_version_and_help_import_click_and_next_to_nothing_of_ours(option: str) -> None:
+    ended = python(WHAT_IS_IMPORTED, option)
+    assert ended.returncode == 0, ended.stderr
+    ours, _, others = ended.stdout.splitlines()[-1].partition(" | ")
+    assert ours.split() == [
+        *(f"canopen_cli.{name}" for name in ("app", "entry", "importing", "lazy", "options", "problem")),
+        *(f"canopen_proto.{name}" for name in ("frame", "machine")),
+    ]
+    assert others == "click"
+
+
+@pytest.mark.parametrize("option", ["--version", "--help"])
+def test_version_and_help_need_no_library_but_click(option: str) -> None:
+    missing = "import sys; sys.modules.update(dict.fromkeys(['trio', 'rich', 'can']))\n"
+    ended = python(missing + WHAT_IS_IMPORTED, option)
+    assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.parametrize("group", [app.cli, eds.eds], ids=["canopen", "canopen eds"])
+def test_each_line_of_the_list_is_what_the_command_says_of_itself(group: click.Command) -> None:
+    assert isinstance(group, LazyGroup)
+    context = click.Context(group)
+    for name, (_, line) in group.table.items():
+        command = group.get_command(context, name)
+        assert command is not None
+        assert command.name == name
+        assert line == command.get_short_help_str(limit=1000)
+
+
+def completed(arguments: Sequence[str], incomplete: str) -> dict[str, str | None]:
+    complete = ShellComplete(app.cli, {}, "canopen", "_CANOPEN_COMPLETE")
+    return {each.value: each.help for each in complete.get_completions(list(arguments), incomplete)}
+
+
+def test_a_shell_completes_commands_and_options() -> None:
+    assert completed([], "re") == {name: app.COMMANDS[name][1] for name in ("read", "restore")}
+    assert "--bus" in completed([], "--b")
+    assert list(completed(["eds"], "to")) == ["to-dcf", "to-cdcf"]
+    assert "--master-id" in completed(["home"], "--m")
+
+
+INTERRUPTED_COMMAND = """
+import os, signal, sys
+from canopen_cli.entry import main
+class Finder:
+    def find_spec(self, name, *rest):
+        if name == "canopen_cli.scan":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
+def test_ctrl_c_while_a_command_is_imported() -> None:
+    ended = python(INTERRUPTED_COMMAND, "scan", "-b", "demo")
+    assert ended.returncode == -signal.SIGINT  # which a shell calls 130
+    assert ended.stderr == ""
+
+
+@pytest.mark.parametrize("arguments", [["scan", "--help"], ["--no-such-option"]], ids=" ".join)
+def test_a_library_that_is_missing_is_named_when_it_is_needed(arguments: list[str]) -> None:
+    missing = "import sys; sys.modules['rich'] = None; from canopen_cli.entry import main; sys.exit(main())"
+    ended = python(missing, *arguments)
+    assert ended.returncode == ExitCode.CANNOT_OPEN
+    assert ended.stderr.startswith("canopen: the command line needs rich, which is not installed.\n")
