@@ -26,11 +26,11 @@ from canopen_cli.recording import JointTrack, Recording
 from canopen_cli.running import all_stand
 from canopen_cli.screen import Screen, escape
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
-from canopen_master.halting import Halt
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.motion.chain import Chain, ChainSettings, ChainState
 from canopen_master.motion.chain_file import ChainDescription, read_chains, same_nodes
 from canopen_master.motion.device import Device
+from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings

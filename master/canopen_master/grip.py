@@ -24,19 +24,16 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from canopen_master.bus import Bus
+from canopen_master.participant import Participant
+from canopen_master.peer import Peer
 from canopen_master.plain_text import clean
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import SECOND, Event
 from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
-
-if TYPE_CHECKING:
-    from canopen_master.bus import Bus
-    from canopen_master.halting import Halt
-    from canopen_master.master import Master
-    from canopen_master.node import Node
 
 LOGGER: Final = logging.getLogger("canopen_master")
 PERIODS_HEARD: Final = 2
@@ -62,24 +59,24 @@ class NodeIdTaken(ProcedureError):
 class Grips:
     """Of one master, on all its buses; see this module's text. settings: None where drives are not to watch over it."""
 
-    def __init__(self, master: Master, settings: Grip | None) -> None:
-        self._master = master
+    def __init__(self, participant: Participant, settings: Grip | None) -> None:
+        self._participant = participant
         self.settings = settings
-        self._opened_at = master.now()
+        self._opened_at = participant.now()
         self._heartbeats: dict[Bus, OwnHeartbeat] = {}
-        self._holds: dict[Node, Hold] = {}
-        self._under_way: set[Node] = set()
+        self._holds: dict[Peer, Hold] = {}
+        self._under_way: set[Peer] = set()
         self._untold: dict[str, list[str]] = defaultdict(list)  # reason -> drives
-        self._told: set[Node] = set()
+        self._told: set[Peer] = set()
         if settings is not None:
-            for bus in dict.fromkeys(master.buses.values()):
+            for bus in dict.fromkeys(participant.buses.values()):
                 heartbeat = self._heartbeats[bus] = OwnHeartbeat(bus.network.out, settings.node_id)
                 bus.network.attach(heartbeat)
-                master.watch((ForeignHeartbeat,), lambda _, bus=bus: self._on_foreign(bus), bus)  # type: ignore[misc]
+                participant.watch((ForeignHeartbeat,), lambda _, bus=bus: self._on_foreign(bus), bus)  # type: ignore[misc]
 
     # ---- procedures ----
 
-    def hold(self, node: Node) -> Procedure[None]:
+    def hold(self, node: Peer) -> Procedure[None]:
         """Have the drive on a node watch over this master. What it does already is only read: its boot-up may have been lost.
 
         A drive that does not answer counts as one that cannot. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
@@ -88,7 +85,7 @@ class Grips:
         if settings is None:
             return
         hold = self._hold_of(node)
-        bus = self._master.bus(node.bus)
+        bus = self._participant.bus(node.bus)
         heartbeat = self._heartbeats[bus]
         if not heartbeat.period:
             yield from self._check_node_id(bus, settings)
@@ -105,27 +102,27 @@ class Grips:
             self._under_way.discard(node)
             self._tell(node, hold)
 
-    def hold_beside(self, node: Node) -> None:
+    def hold_beside(self, node: Peer) -> None:
         """Take hold of a drive that may be enabled at any moment; what goes wrong is told."""
-        is_needed = self.settings is not None and not self._master.is_closed  # the halts write controlwords, too
+        is_needed = self.settings is not None and not self._participant.is_closed  # the halts write controlwords, too
         if is_needed and not self.holds(node) and node not in self._under_way:
-            self._master.launch(self._hold_or_tell(node))
+            self._participant.launch(self._hold_or_tell(node))
 
-    def _hold_or_tell(self, node: Node) -> Procedure[None]:
+    def _hold_or_tell(self, node: Peer) -> Procedure[None]:
         try:
             yield from self.hold(node)
         except ProcedureError as error:
             LOGGER.warning("%s", clean(str(error)))
 
-    def holds(self, node: Node) -> bool:
+    def holds(self, node: Peer) -> bool:
         """Whether the drive on a node was taken hold of, and has not booted since as far as we know."""
         return node in self._holds and self._holds[node].is_taken
 
-    def drives_held(self) -> list[Node]:
+    def drives_held(self) -> list[Peer]:
         """The nodes in which something is left to put back."""
         return [node for node, hold in self._holds.items() if hold.before]
 
-    def let_go(self, node: Node) -> Procedure[None]:
+    def let_go(self, node: Peer) -> Procedure[None]:
         """Put back what was there before `hold`, as far as the drive lets us; does nothing for a drive that is not held."""
         hold = self._holds.get(node)
         if hold is None:
@@ -134,22 +131,16 @@ class Grips:
             yield from release(hold)
         except ProcedureError as error:
             left = ", ".join(f"0x{index:04X}:{subindex:02X}" for index, subindex in hold.before)
-            LOGGER.warning("%s: %s could not be put back as it was: %s", self._name(node), left, clean(str(error)))
+            LOGGER.warning("%s: %s could not be put back as it was: %s", clean(node.name), left, clean(str(error)))
             return
-        bus = self._master.bus(node.bus)
+        bus = self._participant.bus(node.bus)
         watching = {each for each, other in self._holds.items() if other.is_taken or other.before} | self._under_way
-        if not any(self._master.bus(each.bus) is bus for each in watching):
+        if not any(self._participant.bus(each.bus) is bus for each in watching):
             yield from act(self._heartbeats[bus].stop)
-
-    def let_go_after(self, node: Node, halt: Halt) -> Procedure[None]:
-        """Halt the drive on a node, and let it go if it is known to stand."""
-        yield from halt.run()
-        if halt.is_confirmed:
-            yield from self.let_go(node)
 
     # ---- inside ----
 
-    def _hold_of(self, node: Node) -> Hold:
+    def _hold_of(self, node: Peer) -> Hold:
         hold = self._holds.get(node)
         if hold is None:
             hold = self._holds[node] = Hold(node.remote)
@@ -177,11 +168,11 @@ class Grips:
             self.settings.node_id,
         )
 
-    def _tell(self, node: Node, hold: Hold) -> None:
+    def _tell(self, node: Peer, hold: Hold) -> None:
         """Once for each drive; those that are taken hold of together, together."""
         if hold.gap and node not in self._told:
             self._told.add(node)
-            name = self._name(node)
+            name = clean(node.name)
             self._untold[hold.gap].append(name)
             node.remote.out.events.append(NotHeld(node.node_id, name, hold.gap))
         if not self._under_way:
@@ -190,15 +181,11 @@ class Grips:
                 LOGGER.warning("%s will not stop by %s if this program dies: %s", ", ".join(names), who, clean(gap))
             self._untold.clear()
 
-    def _name(self, node: Node) -> str:
-        device = self._master.devices.get(node)
-        return clean(device.name) if device is not None else f"node {node.node_id}"
-
 
 class NodeGrip:
     """What an Axis asks; see canopen_proto.drive.axis.AxisGrip."""
 
-    def __init__(self, grips: Grips, node: Node) -> None:
+    def __init__(self, grips: Grips, node: Peer) -> None:
         self._grips = grips
         self._node = node
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer, sdo_error
+from canopen_master.bus import Bus
+from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer
+from canopen_master.grip import Grips
 from canopen_master.node_pdos import NodePdos
-from canopen_master.requests import OpenRequest
+from canopen_master.participant import Participant
+from canopen_master.peer import Peer
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.subscription import Subscription
@@ -29,10 +32,6 @@ from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
-if TYPE_CHECKING:
-    from canopen_master.bus import Bus
-    from canopen_master.master import Master
-
 E = TypeVar("E", bound=Event)
 
 MAX_SHOWN = 16
@@ -41,7 +40,7 @@ BOOT_TIME = 5.0
 """Seconds that a device may take from a reset to its boot-up frame."""
 
 
-class Node:
+class Node(Peer):
     """A device as its master sees it. remote: the core's view of it, with all that is known of it (`remote.values`).
 
     Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing go by SDO; they
@@ -51,31 +50,16 @@ class Node:
     block: whether a transfer goes in blocks: False, True (or it fails), or "auto", where that pays and the device knows it.
     """
 
-    def __init__(self, master: Master, bus: Bus, remote: RemoteNode) -> None:
-        self._master = master
-        self._bus = bus
-        self.remote = remote
+    def __init__(self, participant: Participant, bus: Bus, remote: RemoteNode, grips: Grips) -> None:
+        super().__init__(participant, bus, remote)
+        self._grips = grips
         remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
         self._pdos: NodePdos | None = None
-        master.watch((SdoDownloaded,), self._on_written, bus, remote.node_id)
+        self.watch((SdoDownloaded,), self._on_written)
 
     def __repr__(self) -> str:
         return f"<Node {self.node_id} on {self.bus}>"
-
-    @property
-    def node_id(self) -> int:
-        return self.remote.node_id
-
-    @property
-    def bus(self) -> str:
-        """The name of its bus."""
-        return self._bus.name
-
-    @property
-    def where(self) -> str:
-        """It, for people: "node 3 on can0"."""
-        return f"node {self.node_id} on {self.bus}"
 
     @property
     def dictionary(self) -> ObjectDictionary:
@@ -93,8 +77,8 @@ class Node:
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for that long (seconds), from its first one on; 0 ends that."""
-        self.remote.heartbeat.set_timeout(round(timeout * SECOND), self._master.now())
-        self._master.pump.pump()
+        self.remote.heartbeat.set_timeout(round(timeout * SECOND), self.now())
+        self._participant.pump.pump()
 
     # ---- objects ----
 
@@ -206,7 +190,7 @@ class Node:
     def keep_pdos(self) -> None:
         """Exchange its PDOs as the device has them set up, now and after each boot; see node_pdos.py. Event: PdoDiffers."""
         if self._pdos is None:
-            self._pdos = NodePdos(self._master, self._bus, self)
+            self._pdos = NodePdos(self._participant, self)
 
     def leave_pdos(self) -> None:
         """Do so no longer; those that are exchanged go on."""
@@ -235,7 +219,7 @@ class Node:
         if enabled and number in self.remote.rpdos and CONTROLWORD in self.remote.rpdos[number].mapping.muxes:
             self._may_enable()
         self.remote.enable_rpdo(number, self.now(), enabled)
-        self._master.pump.pump()
+        self._participant.pump.pump()
 
     @enable_ki_protection
     def send_mpdo(self, number: int, key: Key, value: Value) -> bool:
@@ -248,7 +232,7 @@ class Node:
             self._may_enable()
             self._enabled_by_hand = True
         is_sent = self.remote.send_mpdo(number, key, value, self.now())
-        self._master.pump.pump()
+        self._participant.pump.pump()
         return is_sent
 
     # ---- network management ----
@@ -258,7 +242,7 @@ class Node:
 
         What enables a drive does so by itself; this is for who sends controlwords by RPDO. Raises NodeIdTaken, NotHeldError.
         """
-        await self._master.run(self._master.grips.hold(self))
+        await self._participant.run(self._grips.hold(self))
 
     async def start(self) -> None:
         """Start the node (NMT, to Operational), once its PDOs are exchanged, if its file is known: so that none is missed.
@@ -276,21 +260,17 @@ class Node:
         Events: HeartbeatReceived; NodeGuardingLost after guard_time * life_time_factor without an answer.
         """
         self.remote.start_guarding(round(guard_time * SECOND), life_time_factor, self.now())
-        self._master.pump.pump()
+        self._participant.pump.pump()
 
     @enable_ki_protection
     def stop_guarding(self) -> None:
         """Ask no more."""
         self.remote.stop_guarding()
-        self._master.pump.pump()
+        self._participant.pump.pump()
 
     async def nmt(self, command: NmtCommand) -> None:
         """Send an NMT command to this node; returns when it is on its way. Nothing confirms it but the node's heartbeat."""
-        await self._master.nmt(command, self.node_id, bus=self.bus)
-
-    def send_nmt(self, command: NmtCommand, now: Time) -> None:
-        """The same for procedures: queue it, at their `now`. It goes out when the procedure next waits."""
-        self._master.nmt_master(self._bus).send(command, self.node_id, now)
+        await self._participant.nmt(command, self.node_id, bus=self.bus)
 
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
         """Reset the node and wait for its boot-up frame, at most `timeout` seconds, else NodeSilent."""
@@ -307,25 +287,6 @@ class Node:
         """Wait for the next heartbeat, at most `timeout` seconds, else NodeSilent; the state that it shows."""
         with self.events(HeartbeatReceived) as heartbeats:
             return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
-
-    def events(self, *kinds: type[E]) -> Subscription[E]:
-        """As `Master.events`, of this node only."""
-        return self._master.events(*kinds, node=self)
-
-    # ---- for what is built upon a node ----
-
-    def now(self) -> Time:
-        """The time of its machines, ns."""
-        return self._master.now()
-
-    def begin(self, submit: Callable[[Time], RequestId]) -> OpenRequest:
-        """Give a command to its machines that has an outcome."""
-        return self._master.begin(self._bus, self.remote, submit)
-
-    def error_of(self, aborted: SdoAborted, attempt: str, *, size_unknown: bool = False) -> SdoError:
-        """The exception for a transfer that ended with an abort; see `sdo_error`."""
-        now = self._master.now()
-        return sdo_error(self._bus.network, self.remote, self.bus, aborted, attempt, now, size_unknown=size_unknown)
 
     # ---- inside ----
 
@@ -362,18 +323,18 @@ class Node:
 
     def _may_enable(self) -> None:
         """What is sent next may enable the drive, and waits for nothing."""
-        grips = self._master.grips
-        if grips.settings is not None and grips.settings.required and not grips.holds(self):
+        settings = self._grips.settings
+        if settings is not None and settings.required and not self._grips.holds(self):
             raise NotHeldError(f"{self.where} is not held, and Grip.required says that it must; try `await node.hold()` before")
-        grips.hold_beside(self)
+        self._grips.hold_beside(self)
 
     def _on_written(self, report: SdoDownloaded) -> None:
         """Somebody wrote a controlword, perhaps past `write`: by `remote.write`, or a procedure of the core."""
         if report.index << 8 | report.subindex == CONTROLWORD and self.was_enabled:
-            self._master.grips.hold_beside(self)
+            self._grips.hold_beside(self)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:
-        outcome = await self._master.request(self._bus, self.remote, submit)
+        outcome = await self.request(submit)
         if isinstance(outcome, SdoUploaded):
             return outcome
         assert isinstance(outcome, SdoAborted)
@@ -394,7 +355,7 @@ class Node:
         )
 
     async def _download(self, submit: Callable[[Time], RequestId], attempt: str) -> None:
-        outcome = await self._master.request(self._bus, self.remote, submit)
+        outcome = await self.request(submit)
         if not isinstance(outcome, SdoDownloaded):
             assert isinstance(outcome, SdoAborted)
             raise self.error_of(outcome, attempt)
@@ -404,5 +365,5 @@ class Node:
             return await events.receive()
         failed = f"node {self.node_id} {missed} within {timeout:g} s"
         cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
-        known = missing_frame(self._bus.network, self.remote, self._master.now(), cause, (), pdo=False)
+        known = missing_frame(self.network, self.remote, self.now(), cause, (), pdo=False)
         raise NodeSilent(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())

@@ -7,20 +7,17 @@ that is silent, or Stopped, is asked when it is next heard.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import trio
 
+from canopen_master.participant import Participant
+from canopen_master.peer import Peer
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event, RequestId
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.device_pdos import PdoDifference, exchange_device_pdos
 from canopen_proto.procedures.steps import Procedure, ProcedureError
-
-if TYPE_CHECKING:
-    from canopen_master.bus import Bus
-    from canopen_master.master import Master
-    from canopen_master.node import Node
 
 log: Final = logging.getLogger("canopen_master")
 
@@ -39,19 +36,19 @@ class PdoDiffers(Event):
 class NodePdos:
     """See this module's text. differences: between the device and its file, as far as they are known."""
 
-    def __init__(self, master: Master, bus: Bus, node: Node) -> None:
+    def __init__(self, participant: Participant, node: Peer) -> None:
         self.differences: tuple[PdoDifference, ...] = ()
-        self._master = master
+        self._participant = participant
         self._node = node
         self._running: RequestId | None = None
         self._error: ProcedureError | None = None
         self._ended = trio.Event()
-        self._watcher = master.watch((NodeBooted, HeartbeatReceived), self._on_heard, bus, node.node_id)
+        self._watcher = node.watch((NodeBooted, HeartbeatReceived), self._on_heard)
         self._begin()
 
     def stop(self) -> None:
         """Ask no more: somebody else sees to this node's PDOs, such as a chain."""
-        self._master.unwatch(self._watcher)
+        self._participant.unwatch(self._watcher)
         self._take_back()
 
     async def wait(self) -> None:
@@ -64,11 +61,11 @@ class NodePdos:
     def _begin(self) -> None:
         self._error = None
         self._ended = trio.Event()
-        self._running, _ = self._master.launch(self._exchange())
+        self._running, _ = self._participant.launch(self._exchange())
 
     def _take_back(self) -> None:
         if self._running is not None:
-            self._master.take_back(self._running)
+            self._participant.take_back(self._running)
             self._end()
 
     def _end(self) -> None:

@@ -18,20 +18,18 @@ from __future__ import annotations
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator
 from contextlib import suppress
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import trio
 from trio.lowlevel import enable_ki_protection
 
+from canopen_master.peer import Peer
 from canopen_master.requests import OpenRequest
 from canopen_proto.machine import LocalProtocolError, Outcome
 from canopen_proto.sdo.block_client import lacks_blocks
 from canopen_proto.sdo.client import AUTO_BLOCK, MAX_UPLOAD, Block
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request import Buffer
-
-if TYPE_CHECKING:
-    from canopen_master.node import Node
 
 MAX_WHOLE: Final = MAX_UPLOAD
 """Bytes that are held at most for a server without block transfer: as many as the SDO client takes in one upload."""
@@ -47,7 +45,7 @@ class ReadStream:
     at once where it is left early; without that it is closed as soon as nobody has it any more.
     """
 
-    def __init__(self, node: Node, index: int, subindex: int, block: Block) -> None:
+    def __init__(self, node: Peer, index: int, subindex: int, block: Block) -> None:
         self.size = 0
         self._node = node
         self._place = index, subindex
@@ -129,7 +127,7 @@ class ReadStream:
         raise self._node.error_of(outcome, "reading")
 
 
-async def write_stream(node: Node, index: int, subindex: int, pieces: Pieces, size: int | None, block: Block) -> None:
+async def write_stream(node: Peer, index: int, subindex: int, pieces: Pieces, size: int | None, block: Block) -> None:
     """See Node.write_stream."""
     client = node.remote.sdo
     source = Source(pieces, size)
@@ -152,13 +150,13 @@ def lacks_blocks_of(outcome: Outcome) -> bool:
     return isinstance(outcome, SdoAborted) and lacks_blocks(outcome)
 
 
-def _check(node: Node, outcome: Outcome, *, size_unknown: bool = False) -> None:
+def _check(node: Peer, outcome: Outcome, *, size_unknown: bool = False) -> None:
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
         raise node.error_of(outcome, "writing to", size_unknown=size_unknown)
 
 
-async def _feed(node: Node, request: OpenRequest, source: Source) -> Outcome:
+async def _feed(node: Peer, request: OpenRequest, source: Source) -> Outcome:
     """Feed a download stream from a source until it ends."""
     client, request_id = node.remote.sdo, request.request_id
     rest, fed = memoryview(b""), 0

@@ -31,7 +31,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, TypeVar
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -53,15 +53,13 @@ from canopen_master.motion.joint_procedures import (
     stop,
 )
 from canopen_master.motion.supervision import Supervision
+from canopen_master.participant import Participant
 from canopen_proto.drive import enable, halt, home, reset_fault, select_standing_mode
 from canopen_proto.drive.following import SILENT_SYNCS
-from canopen_proto.machine import SECOND, RequestId
+from canopen_proto.machine import SECOND, RequestId, Time
 from canopen_proto.procedures.described_pdos import described_pdos
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
-
-if TYPE_CHECKING:
-    from canopen_master.master import Master
 
 T = TypeVar("T")
 
@@ -117,21 +115,32 @@ class _Operation:
 class Chain:
     """See this module's text. devices: its joints in the order of the file. state: a ChainState."""
 
-    def __init__(self, master: Master, name: str, devices: Sequence[Device], settings: ChainSettings) -> None:
-        self._master = master
+    def __init__(
+        self,
+        participant: Participant,
+        name: str,
+        devices: Sequence[Device],
+        settings: ChainSettings,
+        heartbeat_timeout: Time = 0,
+        chains: Sequence[Chain] = (),
+    ) -> None:
+        """heartbeat_timeout: ns, as `open_master` was given it. chains: all that share one SYNC; this one may be among them."""
+        self._participant = participant
+        self._heartbeat_timeout = heartbeat_timeout
+        self._chains = chains
         self.name = name
         self.devices = tuple(devices)
         self.settings = settings
         self.state = ChainState.OFF
         self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
-        self._supervision = Supervision(master, self.devices, self._joint_failed)
+        self._supervision = Supervision(participant, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
         self._stopping: Waiter | None = None  # the procedure that halts the joints
         self._culprit: tuple[Device, str, str] | None = None  # for whose sake it was stopped, why, and the likely cause
         self._why_halted = ""
-        buses = tuple(dict.fromkeys(master.bus(device.node.bus) for device in devices))
-        master.watch((SyncSent,), self._on_sync, buses[0])
+        buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
+        participant.watch((SyncSent,), self._on_sync, buses[0])
 
     def __repr__(self) -> str:
         return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
@@ -185,7 +194,7 @@ class Chain:
 
         Raises ChainFault where a fault stays, ChainError for a joint that does not answer, does not stand, or refuses.
         """
-        master, settings = self._master, self.settings
+        participant, settings = self._participant, self.settings
         self._require_idle("initialise")
         await self._joints_halted("initialise")
         self._require_idle("initialise")
@@ -195,9 +204,9 @@ class Chain:
         self._culprit, self._why_halted = None, ""
         await self._for_all("initialise", self._prepare)
         for device in self.devices:
-            await master.nmt_start(device.node.node_id, bus=device.node.bus)
-        if master.sync_period != round(settings.cycle_time * SECOND):
-            master.sync_start(settings.cycle_time)
+            await participant.nmt_start(device.node.node_id, bus=device.node.bus)
+        if participant.sync_period != round(settings.cycle_time * SECOND):
+            participant.sync_start(settings.cycle_time)
         await self._for_all("initialise", lambda device: _reset_and_enable(device))
         self.state, self._supervision.is_on = ChainState.READY, True
 
@@ -228,7 +237,7 @@ class Chain:
 
         They stay enabled. Raises ChainError that names a joint which did not confirm it.
         """
-        self._master.check_open()
+        self._participant.check_open()
         if self._stopping is None or self._stopping.done.is_set():
             self._stop("by halt()")
         failures = await self._joints_stopped()
@@ -251,7 +260,7 @@ class Chain:
 
         All joints are shut down as far as they let themselves be; then ChainError names one that did not.
         """
-        self._master.check_open()
+        self._participant.check_open()
         self._supervision.is_on = self._followed = False
         if self._running is not None:
             self._stop("by shut_down()")
@@ -259,9 +268,9 @@ class Chain:
         self._end_following(ChainState.OFF)
         failures = await self._for_all("shut down", lambda device: quietly(device, power_down(device)))
         for device in self.devices:
-            await self._master.nmt_stop(device.node.node_id, bus=device.node.bus)
-        if all(chain.state is ChainState.OFF for chain in self._master.chains):
-            self._master.sync_stop()
+            await self._participant.nmt_stop(device.node.node_id, bus=device.node.bus)
+        if all(chain.state is ChainState.OFF for chain in self._chains):
+            self._participant.sync_stop()
         self._raise_first("shut down", failures)
 
     def cycles(self) -> Cycles:
@@ -302,18 +311,18 @@ class Chain:
         else:
             pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
             exchange = exchange_named(device, pdos, settings.define_pdos)
-        return prepare(device, exchange, self._master.heartbeat_timeout)
+        return prepare(device, exchange, self._heartbeat_timeout)
 
     async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
         """Run one procedure for each joint, side by side. A failure is told as this chain's."""
         procedures = [of_joint(device, make(device)) for device in self.devices]
-        request_id, waiter = self._master.launch(all_of(*procedures))
+        request_id, waiter = self._participant.launch(all_of(*procedures))
         running = self._running = _Operation(operation, request_id)
         try:
-            results: list[T] = await self._master.outcome_of(request_id, waiter)
+            results: list[T] = await self._participant.outcome_of(request_id, waiter)
             return results
         except JointFailed as failed:
-            raise self._error_of(operation, failed) from failed.error
+            raise joint_failed(self.name, operation, failed) from failed.error
         except ProcedureTakenBack:
             error = await self._why_stopped()
             raise error or chain_halted(self.name, "while it was stopped") from None
@@ -321,12 +330,8 @@ class Chain:
             if self._running is running:  # else halt() or shut_down() took over
                 self._running = None
 
-    def _error_of(self, operation: str, failed: JointFailed) -> ChainError:
-        network = self._master.bus(failed.device.node.bus).network
-        return joint_failed(self.name, operation, failed, network, self._master.now())
-
     def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
-        errors = [self._error_of(operation, failed) for failed in failures if failed is not None]
+        errors = [joint_failed(self.name, operation, failed) for failed in failures if failed is not None]
         if errors:
             for other in errors[1:]:
                 errors[0].add_note(str(other))
@@ -346,14 +351,14 @@ class Chain:
         return known
 
     def _require_idle(self, what: str) -> None:
-        self._master.check_open()
+        self._participant.check_open()
         if self._running is not None:
             failed, seen = f"chain {self.name} cannot {what} now", f"it is busy: {self._running.name}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or halt() it",))
 
     def _require(self, what: str, *states: ChainState) -> None:
         if self.state is ChainState.FAULT:
-            self._master.check_open()
+            self._participant.check_open()
             raise self._stop_reason()
         if self.state is ChainState.HALTED and ChainState.HALTED not in states:
             raise self._stop_reason()
@@ -375,8 +380,8 @@ class Chain:
 
     def _require_same_cycle(self) -> None:
         """SYNC is one for all chains."""
-        period = self._master.sync_period
-        others = [chain.name for chain in self._master.chains if chain is not self and chain.state is not ChainState.OFF]
+        period = self._participant.sync_period
+        others = [chain.name for chain in self._chains if chain is not self and chain.state is not ChainState.OFF]
         if others and period != round(self.settings.cycle_time * SECOND):
             failed = f"chain {self.name} cannot run with a cycle of {self.settings.cycle_time:g} s"
             seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
@@ -395,9 +400,9 @@ class Chain:
         state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
-        _, self._stopping = self._master.launch(all_of(*(quietly(device, stop(device)) for device in self.devices)))
+        _, self._stopping = self._participant.launch(all_of(*(quietly(device, stop(device)) for device in self.devices)))
         if running is not None:
-            self._master.take_back(running.request_id)
+            self._participant.take_back(running.request_id)
 
     async def _joints_stopped(self) -> list[JointFailed | None]:
         """Wait until the joints that were told to stop stand; which of them did not confirm it."""
@@ -405,7 +410,7 @@ class Chain:
         if self._stopping is None:
             return []
         await self._stopping.done.wait()
-        failures: list[JointFailed | None] = self._master.result_of(self._stopping)
+        failures: list[JointFailed | None] = self._participant.result_of(self._stopping)
         return failures
 
     async def _joints_halted(self, what: str) -> None:
@@ -429,7 +434,7 @@ class Chain:
     # ---- in the pump's turn ----
 
     def _joint_failed(self, device: Device, reason: str, cause: str) -> None:
-        if self.state is not ChainState.FAULT and not self._master.is_closed:
+        if self.state is not ChainState.FAULT and not self._participant.is_closed:
             self._culprit = device, reason, cause
             self._stop(reason)
 

@@ -18,14 +18,12 @@ from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drive import DriveFault, ReferenceLost
-from canopen_proto.machine import Time
-from canopen_proto.network import Network
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 
 
-def joint_failed(chain: str, operation: str, failed: JointFailed, network: Network, now: Time) -> ChainError:
-    """A joint's procedure failed in `operation`. network: the one of the joint's bus."""
+def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
+    """A joint's procedure failed in `operation`."""
     device, error = failed.device, failed.error
     if isinstance(error, DriveFault):
         return joint_fault(chain, device, "is in fault")
@@ -35,7 +33,7 @@ def joint_failed(chain: str, operation: str, failed: JointFailed, network: Netwo
     tries: tuple[str, ...] = ()
     if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
         code = NO_ANSWER
-        seen, cause, tries = sdo_silence(network, device.node.remote, now)
+        seen, cause, tries = sdo_silence(device.node.network, device.node.remote, device.node.now())
     elif isinstance(error, SdoFailed):
         code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
     elif isinstance(error, NotHeldError):

@@ -7,7 +7,7 @@ the events: `async with joint.events(PdoReceived) as updates: ...`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from canopen_master.node import Node
 from canopen_master.subscription import Subscription
@@ -23,9 +23,6 @@ from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
 
-if TYPE_CHECKING:
-    from canopen_master.master import Master
-
 E = TypeVar("E", bound=Event)
 
 
@@ -38,9 +35,8 @@ class Device:
     Positions are in the user's unit, which its AxisSettings say; in counts where nobody gave a scale.
     """
 
-    def __init__(self, master: Master, name: str, node: Node, axis: Axis) -> None:
-        self._master = master
-        self.name = name
+    def __init__(self, name: str, node: Node, axis: Axis) -> None:
+        node.name = name or node.name
         self.node = node
         self.axis = axis
         self.cyclic: Mapping[int, int] = {}
@@ -52,15 +48,19 @@ class Device:
         self.emcy_time: Time | None = None
         self._position: tuple[Time, float] | None = None
         self._velocity: float | None = None
-        bus = master.bus(node.bus)
-        master.watch((SdoUploaded, SdoDownloaded), self._on_round_trip, bus, node.node_id)
-        master.watch((EmcyReceived,), self._on_emcy, bus, node.node_id)
-        master.watch((PdoReceived,), self._on_pdo, bus, node.node_id)
+        node.watch((SdoUploaded, SdoDownloaded), self._on_round_trip)
+        node.watch((EmcyReceived,), self._on_emcy)
+        node.watch((PdoReceived,), self._on_pdo)
 
     def __repr__(self) -> str:
         return f"<Device {self.name}: node {self.node.node_id} on {self.node.bus}>"
 
     # ---- what is known of it ----
+
+    @property
+    def name(self) -> str:
+        """What its chain calls it."""
+        return self.node.name
 
     @property
     def position(self) -> float | None:
@@ -151,7 +151,7 @@ class Device:
         """State, statusword and what else explains it, in one line for people."""
         text = self.axis.describe()
         if self.emcy_time is not None:
-            text += f" ({(self._master.now() - self.emcy_time) / SECOND:.3g} s ago)"
+            text += f" ({(self.node.now() - self.emcy_time) / SECOND:.3g} s ago)"
         return text
 
     def events(self, *kinds: type[E]) -> Subscription[E]:
@@ -165,12 +165,12 @@ class Device:
 
     def _on_emcy(self, report: EmcyReceived) -> None:
         self.emcy = report
-        self.emcy_time = self._master.now()
+        self.emcy_time = self.node.now()
 
     def _on_pdo(self, report: PdoReceived) -> None:
         if POSITION_ACTUAL_VALUE not in report.mapping.muxes:
             return
-        now, position = self._master.now(), self.position
+        now, position = self.node.now(), self.position
         if position is None:
             return  # it has booted since
         if self._position is not None and now > self._position[0]:

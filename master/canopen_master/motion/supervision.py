@@ -16,9 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from canopen_master.bus import Bus
 from canopen_master.motion.device import Device
+from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import AxisStateChanged
 from canopen_proto.drive.following import FollowingLost, read_unsent
@@ -27,9 +29,6 @@ from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
-
-if TYPE_CHECKING:
-    from canopen_master.master import Master
 
 RECENT: Final = 1 * SECOND
 """What another master said within this time may be the reason why a joint does not follow."""
@@ -43,26 +42,25 @@ SILENT: Final = (
 class Supervision:
     """See this module's text. is_on: whether failures are told at all."""
 
-    def __init__(self, master: Master, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
+    def __init__(self, participant: Participant, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
         """failed: called in the pump's turn with the joint, what it did, as "fell into fault", and the likely cause, or "".
 
         It may be called several times for one failure.
         """
-        self._master = master
+        self._participant = participant
         self._devices = devices
         self._failed = failed
         self._reading: RequestId | None = None
         self.is_on = False
         for device in devices:
-            bus, node_id = master.bus(device.node.bus), device.node.node_id
             kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeGuardingLost, NodeBooted)
-            master.watch(kinds, partial(self._on_event, device), bus, node_id)
+            device.node.watch(kinds, partial(self._on_event, device))
 
     def begin_following(self, limits: Sequence[Limit], silent_cycles: int) -> None:
         """The joints follow set-points from now on. limits: of their following errors. silent_cycles: as in ChainSettings."""
         for device, limit in zip(self._devices, limits, strict=True):
             device.following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=device.cyclic, silent_syncs=silent_cycles)
-        self._reading, _ = self._master.launch(read_unsent([device.following for device in self._devices]))
+        self._reading, _ = self._participant.launch(read_unsent([device.following for device in self._devices]))
 
     def end_following(self) -> None:
         """They do not any more."""
@@ -70,14 +68,14 @@ class Supervision:
             device.following.end()
         reading, self._reading = self._reading, None
         if reading is not None:
-            self._master.take_back(reading)
+            self._participant.take_back(reading)
 
     def _on_event(
         self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeGuardingLost | NodeBooted
     ) -> None:
         if not self.is_on:
             return
-        cause = foreign_commands(self._master, device)
+        cause = foreign_commands(device, self._participant.bus(device.node.bus))
         match report:
             case FollowingLost(cause=reason, is_silent=is_silent):
                 self._failed(device, reason, cause or (SILENT if is_silent else ""))
@@ -91,9 +89,9 @@ class Supervision:
                 self._failed(device, "was reset, or lost its power: it has booted again", cause)
 
 
-def foreign_commands(master: Master, device: Device) -> str:
+def foreign_commands(device: Device, bus: Bus) -> str:
     """Which commands of others were heard lately that may be why a joint does not follow, for people; "" for none."""
-    bus, node_id, now = master.bus(device.node.bus), device.node.node_id, master.now()
+    node_id, now = device.node.node_id, device.node.now()
     keys = {"an NMT command": NMT, "an SDO request to it": SDO_CLIENT_TO_SERVER + node_id}
     if not bus.hears_own_sync:
         keys["a SYNC"] = SYNC

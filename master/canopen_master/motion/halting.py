@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
-
+from canopen_master.grip import Grips
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, stop
 from canopen_master.node import Node
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of
-from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.steps import Procedure, download, upload
-
-if TYPE_CHECKING:
-    from canopen_master.master import Master
 
 
 class Halt:
@@ -24,14 +18,13 @@ class Halt:
     it is, and for one that could not move. is_confirmed: it was asked, and it stands.
     """
 
-    def __init__(self, node: Node, device: Device | None, bus_failed: bool) -> None:
+    def __init__(self, node: Node, device: Device | None) -> None:
         self.node = node
         self.device = device
-        self.bus_failed = bus_failed
         self.where = node.where if device is None else device.where
         self.is_confirmed = False
         may_move = device is None or device.may_move or device.state in POWERED
-        self.problem = "" if not may_move else "its bus has failed" if bus_failed else "it has not answered yet"
+        self.problem = "" if not may_move else "its bus has failed" if node.bus_has_failed else "it has not answered yet"
 
     def run(self) -> Procedure[None]:
         """Halt it and wait until it stands. It never fails: no drive keeps another one from being halted."""
@@ -40,6 +33,12 @@ class Halt:
             self.is_confirmed = not self.problem
         except Exception as error:  # noqa: BLE001 - whatever it is, it is told as this drive's
             self.problem = self.problem and (str(error) or repr(error))
+
+    def run_and_let_go(self, grips: Grips) -> Procedure[None]:
+        """Halt it, and let it go (grip.py) if it is known to stand."""
+        yield from self.run()
+        if self.is_confirmed:
+            yield from grips.let_go(self.node)
 
     def _by_axis(self, device: Device) -> Procedure[None]:
         # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.
@@ -58,14 +57,3 @@ class Halt:
             yield from download(client, CONTROLWORD >> 8, 0, word.to_bytes(2, "little"))
         else:
             self.problem = ""
-
-
-def halts_needed(master: Master, nodes: Iterable[Node]) -> Iterator[Halt]:
-    """The halts of all drives that move, or that a command under way may yet enable; those that were enabled by hand, too."""
-    for node in nodes:
-        try:
-            device = master.device(node) if node.was_enabled else master.devices.get(node)
-        except LocalProtocolError:  # its dictionary has none of what a drive has
-            device = None
-        if node.was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
-            yield Halt(node, device, master.bus(node.bus).failed)
