@@ -24,9 +24,9 @@ from canopen_cli.problem import ExitCode
 from canopen_cli.recording import Recording
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_proto.cia402 import axis
 from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.cia402.states import State
+from canopen_proto.drive import axis
 from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, runner, stands, watched_fleets
 from tests.cli.test_demo_eds import written
 
