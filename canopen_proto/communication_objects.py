@@ -37,6 +37,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.cob_id import CAN_ID_AND_FRAME, check_can_id, check_cob_id, is_valid
 from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import Values, mux
 from canopen_proto.emcy import MAX_HISTORY, EmcyConsumer, EmcyProducer
@@ -47,7 +48,6 @@ from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
 from canopen_proto.nmt import SERVICES, NmtState, Service
 from canopen_proto.pdo.mapping import number_at
-from canopen_proto.pdo.rules import CAN_ID_AND_FRAME, check_can_id, check_cob_id, is_valid
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
 

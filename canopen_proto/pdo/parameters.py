@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
@@ -32,7 +33,7 @@ from canopen_proto.pdo.consumer import EVENT_DRIVEN, PdoConsumer
 from canopen_proto.pdo.mapping import Mapping, MappingError, number_at
 from canopen_proto.pdo.multiplexed import DISPATCHER_LISTS, SCANNER_LISTS, MpdoConsumer, MpdoMode, MpdoProducer
 from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, PdoProducer
-from canopen_proto.pdo.rules import PdoRules, check_can_id
+from canopen_proto.pdo.rules import PdoRules
 from canopen_proto.pdo.settings import (
     COB_ID,
     EVENT_TIMER,

@@ -33,9 +33,10 @@ from collections.abc import Container
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.cob_id import check_cob_id
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Direction, Values
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID
+from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES, may_have_width, number_at
 from canopen_proto.pdo.multiplexed import (
@@ -60,43 +61,7 @@ from canopen_proto.pdo.settings import (
     place_of,
 )
 
-RESTRICTED_CAN_IDS: Final = (
-    range(0x080),  # NMT; reserved
-    range(0x101, 0x181),  # reserved
-    range(0x581, 0x600),  # default SDO, server to client
-    range(0x601, 0x680),  # default SDO, client to server
-    range(0x6E0, 0x700),  # reserved
-    range(0x701, 0x780),  # NMT error control
-    range(0x780, 0x800),  # reserved
-)
-"""CAN-IDs that no configurable communication object may take (CiA 301 v4.2.0, 7.3.5, table 40)."""
-
-CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF
-"""Bits 0 to 29 of a COB-ID, which may change only while it is not in use."""
 _LISTS: Final = {Direction.RPDO: DISPATCHER_LISTS, Direction.TPDO: SCANNER_LISTS}
-
-
-def check_can_id(cob_id: int) -> AbortCode | None:
-    """Whether the CAN-ID in a COB-ID is one that may be configured. CiA 301 v4.2.0, 7.3.5"""
-    if cob_id & COB_ID_EXTENDED:
-        return None
-    can_id = cob_id & 0x1FFF_FFFF
-    restricted = can_id > 0x7FF or any(can_id in each for each in RESTRICTED_CAN_IDS)
-    return AbortCode.INVALID_VALUE if restricted else None
-
-
-def check_cob_id(cob_id: int, standing: int, *, in_use: bool, allowed: Container[int] = ()) -> AbortCode | None:
-    """Whether a COB-ID may take the place of the standing one. in_use: its CAN-ID may not change. allowed: CAN-IDs that this one
-    may have though they are restricted."""
-    refusal = None if cob_id & CAN_ID_AND_FRAME in allowed else check_can_id(cob_id)
-    if refusal is None and in_use and (cob_id ^ standing) & CAN_ID_AND_FRAME:
-        return AbortCode.DEVICE_STATE
-    return refusal
-
-
-def is_valid(cob_id: int) -> bool:
-    """Whether a COB-ID other than a PDO's is in use. One of 0, which no service but NMT can have, counts as not valid."""
-    return cob_id != 0 and not cob_id & COB_ID_INVALID
 
 
 class PdoRules:

@@ -31,6 +31,7 @@ from collections.abc import Container
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.cob_id import check_cob_id, is_valid
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Values
 from canopen_proto.frame import (
@@ -43,7 +44,6 @@ from canopen_proto.frame import (
 )
 from canopen_proto.group import Members
 from canopen_proto.machine import LocalProtocolError, Outbox, RequestId, Time
-from canopen_proto.pdo.rules import check_cob_id, is_valid
 from canopen_proto.sdo.access import ObjectStore
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.request import Request

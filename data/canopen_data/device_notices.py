@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Final
 
+from canopen_proto.cob_id import check_can_id, is_valid
 from canopen_proto.datatypes import DataType, Value, is_integer, is_signed, size_of
 from canopen_proto.dictionary import Direction, Values, Variable
 from canopen_proto.dictionary.standard import find_standard
@@ -36,7 +37,6 @@ from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.pdo.parameters import DevicePdos
 from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, SYNCHRONOUS_ON_REQUEST
-from canopen_proto.pdo.rules import check_can_id, is_valid
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, communication_index, mapping_index, place_of
 from canopen_proto.sdo.channels import TO_CLIENT, TO_SERVER, SdoChannels, channel_of
 

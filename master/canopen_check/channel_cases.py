@@ -16,11 +16,11 @@ from canopen_check.expectations import does_not_apply, expect, expect_equal, exp
 from canopen_check.raw_sdo import ask, initiate
 from canopen_check.sdo_cases import DEVICE_TYPE, NO_OBJECT
 from canopen_check.storing_cases import save
+from canopen_proto.cob_id import is_valid
 from canopen_proto.dictionary import Variable
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
-from canopen_proto.pdo.rules import is_valid
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import CLIENTS, FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 from canopen_proto.sdo.codec import INITIATE_UPLOAD

@@ -16,12 +16,12 @@ from canopen_check.case import Body, Case, for_each
 from canopen_check.expectations import Violation, does_not_apply, expect_equal, expect_refusal
 from canopen_check.sdo_cases import ANY_TIME, settings, takes_any_time
 from canopen_proto.abort import AbortCode
+from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Variable
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import SECOND
 from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STORE
-from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
 from canopen_proto.pdo.settings import COB_ID, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Machine, Outbox
@@ -16,7 +17,6 @@ from canopen_proto.pdo import (
     PdoProducer,
     PdoReceived,
 )
-from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
 from canopen_proto.pdo.settings import communication_index
 from tests.proto.pdo_device import NODE_ID, OFF, Device, communication, dictionary, mapping
 

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 from canopen_data.checks.subject import ERROR, WARNING, Number, Rule, Subject
 from canopen_data.description import FileKind
 from canopen_data.findings import Finding
+from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary.model import Variable
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID
-from canopen_proto.pdo.rules import RESTRICTED_CAN_IDS
 from canopen_proto.pdo.settings import COB_ID, place_of
 
 SDO_SERVERS: Final = range(0x1200, 0x1280)

@@ -1,0 +1,52 @@
+"""Which COB-IDs a communication object may have: one copy of the rules, for PDOs, SDO channels, SYNC, EMCY and TIME.
+
+The table of restricted CAN-IDs stands in CiA 301 v4.2.0, 7.3.5, table 40. Each check returns None, or the abort code with which
+a device refuses the value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import Final
+
+from canopen_proto.abort import AbortCode
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
+
+RESTRICTED_CAN_IDS: Final = (
+    range(0x080),  # NMT; reserved
+    range(0x101, 0x181),  # reserved
+    range(0x581, 0x600),  # default SDO, server to client
+    range(0x601, 0x680),  # default SDO, client to server
+    range(0x6E0, 0x700),  # reserved
+    range(0x701, 0x780),  # NMT error control
+    range(0x780, 0x800),  # reserved
+)
+"""CAN-IDs that no configurable communication object may take (CiA 301 v4.2.0, 7.3.5, table 40)."""
+
+CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF
+"""Bits 0 to 29 of a COB-ID, which may change only while it is not in use."""
+
+
+def check_can_id(cob_id: int) -> AbortCode | None:
+    """Return 0x06090030 if the CAN-ID in a COB-ID is restricted or out of range, else None. CiA 301 v4.2.0, 7.3.5"""
+    if cob_id & COB_ID_EXTENDED:
+        return None
+    can_id = cob_id & 0x1FFF_FFFF
+    restricted = can_id > 0x7FF or any(can_id in each for each in RESTRICTED_CAN_IDS)
+    return AbortCode.INVALID_VALUE if restricted else None
+
+
+def check_cob_id(cob_id: int, standing: int, *, in_use: bool, allowed: Container[int] = ()) -> AbortCode | None:
+    """Return why a COB-ID may not replace the standing one, or None if it may.
+
+    in_use: the standing COB-ID is valid, so its CAN-ID may not change. allowed: restricted CAN-IDs that this object may have.
+    """
+    refusal = None if cob_id & CAN_ID_AND_FRAME in allowed else check_can_id(cob_id)
+    if refusal is None and in_use and (cob_id ^ standing) & CAN_ID_AND_FRAME:
+        return AbortCode.DEVICE_STATE
+    return refusal
+
+
+def is_valid(cob_id: int) -> bool:
+    """Return whether a COB-ID (not a PDO's) is in use. 0, which only NMT can have, counts as not valid."""
+    return cob_id != 0 and not cob_id & COB_ID_INVALID
