@@ -1,8 +1,8 @@
 """What a device does besides communicating, as its `LocalNode` sees it.
 
-A `LocalNode` is complete without an application: then its objects are plain memory. With one (the simulated drive is such) they
-are shared: the application reads and writes the node's values, is asked before a client changes one of its objects, and is told
-of whatever it has to act on. Nothing here is called by the host.
+A `LocalNode` is complete without an application: then its objects are plain memory. An application, such as the simulated drive,
+shares them: it reads and writes the node's values, is asked before a client changes one of its objects, and is told of whatever
+it has to act on. The LocalNode calls these methods; the host never does.
 """
 
 from __future__ import annotations
@@ -38,3 +38,22 @@ class Application(Protocol):
 
     def reset(self, now: Time) -> None:
         """Power-on: the values are back at their defaults."""
+
+
+class PlainMemory:
+    """The application of a device that has none: its objects hold what is written to them, and nothing follows."""
+
+    __slots__ = ()
+
+    def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
+        return None
+
+    def written(self, index: int, subindex: int, now: Time) -> None: ...
+
+    def refresh(self, now: Time) -> None: ...
+
+    def on_sync(self, now: Time) -> None: ...
+
+    def connection_lost(self, now: Time, error_code: int) -> None: ...
+
+    def reset(self, now: Time) -> None: ...

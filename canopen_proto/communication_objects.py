@@ -2,8 +2,8 @@
 
 Theory of operation
 -------------------
-Each index with an effect is a row: what may be written there (`check`), and what the machines do when it was (`apply`). A
-dictionary without an index simply never comes to that row. Two objects are shown rather than held: 0x1001 and 0x1003 are the EMCY
+Each index with an effect is a row: what may be written there (`check_write`), and what the machines do then (`_effects`). A
+dictionary without an index never comes to that row. Two objects are shown rather than held: 0x1001 and 0x1003 are the EMCY
 producer's own, and are copied into the values when they are read (`refresh`).
 
     0x1003   error history: writing 0 to subindex 0 clears it, nothing else may be written; an entry
@@ -34,6 +34,7 @@ Source: CiA 301 v4.2.0, the clause at each row.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.abort import AbortCode
@@ -47,6 +48,7 @@ from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
 from canopen_proto.nmt import SERVICES, NmtState, Service
+from canopen_proto.owner import Owner
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
@@ -81,10 +83,11 @@ DEFAULT_HISTORY_LENGTH: Final = 8
 """Entries kept where the dictionary has no 0x1003."""
 
 
-class CommunicationObjects:
+class CommunicationObjects(Owner):
     """The machines that a device's communication objects set, and the rules of writing these objects."""
 
     __slots__ = (
+        "_effects",
         "_members",
         "_out",
         "_state",
@@ -120,15 +123,29 @@ class CommunicationObjects:
         self.time_producer = TimeProducer(out)
         self.time_consumer = TimeConsumer(out, None)
         self.emcy.set_enabled(False, 0)  # until the boot-up frame is out
+        self._effects: dict[int, Callable[[Time], None]] = {
+            0x1003: self._clear_history,
+            0x1005: self._set_sync,
+            0x1006: self._set_sync,
+            0x100C: self._set_guarding,
+            0x100D: self._set_guarding,
+            0x1012: self._set_time,
+            0x1014: self._set_emcy,
+            0x1015: self._set_emcy_inhibit,
+            0x1016: self._set_monitors,
+            0x1017: self._set_heartbeat,
+            0x1019: self._set_sync,
+            0x1028: self._set_emcy_consumers,
+        }
         for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer, self.time_consumer):
             members.attach(machine)
 
     def _int(self, key: int, default: int = 0) -> int:
-        """The number there; a file may describe a communication object as anything. MAX_NUMBER at most."""
+        """The stored number, MAX_NUMBER at most; `default` if a file describes the object as something else."""
         return min(number_at(self.values.store, key, default), MAX_NUMBER)
 
     def _cob_id(self, key: int, default: int) -> int:
-        """The COB-ID there; `default` where its CAN-ID is none that a service may have, which only a file can say."""
+        """The stored COB-ID, or `default` if its CAN-ID is restricted (only a faulty file can put one there)."""
         cob_id = self._int(key, default)
         return cob_id if check_can_id(cob_id & CAN_ID_AND_FRAME) is None else default
 
@@ -137,26 +154,25 @@ class CommunicationObjects:
         return cob_id if cob_id & COB_ID_INVALID else self._cob_id(COB_ID_EMCY, EMCY + self.node_id)
 
     def reload(self, now: Time) -> None:
-        """Set all machines by the values: at the start, and when a reset has put the defaults back. Monitoring begins anew."""
+        """Set all machines by the values: at the start, and after a reset has put the defaults back. Monitoring begins again."""
         for monitor in self.monitors.values():
             self._members.detach(monitor)
         self.monitors.clear()
-        self.emcy.set_cob_id(self._cob_id_emcy(), now)
-        self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
-        self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
-        self._set_guarding(now)
+        self._set_emcy(now)
+        self._set_emcy_inhibit(now)
+        self._set_heartbeat(now)
         self._set_monitors(now)
         self._set_sync(now)
-        self._set_time()
-        self._set_emcy_consumers()
+        self._set_time(now)
+        self._set_emcy_consumers(now)
 
     def set_state(self, state: NmtState, now: Time) -> None:
-        """The node's NMT state is another: services live or don't, and its heartbeat or guarding answers bear it."""
+        """Take up a new NMT state: it decides which services live, and heartbeat or guarding answers show it."""
         self._state = state
         self.emcy.set_enabled(self._lives(Service.EMCY), now)
         self._set_sync(now)
-        self._set_time()
-        self._set_emcy_consumers()
+        self._set_time(now)
+        self._set_emcy_consumers(now)
         self.heartbeat.set_state(state, now)
         self.guarding.set_state(state)
 
@@ -169,7 +185,7 @@ class CommunicationObjects:
         return service in SERVICES[self._state]
 
     def refresh(self, index: int, subindex: int) -> AbortCode | None:
-        """Bring 0x1001 or 0x1003 into the values, before they are read; or why there is nothing to read."""
+        """Copy 0x1001 or 0x1003 into the values before a read. Returns NO_DATA for an entry of 0x1003 beyond the last error."""
         store = self.values.store
         if index == 0x1001 and self._has_room(0x1001, 0, BYTE):
             store[ERROR_REGISTER] = self.emcy.error_register
@@ -188,10 +204,9 @@ class CommunicationObjects:
         numbers = None if variable is None else range_of(variable.data_type)
         return numbers is not None and numbers[1] >= highest
 
-    # ---- the two doors of a write ----
+    # ---- as the owner of these objects ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """What forbids writing this value there, or None; value is right in type and limits already."""
         if index == 0x1003:
             return None if value == 0 and subindex == 0 else AbortCode.INVALID_VALUE
         standing = self.values.store.get(mux(index, subindex))
@@ -219,30 +234,9 @@ class CommunicationObjects:
         return None
 
     def apply(self, index: int, subindex: int, now: Time) -> None:
-        """A value was stored there: the machines go by it from now on."""
-        match index:
-            case 0x1003:
-                self.emcy.clear_history()
-                for key in self.values.store:
-                    if key >> 8 == 0x1003 and self._has_room(0x1003, key & 0xFF, BYTE):
-                        self.values.store[key] = 0
-            case 0x1005 | 0x1006 | 0x1019:
-                self._set_sync(now)
-            case 0x100C | 0x100D:
-                self._set_guarding(now)
-            case 0x1012:
-                self._set_time()
-            case 0x1014:
-                self.emcy.set_cob_id(self._cob_id_emcy(), now)
-            case 0x1015:
-                self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
-            case 0x1016:
-                self._set_monitors(now)
-            case 0x1017:
-                self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
-                self._set_guarding(now)
-            case 0x1028:
-                self._set_emcy_consumers()
+        effect = self._effects.get(index)
+        if effect is not None:
+            effect(now)
 
     # ---- rules ----
 
@@ -263,6 +257,22 @@ class CommunicationObjects:
 
     # ---- effects ----
 
+    def _clear_history(self, now: Time) -> None:
+        self.emcy.clear_history()
+        for key in self.values.store:
+            if key >> 8 == 0x1003 and self._has_room(0x1003, key & 0xFF, BYTE):
+                self.values.store[key] = 0
+
+    def _set_emcy(self, now: Time) -> None:
+        self.emcy.set_cob_id(self._cob_id_emcy(), now)
+
+    def _set_emcy_inhibit(self, now: Time) -> None:
+        self.emcy.set_inhibit_time(self._int(EMCY_INHIBIT_TIME) * 100 * MICROSECOND, now)
+
+    def _set_heartbeat(self, now: Time) -> None:
+        self.heartbeat.set_period(self._int(PRODUCER_HEARTBEAT) * MILLISECOND, now)
+        self._set_guarding(now)
+
     def _set_monitors(self, now: Time) -> None:
         wanted: dict[int, Time] = {}
         for entry in self._entries(0x1016).values():
@@ -279,7 +289,7 @@ class CommunicationObjects:
             if monitor.timeout != timeout:
                 monitor.set_timeout(timeout, now)
 
-    def _set_emcy_consumers(self) -> None:
+    def _set_emcy_consumers(self, now: Time) -> None:
         """While EMCY lives, one consumer for each valid entry of 0x1028, whose subindex is the node-ID."""
         entries = self._entries(0x1028).items() if self._lives(Service.EMCY) else ()
         wanted = {node_id: key_of_cob_id(entry) for node_id, entry in entries if node_id <= MAX_NODE_ID and is_valid(entry)}
@@ -314,7 +324,7 @@ class CommunicationObjects:
         if period:
             producer.start(period, now)
 
-    def _set_time(self) -> None:
+    def _set_time(self, now: Time) -> None:
         cob_id = self._cob_id(COB_ID_TIME, 0)
         key = key_of_cob_id(cob_id)
         self.time_producer.key = key

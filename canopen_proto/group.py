@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from heapq import heapify, heappop, heappush
+from types import TracebackType
 from typing import Any, Final, TypeAlias
 
 from canopen_proto.frame import Frame
@@ -140,6 +141,24 @@ class Members:
                 machine._arm(machine.deadline)  # it had moved later meanwhile
 
 
+class Settling:
+    """Stands around a command of a group: the group then reacts to what its members reported. After an exception it does not."""
+
+    __slots__ = ("_group", "_mark", "_now")
+
+    def __init__(self, group: Group, now: Time) -> None:
+        self._group = group
+        self._mark = len(group.inner.events)
+        self._now = now
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None:
+            self._group._settle(self._mark, self._now)
+
+
 class Group(Machine):
     """A machine made of machines; see this module's text. Members are made with `inner` as their outbox."""
 
@@ -175,11 +194,14 @@ class Group(Machine):
         self._settle(mark, now)
         self._arm(self._members.next_deadline())  # even if it is the old one: the wake for that may just have been used up
 
-    def _settle(self, mark: int, now: Time) -> None:
-        """React to what was reported since `mark`, and to what the reactions report.
+    def _settling(self, now: Time) -> Settling:
+        """`with self._settling(now): ...` stands in every command of a group that makes members report something."""
+        return Settling(self, now)
 
-        Inputs end with this; so does every command of a group that makes members report something. (Deadlines need nothing here:
-        a member that arms a nearer one arms its group too, see `Machine._arm`.)
+    def _settle(self, mark: int, now: Time) -> None:
+        """React to what was reported since `mark`, and to what the reactions report. Every input ends with this.
+
+        Deadlines need nothing here: a member that arms a nearer one arms its group too, see `Machine._arm`.
         """
         events = self.inner.events
         reactions = self._reactions

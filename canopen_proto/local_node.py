@@ -3,10 +3,11 @@
 A group of machines, set up by the dictionary: NMT slave, SDO servers and clients, heartbeat producer and consumers or guarding,
 SYNC, TIME, EMCY, PDOs, and, where there is one, an `application` (a simulated drive). All of them share the memory `values`.
 
-**A write is asked, stored, obeyed.** `check_write` and `write` are the doors through which the SDO servers come in. After type,
-access and limits are found right, whoever the object belongs to is asked, and may refuse with an abort code: the
-communication objects (`communication_objects.py`), the PDO parameters (`pdo/parameters.py`), the records of SDO channels
-(`sdo/channels.py`), else the application. Then the value is stored, and its owner told, before the client gets its answer.
+**A write is asked, stored, obeyed.** The SDO servers call `check_write` and `write`. Once type, access and limits are right, the
+owner of the object is asked, and may refuse with an abort code. Each communication object of the dictionary has one `Owner`
+(owner.py): the PDO parameters (pdo/parameters.py), the storage of parameters (parameter_storage.py), the records of SDO channels
+(sdo/channels.py), or the rest (communication_objects.py). All other objects belong to the application. Then the value is stored,
+and its owner goes by it, before the client gets its answer.
 
 What follows from what:
 
@@ -32,7 +33,7 @@ import datetime
 from typing import Final
 
 from canopen_proto.abort import AbortCode, text_of
-from canopen_proto.application import Application
+from canopen_proto.application import Application, PlainMemory
 from canopen_proto.communication_errors import (
     COMMUNICATION_ERROR_BIT,
     EMCY_COMMUNICATION,
@@ -50,6 +51,7 @@ from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
+from canopen_proto.owner import Owner
 from canopen_proto.parameter_storage import SIGNATURES, ParameterStorage
 from canopen_proto.pdo.consumer import (
     EMCY_PDO_LENGTH_EXCEEDED,
@@ -83,6 +85,7 @@ class LocalNode(Group):
 
     __slots__ = (
         "_errors",
+        "_owners",
         "_store",
         "application",
         "channels",
@@ -103,7 +106,7 @@ class LocalNode(Group):
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.values = Values(dictionary, node_id)
-        self.application: Application | None = None
+        self.application: Application = PlainMemory()
         self.storage = ParameterStorage(self.values)
         self.nmt = NmtSlave(self.inner, node_id)
         self._store = ValuesStore(self.values)
@@ -119,6 +122,9 @@ class LocalNode(Group):
         self.sdo = self.channels.servers[1]
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
         self._errors = CommunicationErrors(self.communication.emcy)
+        parts: tuple[Owner, ...] = (self.pdos, self.storage, self.channels, self.communication)
+        indices = [index for index in dictionary.objects if index in COMMUNICATION_OBJECTS]
+        self._owners = {index: next(part for part in parts if part.owns(index)) for index in indices}
         for machine in self.pdos.machines:
             self._members.attach(machine)
         self._reactions.update(
@@ -146,7 +152,7 @@ class LocalNode(Group):
 
     @property
     def dictionary(self) -> ObjectDictionary:
-        """What the device is."""
+        """The description of the device."""
         return self.values.dictionary
 
     @property
@@ -159,18 +165,16 @@ class LocalNode(Group):
 
         CiA 301 v4.2.0, 7.3.2.2.1 and 7.2.8.3.3
         """
-        mark = len(self.inner.events)
-        self._start(now)
-        self._settle(mark, now)
+        with self._settling(now):
+            self._start(now)
 
     def execute(self, command: NmtCommand, now: Time) -> None:
-        """Do what an NMT command says, for a reason of our own: a device that starts itself (0x1F80)."""
-        mark = len(self.inner.events)
-        self.nmt.execute(command, now)
-        self._settle(mark, now)
+        """Execute an NMT command for a reason of the device's own: a device that starts itself (0x1F80)."""
+        with self._settling(now):
+            self.nmt.execute(command, now)
 
     def set_value(self, index: int, subindex: int, value: Value, now: Time) -> None:
-        """The device's own side changes a value, whatever its access right: event-driven TPDOs that carry it are triggered.
+        """Change a value from the device's own side, whatever its access right. Event-driven TPDOs that carry it are triggered.
 
         A communication object takes effect as if a client had written it. Raises LocalProtocolError, ValueRangeError where the
         dictionary has no such object, it cannot hold the value, or a communication object refuses it.
@@ -185,11 +189,10 @@ class LocalNode(Group):
         refusal = self._refusal(index, subindex, value)
         if refusal is not None:
             raise LocalProtocolError(f"node {self.node_id}: {variable.label} = {value!r}: {text_of(refusal)}")
-        mark = len(self.inner.events)
-        self.values.store[variable.mux] = value
-        self._obey(index, subindex, now)
-        self.pdos.trigger(variable.mux, now)
-        self._settle(mark, now)
+        with self._settling(now):
+            self.values.store[variable.mux] = value
+            self._obey(index, subindex, now)
+            self.pdos.trigger(variable.mux, now)
 
     def raise_error(
         self, code: int, register_bits: int, vendor_data: bytes, now: Time, *, error_class: int | None = None
@@ -199,37 +202,33 @@ class LocalNode(Group):
         error_class: subindex of 0x1029 that says what follows for the NMT state (1 a communication error, 2.. by the device
         profile, such as an output error); pre-operational where the dictionary lacks it. None: nothing follows.
         """
-        mark = len(self.inner.events)
-        self.communication.emcy.raise_error(code, register_bits, vendor_data, now)
-        if error_class is not None:
-            self._behave(error_class, now)
-        self._settle(mark, now)
+        with self._settling(now):
+            self.communication.emcy.raise_error(code, register_bits, vendor_data, now)
+            if error_class is not None:
+                self._behave(error_class, now)
 
     def clear_error(self, code: int, now: Time) -> None:
-        """An error is gone. See EmcyProducer.clear."""
-        mark = len(self.inner.events)
-        self.communication.emcy.clear(code, now)
-        self._settle(mark, now)
+        """Report that an error is gone. See EmcyProducer.clear."""
+        with self._settling(now):
+            self.communication.emcy.clear(code, now)
 
     def bus_off(self, now: Time) -> None:
-        """The CAN controller went off the bus: the application hears of it, and 0x1029:01 says what the node does."""
-        mark = len(self.inner.events)
-        self._on_connection_lost(now)
-        self._settle(mark, now)
+        """Report that the CAN controller went off the bus: the application is told, and the node does what 0x1029:01 says."""
+        with self._settling(now):
+            self._on_connection_lost(now)
 
     def bus_recovered(self, now: Time) -> None:
-        """It is back: EMCY 0x8140, and as the error is over with that, the EMCY that says so. CiA 301 v4.2.0, 7.2.7.1"""
-        mark = len(self.inner.events)
-        self.communication.emcy.raise_error(EMCY_BUS_OFF_RECOVERED, COMMUNICATION_ERROR_BIT, b"", now)
-        self.communication.emcy.clear(EMCY_BUS_OFF_RECOVERED, now)
-        self._settle(mark, now)
+        """Report that the CAN controller is back: sends EMCY 0x8140, then the EMCY that ends it. CiA 301 v4.2.0, 7.2.7.1"""
+        with self._settling(now):
+            self.communication.emcy.raise_error(EMCY_BUS_OFF_RECOVERED, COMMUNICATION_ERROR_BIT, b"", now)
+            self.communication.emcy.clear(EMCY_BUS_OFF_RECOVERED, now)
 
     def send_mpdo(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
         """Write an object of another node, or of all (0), by TPDO `number`, an MPDO. See MpdoProducer.send_to."""
         return self.pdos.mpdo_producer.send_to(number, node_id, index, subindex, data, now)
 
     def send_time(self, time: datetime.datetime, now: Time) -> None:
-        """Tell the bus what time it is. Event: TimeSent. See TimeProducer.send.
+        """Send the time of day to the bus. Event: TimeSent. See TimeProducer.send.
 
         Raises LocalProtocolError where the device is no TIME producer (bit 30 of 0x1012), or TIME does not live in its NMT state.
         """
@@ -241,35 +240,30 @@ class LocalNode(Group):
     def complete(
         self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
     ) -> None:
-        """The host's answer to ObjectAccessPending. See SdoServer.complete."""
-        mark = len(self.inner.events)
-        self.channels.complete(access_id, result, now, more=more, size=size)
-        self._settle(mark, now)
+        """Give the host's answer to ObjectAccessPending. See SdoServer.complete."""
+        with self._settling(now):
+            self.channels.complete(access_id, result, now, more=more, size=size)
 
     def sdo_client(self, number: int) -> SdoClient:
-        """The SDO client of record 0x1280 + number - 1, by which the device itself accesses another. See SdoChannels.client."""
+        """Return the SDO client of record 0x1280 + number - 1, with which the device accesses another. See SdoChannels.client."""
         return self.channels.client(number)
 
     # ---- what the SDO servers ask: they serve this node ----
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
-        """An object's bytes, brought up to date, or why not."""
+        """Return an object's bytes, brought up to date; an abort code if it cannot be read; PENDING if the host has to answer."""
         if index in self.deferred:
             variable = self._store.readable(index, subindex)
             return variable if isinstance(variable, AbortCode) else PENDING
-        if index not in COMMUNICATION_OBJECTS:
-            if self.application is not None:
-                self.application.refresh(now)
-        elif (capability := self.storage.capability(index, subindex)) is not None:
-            self.values.store[mux(index, subindex)] = capability
-        elif index <= 0x1003:
-            refusal = self.communication.refresh(index, subindex)
-            if refusal is not None:
-                return refusal
+        owner = self._owners.get(index)
+        if owner is None:
+            self.application.refresh(now)
+        elif (refusal := owner.refresh(index, subindex)) is not None:
+            return refusal
         return self._store.read(index, subindex, now)
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
-        """Whether a download may begin: access, and length where it was announced; and whether the host takes it in pieces."""
+        """Return what forbids a download (access, announced length), PENDING if the host takes it in pieces, or None."""
         refusal = self._store.check_write(index, subindex, size)
         if refusal is not None or index not in self.in_pieces:
             return refusal
@@ -289,16 +283,16 @@ class LocalNode(Group):
         return self._take(variable, value, now)
 
     def take_write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
-        """For the host: store and obey a write to a `deferred` object as if it was none. None, or why not, for `complete`.
+        """Store a write to a `deferred` object and let it take effect, as for any other object.
 
-        data: as ObjectAccessPending had it. Raises ObjectNotFound."""
+        data: as ObjectAccessPending had it. Returns what to pass to `complete`: None, or an abort code. Raises ObjectNotFound.
+        """
         variable = self.dictionary.variable((index, subindex))
         value = self._store.decode(variable, data)
         if isinstance(value, AbortCode):
             return value
-        mark = len(self.inner.events)
-        refusal = self._take(variable, value, now)
-        self._settle(mark, now)
+        with self._settling(now):
+            refusal = self._take(variable, value, now)
         return AbortCode.CANNOT_TRANSFER if isinstance(refusal, Pending) else refusal  # storing is the host's own
 
     def _take(self, variable: Variable, value: Value, now: Time) -> AbortCode | Pending | None:
@@ -310,41 +304,28 @@ class LocalNode(Group):
         if index in SIGNATURES:  # one at a time: each takes the values of its moment
             return AbortCode.DEVICE_STATE if any(map(self.channels.host_takes, SIGNATURES)) else PENDING
         self.values.store[variable.mux] = value
-        if not self.channels.owns(index):  # else by `_on_written`: the write may have come over the channel that it closes
+        if self._owners.get(index) is not self.channels:  # else `_on_written` does: the write may close its own channel
             self._obey(index, subindex, now)
         self.pdos.trigger(variable.mux, now)
         return None
 
     def _refusal(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Why the owner of an object does not take that value, right in type and limits, or None."""
-        if index in COMMUNICATION_OBJECTS:
-            if self.pdos.owns(index):
-                return self.pdos.check_write(index, subindex, value)
-            if index in SIGNATURES:
-                return self.storage.check_write(index, subindex, value)
-            if self.channels.owns(index):
-                return self.channels.check_write(index, subindex, value)
-            return self.communication.check_write(index, subindex, value)
-        return None if self.application is None else self.application.check_write(index, subindex, value)
+        """Return why the owner of an object does not take a value that is right in type and limits, or None."""
+        owner = self._owners.get(index)
+        return (self.application if owner is None else owner).check_write(index, subindex, value)
 
     def _obey(self, index: int, subindex: int, now: Time) -> None:
-        """The owner of an object goes by the value that was stored."""
-        if index not in COMMUNICATION_OBJECTS:
-            if self.application is not None:
-                self.application.written(index, subindex, now)
+        """Let the owner of an object go by the value that was stored."""
+        owner = self._owners.get(index)
+        if owner is None:
+            self.application.written(index, subindex, now)
             return
-        if self.channels.owns(index):
-            self.channels.apply(index, now)
-            return
-        if self.pdos.owns(index):
-            self.pdos.apply(index, subindex, now)
-            place = place_of(index)
-            if place is not None and place.direction is Direction.RPDO:
-                self._errors.rpdo_good(place.number, now)  # it is another PDO from now on
-            return
-        self.communication.apply(index, subindex, now)
+        owner.apply(index, subindex, now)
+        place = place_of(index)
+        if place is not None and place.direction is Direction.RPDO:
+            self._errors.rpdo_good(place.number, now)  # it is another PDO from now on
         for node_id in self._errors.lost_nodes.difference(self.communication.monitors):
-            self._errors.node_back(node_id, now)  # it is monitored no more
+            self._errors.node_back(node_id, now)  # the write ended its monitoring
         if not self.communication.guarding.lost:
             self._errors.life_guarding_back(now)
 
@@ -362,10 +343,8 @@ class LocalNode(Group):
         super().handle_timeout(now)
 
     def _refresh(self, now: Time) -> None:
-        if self.application is not None:
-            mark = len(self.inner.events)
+        with self._settling(now):
             self.application.refresh(now)
-            self._settle(mark, now)
 
     # ---- reactions ----
 
@@ -381,8 +360,7 @@ class LocalNode(Group):
             self.values.reset()
             self.storage.put_back(ALL_OBJECTS)
             emcy.reset()
-            if self.application is not None:
-                self.application.reset(now)
+            self.application.reset(now)
         else:
             self.values.reset(COMMUNICATION_OBJECTS.start, COMMUNICATION_OBJECTS.stop - 1)
             self.storage.put_back(COMMUNICATION_OBJECTS)
@@ -397,7 +375,7 @@ class LocalNode(Group):
     def _on_written(self, report: ObjectWritten, now: Time) -> None:
         if report.index in SIGNATURES:
             self.storage.commit(report.index, report.subindex)
-        elif self.channels.owns(report.index):
+        elif self._owners.get(report.index) is self.channels:
             self._obey(report.index, report.subindex, now)
 
     def _on_aborted(self, report: SdoServerAborted, now: Time) -> None:
@@ -408,11 +386,10 @@ class LocalNode(Group):
         allows = self.nmt.allows
         self.channels.set_enabled(allows(Service.SDO), now)
         self.communication.set_state(change.state, now)
-        if self.application is not None:
-            self.application.refresh(now)
+        self.application.refresh(now)
         self.pdos.set_enabled(allows(Service.PDO), now)
         left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
-        if left_operational and self.application is not None:
+        if left_operational:
             self.application.connection_lost(now, EMCY_COMMUNICATION)
 
     def _on_sync(self, sync: SyncReceived | SyncSent, now: Time) -> None:
@@ -421,16 +398,14 @@ class LocalNode(Group):
         if self._errors.sync_length:
             self._errors.sync_good(now)
         self.communication.refresh(0x1001, 0)
-        if self.application is not None:
-            self.application.refresh(now)
+        self.application.refresh(now)
         mark = len(self.inner.events)
         self.pdos.on_sync(sync.counter, now)
         # Before the application's step, not in the course of `_settle`: what came for this SYNC acts at this SYNC.
         for report in self.inner.events[mark:]:
             if isinstance(report, PdoReceived):
                 self._on_values(report, now)
-        if self.application is not None:
-            self.application.on_sync(now)
+        self.application.on_sync(now)
 
     def _on_pdo(self, report: PdoReceived, now: Time) -> None:
         if not self.pdos.consumers[report.number].synchronous:
@@ -441,14 +416,12 @@ class LocalNode(Group):
             is_too_long = len(report.data) > report.mapping.byte_length
             self._errors.rpdo_good(report.number, now, but=EMCY_PDO_LENGTH_EXCEEDED if is_too_long else None)
         for entry in report.mapping.components:
-            if self.application is not None:
-                self.application.written(entry.index, entry.subindex, now)
+            self.application.written(entry.index, entry.subindex, now)
             self.pdos.trigger(entry.mux, now)
 
     def _on_mpdo(self, report: MpdoReceived, now: Time) -> None:
         self._errors.rpdo_good(report.number, now)
-        if self.application is not None:
-            self.application.written(report.index, report.subindex, now)
+        self.application.written(report.index, report.subindex, now)
         self.pdos.trigger(mux(report.index, report.subindex), now)
 
     def _on_emcy_sent(self, sent: EmcySent, now: Time) -> None:
@@ -481,12 +454,11 @@ class LocalNode(Group):
         self._errors.life_guarding_back(now)
 
     def _on_connection_lost(self, now: Time) -> None:
-        if self.application is not None:
-            self.application.connection_lost(now, EMCY_CONNECTION_LOST)
+        self.application.connection_lost(now, EMCY_CONNECTION_LOST)
         self._behave(COMMUNICATION_ERROR, now)
 
     def _behave(self, error_class: int, now: Time) -> None:
-        """What 0x1029 says: 0 pre-operational, but only from operational; 1 nothing; 2 stopped. CiA 301 v4.2.0, 7.5.2.32"""
+        """Do what 0x1029 says: 0 pre-operational, but only from operational; 1 nothing; 2 stopped. CiA 301 v4.2.0, 7.5.2.32"""
         behaviour = self.values.store.get(mux(ERROR_BEHAVIOUR, error_class), 0)
         if behaviour == 0 and self.state is NmtState.OPERATIONAL:
             self.nmt.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now)

@@ -36,7 +36,8 @@ from typing import Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, range_of
-from canopen_proto.dictionary import Values, Variable
+from canopen_proto.dictionary import Values, Variable, mux
+from canopen_proto.owner import Owner
 from canopen_proto.sdo.channels import is_dynamic
 
 STORE: Final = 0x1010
@@ -57,7 +58,7 @@ NO_PARAMETERS: Final = frozenset({0x1003, STORE, RESTORE, 0x1023, 0x1024, 0x1025
 """Communication objects that can be written and are no parameters: error history, storage, OS commands, debugger, prompt."""
 
 
-class ParameterStorage:
+class ParameterStorage(Owner):
     """What a device keeps over power-off; see this module's text.
 
     saved: the power-on values that are not the defaults, by mux; at first those of a DCF. groups: indices by subindex of 0x1010
@@ -120,6 +121,16 @@ class ParameterStorage:
             return None
         default = variable.default
         return default if isinstance(default, int) and numbers[0] <= default <= numbers[1] else ON_COMMAND
+
+    @staticmethod
+    def owns(index: int) -> bool:
+        return index in SIGNATURES
+
+    def refresh(self, index: int, subindex: int) -> AbortCode | None:
+        capability = self.capability(index, subindex)
+        if capability is not None:
+            self._values.store[mux(index, subindex)] = capability
+        return None
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Whether that value begins to store or restore: it is the signature, and the device can do so on command."""

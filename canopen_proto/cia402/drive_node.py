@@ -54,15 +54,13 @@ class DriveNode(LocalNode):
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
         """Something is wrong in the drive: it falls into Fault and sends an EMCY. See Drive.raise_fault."""
-        mark = len(self.inner.events)
-        self.drive.raise_fault(error_code, now, lasting=lasting)
-        self._settle(mark, now)
+        with self._settling(now):
+            self.drive.raise_fault(error_code, now, lasting=lasting)
 
     def block(self, blocked: bool, now: Time) -> None:
         """Hold the axis mechanically, or let it go: a drive that wants to move gets a following error. See Drive.block."""
-        mark = len(self.inner.events)
-        self.drive.block(blocked, now)
-        self._settle(mark, now)
+        with self._settling(now):
+            self.drive.block(blocked, now)
 
     def _on_fault(self, fault: DriveFault, now: Time) -> None:
         self.communication.emcy.raise_error(fault.error_code, fault.error_register, b"", now)

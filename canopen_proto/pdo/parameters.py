@@ -29,6 +29,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Machine, Outbox, Time
+from canopen_proto.owner import Owner
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, PdoConsumer
 from canopen_proto.pdo.mapping import Mapping, MappingError, number_at
 from canopen_proto.pdo.multiplexed import DISPATCHER_LISTS, SCANNER_LISTS, MpdoConsumer, MpdoMode, MpdoProducer
@@ -56,7 +57,7 @@ _NOTHING: Final = Mapping()
 _MODES: Final = {int(mode): mode for mode in MpdoMode}
 
 
-class DevicePdos:
+class DevicePdos(Owner):
     """All PDOs of one device; see this module's text.
 
     values: the device's memory; the PDOs read and write it. consumers, producers: by PDO number, 1..512; they, mpdo_consumer and
@@ -157,7 +158,7 @@ class DevicePdos:
         self._set_window()
         self._sort()
 
-    # ---- the two doors of a write ----
+    # ---- as the owner of these objects ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """What forbids writing this value there, or None. value: right in type and limits already. See `PdoRules`."""

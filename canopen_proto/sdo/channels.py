@@ -44,6 +44,7 @@ from canopen_proto.frame import (
 )
 from canopen_proto.group import Members
 from canopen_proto.machine import LocalProtocolError, Outbox, RequestId, Time
+from canopen_proto.owner import Owner
 from canopen_proto.sdo.access import ObjectStore
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.request import Request
@@ -162,7 +163,7 @@ class ChannelClient(SdoClient):
             super()._send(payload)
 
 
-class SdoChannels:
+class SdoChannels(Owner):
     """All SDO channels of one device; see this module's text.
 
     servers: by number, 1 (0x1200, there or not) to 128. clients: by number, 1 (0x1280) to 128. Each stands for ever, whether its
@@ -206,9 +207,9 @@ class SdoChannels:
         """Go by the values: at the start, and when a reset has put the defaults back."""
         for number in self.servers:
             if number > 1:
-                self.apply(FIRST_SERVER + number - 1, now)
+                self.apply(FIRST_SERVER + number - 1, 0, now)
         for number in self.clients:
-            self.apply(FIRST_CLIENT + number - 1, now)
+            self.apply(FIRST_CLIENT + number - 1, 0, now)
 
     def client(self, number: int) -> ChannelClient:
         """The client of record 0x1280 + number - 1 (number: 1..128). It is the same one for ever.
@@ -223,7 +224,7 @@ class SdoChannels:
             raise LocalProtocolError(f"SDO client {number}: the dictionary has no record for it (0x1280 is 1). It has: {known}")
         return client
 
-    # ---- the two doors of a write ----
+    # ---- as the owner of these objects ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """What forbids writing this value to a record, or None; it is right in type and limits already. Changes nothing."""
@@ -236,7 +237,7 @@ class SdoChannels:
             return None
         return check_cob_id(value, standing, in_use=is_valid(standing), allowed=_allowed(index, subindex))
 
-    def apply(self, index: int, now: Time) -> None:
+    def apply(self, index: int, subindex: int, now: Time) -> None:
         """A value was stored in a record: its channel goes by it from now on.
 
         Not before the write is confirmed: it may have come over that very channel.

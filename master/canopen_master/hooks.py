@@ -163,8 +163,7 @@ class Device:
 
     def __getitem__(self, key: Key) -> Value:
         """What an object holds now. Raises ObjectNotFound."""
-        if self.node.application is not None:
-            self.node.application.refresh(self._owner.now())
+        self.node.application.refresh(self._owner.now())
         return self.node.values.read(key)
 
     def __setitem__(self, key: Key, value: Value) -> None:

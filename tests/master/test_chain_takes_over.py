@@ -9,6 +9,7 @@ import pytest
 import trio
 
 from canopen_master import Chain, ChainError, ChainHalted, Host, open_master, standard_drives
+from canopen_proto.application import PlainMemory
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
@@ -182,7 +183,7 @@ def test_no_command_begins_with_a_joint_that_still_moves(command: str) -> None:
             write(host, objects.TARGET_VELOCITY, SPEED)
             await trio.sleep(1)
             (node,) = drives(host)
-            node.application = None
+            node.application = PlainMemory()
             for do in (arm.halt, lambda: COMMANDS[command](arm)):
                 with pytest.raises(ChainError, match=r"joint1.*standstill after a halt"):
                     await do()

@@ -16,6 +16,7 @@ import pytest
 import trio
 
 from canopen_master import AxisSettings, HaltNotConfirmed, HomingStyle, Host, Master, open_master
+from canopen_proto.application import PlainMemory
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
@@ -132,7 +133,7 @@ async def leave(way: str, host: Host, rows: Sequence[Row], obey: bool) -> None:
             assert [str(row) for row, speed in speeds(host, rows).items() if not speed] == []
             if not obey:
                 for node in drives(host):
-                    node.application = None
+                    node.application = PlainMemory()
             match way:
                 case "end":
                     nursery.cancel_scope.cancel()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from canopen_proto import drive
+from canopen_proto.application import PlainMemory
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
@@ -279,7 +280,7 @@ def test_a_drive_that_does_not_answer() -> None:
 
 def test_a_mode_that_the_drive_does_not_take_up() -> None:
     rig = Rig(Shape.STANDARD)
-    rig.node.application = None  # it stores what is written, and does nothing
+    rig.node.application = PlainMemory()  # it stores what is written, and does nothing
     with pytest.raises(drive.ModeUnsupported, match="did not take up homing"):
         rig.run(drive.set_mode(rig.axis, Mode.HOMING))
 
@@ -320,7 +321,7 @@ def test_the_fault_of_a_node_that_falls_silent_is_told_all_the_same() -> None:
 
 def schunk_whose_status_is(rig: Rig, statusword: int) -> None:
     """The drive shows this statusword from now on, whatever happens; no drive stands behind it."""
-    rig.node.application = None
+    rig.node.application = PlainMemory()
     rig.node.values.store[objects.STATUSWORD] = statusword
     rig.node.values.store[objects.MODES_OF_OPERATION_DISPLAY] = Mode.HOMING
 
