@@ -51,7 +51,7 @@ ERROR_CONTROL: Final = 0x700
 
 MAX_NODE_ID: Final = 127
 
-_CANDUMP = re.compile(r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A-Fa-f]{2}(?:\.?[0-9A-Fa-f]{2}){0,7})?))\s*")
+_CANDUMP: Final = r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A-Fa-f]{2}(?:\.?[0-9A-Fa-f]{2}){0,7})?))\s*"
 
 
 class Frame:
@@ -78,7 +78,7 @@ class Frame:
 
         Three identifier digits mean 11 bits, eight mean 29. Raises ValueError that names the text; CAN FD ("##") is refused.
         """
-        match = _CANDUMP.fullmatch(text)
+        match = re.fullmatch(_CANDUMP, text)  # compiled when it is first needed, and kept by re
         if match is None:
             reason = "CAN FD is not supported" if "##" in text else "expected candump notation such as 60C#4041600000000000"
             raise ValueError(f"not a classical CAN frame: {text!r}: {reason}")

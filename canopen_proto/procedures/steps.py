@@ -18,13 +18,15 @@ by `ask_for_time`); never in `finally`, since a generator that is collected may 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Final, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, TypeVar
 
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.machine import Event, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
-from canopen_proto.sdo.events import SdoProgress
-from canopen_proto.sdo.request import Buffer
+from canopen_proto.sdo.events import SdoAborted, SdoDownloaded, SdoProgress, SdoUploaded
+
+if TYPE_CHECKING:  # a device that runs procedures of its own need not load the client
+    from canopen_proto.sdo.client import Block, SdoClient
+    from canopen_proto.sdo.request import Buffer
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)

@@ -113,3 +113,25 @@ def test_all_of_it_imports_where_nothing_impure_can_be_imported() -> None:
     assert set(poisoned.split()) >= {
         "asyncio", "can", "logging", "random", "select", "selectors", "socket", "subprocess", "threading", "trio",
     }  # fmt: skip
+
+
+LOADED = """
+import sys
+before = set(sys.modules)
+import canopen_proto.network
+print(*sorted(set(sys.modules) - before))
+"""
+
+
+def test_a_network_is_imported_without_what_it_does_not_need() -> None:
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", f"import sys; sys.path.insert(0, {str(ROOT.parent)!r}){LOADED}"],
+        capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    loaded = set(done.stdout.split())
+    assert "canopen_proto.network" in loaded
+    assert loaded.isdisjoint(
+        {"ast", "csv", "dataclasses", "datetime", "decimal", "difflib", "importlib.metadata", "inspect", "tomllib"}
+    )
+    parts = {name.split(".")[1] for name in loaded if name.startswith("canopen_proto.")}
+    assert parts <= {"abort", "bus_knowledge", "frame", "group", "machine", "network", "nmt", "procedures", "sdo", "sync"}
