@@ -1,4 +1,4 @@
-"""Heartbeat handling: a frame comes in, and the node's state is known.
+"""Heartbeat handling: a frame comes in, and the node's state is known. The weakest row of all: the peer does little here.
 
 Both sides watch six nodes, begin with CAN-ID and data (no python-can message, no bus), give them to the library by the entry that
 it has for that, and end with reading the node's state by its public name:
@@ -10,8 +10,9 @@ it has for that, and end with reading the node's state by its public name:
 - RemoteNode: one by one, with the whole view of a node behind the network, as the peer has it in all cases but the first.
 
 Ours does more, and all of it is counted: it makes the Frame, supervises the time (the peer has no heartbeat time-out) and
-produces an event for each frame, which the peer's user would get by a callback (none is set). The peer's scanner, which notes
-every node heard, is a part of its `notify`; ours has none there.
+produces an event for each frame, which the peer's user would get by a callback (none is set). A RemoteNode also compares each
+heartbeat with what was commanded. Both note who was heard: the peer's scanner keeps the node-IDs, our Network the last frame of
+every CAN-ID and when it came.
 """
 
 from __future__ import annotations

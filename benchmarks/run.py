@@ -3,8 +3,7 @@
     python benchmarks/run.py                # all cases, about two minutes
     python benchmarks/run.py pdo --rounds 3 # those with "pdo" in their title
 
-What is compared, and what makes it fair, stands in each module (sdo_transfers, block_transfers, pdos, heartbeats, eds_import);
-how it is measured, in measure.
+What is compared, and what makes it fair, stands in each of `MODULES`; how it is measured, in measure.
 """
 
 from __future__ import annotations
@@ -16,12 +15,14 @@ import platform
 import block_transfers
 import eds_import
 import heartbeats
+import many_nodes
 import pdos
+import read_by_name
 import sdo_transfers
 from direct import VERSION
 from measure import measure, table
 
-MODULES = (sdo_transfers, block_transfers, pdos, heartbeats, eds_import)
+MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_nodes, eds_import)
 
 
 def main() -> None:

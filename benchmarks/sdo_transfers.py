@@ -1,13 +1,19 @@
 """SDO: an expedited round trip (request, answer, outcome), and 64 KiB in segments each way. Client and server are both counted.
 
-Nothing lies between the two: no bus, no thread. Ours is measured twice: as the two machines that it takes, frames handed over
-by a loop (`machines`), and as two whole Networks, each drained and asked for its deadline after every frame, as a driver
-would do (`Networks`). The peer is always two of its Networks, coupled by a function call (direct.py): its client and server
-send through one.
+Nothing lies between the two: no bus, no thread. Ours is measured in three ways:
+
+- machines: the two machines that it takes, frames handed over by a loop;
+- Networks: the two machines, each in a Network, which is drained and asked for its deadline after every frame, as a driver does;
+- RemoteNode: a RemoteNode and a LocalNode in two such Networks.
+
+The peer is always its RemoteNode and its LocalNode in two of its Networks, coupled by a function call (direct.py): its client and
+server send through these. So only `RemoteNode` compares like with like; the other two show what the layers cost. Names and values
+are left out here: read_by_name.py.
 
 Both servers serve an object dictionary with the same two objects, an UNSIGNED32 and a DOMAIN, check the access, and hold the
-value (ours as a Python value, encoded for each answer; the peer's as bytes). Both clients give bytes. Each outcome is looked
-at; ours has time-outs set at both ends, the peer a queue with a time-out at the client.
+value (ours as a Python value, encoded for each answer; the peer's as bytes). Both clients give bytes. Our RemoteNode also decodes
+what was read, for its image of the device. Each outcome is looked at; ours has time-outs set at both ends, the peer a queue with
+a time-out at the client.
 """
 
 from __future__ import annotations
@@ -21,8 +27,10 @@ from measure import Case
 
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Values, Variable
+from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Event, Outbox, Time
 from canopen_proto.network import Network
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
@@ -39,26 +47,43 @@ Transfers = dict[str, Callable[[int], object]]
 class Ours:
     """Our client and server, and how frames go between them."""
 
-    def __init__(self, through_networks: bool) -> None:
+    def __init__(self, kind: str) -> None:
+        """kind: "machines", "Networks" or "RemoteNode"; see this module's text."""
         dictionary = ObjectDictionary(
             [
                 Object.of("number", [Variable(NUMBER, 0, "number", DataType.UNSIGNED32)]),
                 Object.of("domain", [Variable(DOMAIN, 0, "domain", DataType.DOMAIN)]),
             ]
         )
-        self.values = Values(dictionary, NODE_ID)
-        self.values[NUMBER << 8] = 0x12345678
-        self.values[DOMAIN << 8] = KIBIBYTES_64
         self.now = 0
         self.master, self.device = Network(), Network()
-        master_out, device_out = (self.master.out, self.device.out) if through_networks else (Outbox(), Outbox())
+        self.exchange: Exchange = self._through_networks
+        if kind == "RemoteNode":
+            self._make_nodes(dictionary)
+        else:
+            self._make_machines(dictionary, kind == "Networks")
+        self.values.write(NUMBER, 0x12345678)
+        self.values.write(DOMAIN, KIBIBYTES_64)
+
+    def _make_machines(self, dictionary: ObjectDictionary, in_networks: bool) -> None:
+        self.values = Values(dictionary, NODE_ID)
+        master_out, device_out = (self.master.out, self.device.out) if in_networks else (Outbox(), Outbox())
         self.client = SdoClient(master_out, NODE_ID)
         self.server = SdoServer(device_out, NODE_ID, ValuesStore(self.values))
-        self.exchange: Exchange = self._between_machines
-        if through_networks:
+        if in_networks:
             self.master.attach(self.client)
             self.device.attach(self.server)
-            self.exchange = self._through_networks
+        else:
+            self.exchange = self._between_machines
+
+    def _make_nodes(self, dictionary: ObjectDictionary) -> None:
+        remote = RemoteNode(self.master.out, NODE_ID, dictionary)
+        local = LocalNode(self.device.out, NODE_ID, dictionary)
+        self.master.attach(remote)
+        self.device.attach(local)
+        local.boot(self.now)
+        self.device.drain(self.now)
+        self.client, self.values = remote.sdo, local.values
 
     def _between_machines(self, now: Time) -> list[Event]:
         client, server = self.client, self.server
@@ -158,9 +183,9 @@ def _case(title: str, ours: Callable[[int], object], theirs: Callable[[int], obj
 
 
 def cases() -> list[Case]:
-    """Each transfer between machines and between Networks."""
+    """Each transfer between machines, Networks and nodes."""
     return [
         _case(f"SDO {name} ({kind})", transfer, theirs[name])
-        for kind, ours, theirs in (("machines", Ours(False), their_transfers()), ("Networks", Ours(True), their_transfers()))
-        for name, transfer in ours.transfers().items()
+        for kind, theirs in ((kind, their_transfers()) for kind in ("machines", "Networks", "RemoteNode"))
+        for name, transfer in Ours(kind).transfers().items()
     ]

@@ -70,7 +70,7 @@ class Frame:
         self.data = data
         self.flags = flags
         self.dlc = len(data) if dlc < 0 else dlc
-        self.key = can_id | flags << 29
+        self.key = can_id | flags << 29 if flags else can_id  # nearly every frame has none: that is cheaper to see than to shift
 
     @classmethod
     def parse(cls, text: str) -> Frame:

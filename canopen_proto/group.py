@@ -31,12 +31,12 @@ SPARE_WAKES: Final = 64
 class Members:
     """The machines on one outbox: their routes and their deadlines."""
 
-    __slots__ = ("_heap", "_keys", "_out", "_sequence", "routes")
+    __slots__ = ("_keys", "_out", "_sequence", "heap", "routes")
 
     def __init__(self, out: Outbox) -> None:
         self._out = out
         self._keys: dict[Machine, tuple[int, ...]] = {}
-        self._heap: list[tuple[Time, int, Machine]] = []
+        self.heap: list[tuple[Time, int, Machine]] = []
         self._sequence = 0
         self.routes: dict[int, tuple[Machine, ...]] = {}
 
@@ -102,29 +102,29 @@ class Members:
                 machine._in_armed = False
                 if machine in self._keys:
                     self._sequence += 1
-                    heappush(self._heap, (machine._wake, self._sequence, machine))
+                    heappush(self.heap, (machine._wake, self._sequence, machine))
             out.armed.clear()
-            if len(self._heap) > SPARE_WAKES + 2 * len(self._keys):
+            if len(self.heap) > SPARE_WAKES + 2 * len(self._keys):
                 self._rebuild_heap()
 
     def _rebuild_heap(self) -> None:
-        self._heap.clear()
+        self.heap.clear()
         for machine in self._keys:
             if machine._wake < NEVER:
                 self._sequence += 1
-                self._heap.append((machine._wake, self._sequence, machine))
-        heapify(self._heap)
+                self.heap.append((machine._wake, self._sequence, machine))
+        heapify(self.heap)
 
     def next_deadline(self) -> Time:
         """The nearest wake that is held: never late, perhaps early."""
         if self._out.armed or self._out.rerouted:
             self.refresh()
-        return self._heap[0][0] if self._heap else NEVER
+        return self.heap[0][0] if self.heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
         """Wake each member whose deadline has come, once, in the order of their deadlines."""
         self.refresh()
-        heap = self._heap
+        heap = self.heap
         due = []
         while heap and heap[0][0] <= now:
             wake, _, machine = heappop(heap)
@@ -162,12 +162,13 @@ class Settling:
 class Group(Machine):
     """A machine made of machines; see this module's text. Members are made with `inner` as their outbox."""
 
-    __slots__ = ("_members", "_reactions", "inner")
+    __slots__ = ("_members", "_reactions", "_routes", "inner")
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
         self.inner = Outbox(within=out, owner=self)
         self._members = Members(self.inner)
+        self._routes = self._members.routes
         self._reactions: dict[type[Event], Reaction] = {}
 
     def can_ids(self) -> Iterable[int]:
@@ -178,13 +179,17 @@ class Group(Machine):
         inner = self.inner
         if inner.rerouted:
             self._members.refresh()
-        inner.timestamp = self.out.timestamp
-        mark = len(inner.events)
-        for machine in self._members.routes.get(frame.key, ()):
+        events = inner.events
+        mark = len(events)
+        for machine in self._routes.get(frame.key, ()):
             machine.receive(frame, now)
-        if len(inner.events) > mark:
-            self._settle(mark, now)
-        inner.timestamp = None
+        reactions = self._reactions
+        while mark < len(events):  # as `_settle` does: here for the price of a call, which each frame would pay
+            report = events[mark]
+            reaction = reactions.get(type(report))
+            if reaction is not None:
+                reaction(report, now)
+            mark += 1
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:

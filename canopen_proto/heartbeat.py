@@ -289,16 +289,17 @@ class HeartbeatConsumer(Machine):
         self.last_heard = now
         out = self.out
         if state:
-            out.events.append(HeartbeatReceived(self.node_id, state, out.timestamp))
+            out.events.append(HeartbeatReceived(self.node_id, state, out.root.timestamp))
             if self.lost:
                 self.lost = False
                 out.events.append(HeartbeatRecovered(self.node_id, state))
             self._begun = True
         else:
-            out.events.append(NodeBooted(self.node_id, out.timestamp))
+            out.events.append(NodeBooted(self.node_id, out.root.timestamp))
             state = NmtState.PRE_OPERATIONAL
-        if self.timeout and self._begun and not self.lost:
-            self.deadline = deadline = now + self.timeout
+        timeout = self.timeout
+        if timeout and self._begun and not self.lost:
+            self.deadline = deadline = now + timeout
             if deadline < self._wake:  # seldom: a deadline that moves later needs no more than this
                 self._arm(deadline)
         if state is not self.state:

@@ -102,11 +102,10 @@ class Outbox:
     """Where machines put what they have to say. One per network, shared by all its machines, so that order is kept.
 
     frames, events: what came out, oldest first. armed, rerouted: the machines whose deadline came nearer and whose can_ids
-    changed; a machine stands at most once in each. timestamp: what the transport said about the time of the frame that is being
-    handled (another clock, of unknown origin: information, never compared with `now`); events about frames carry it.
+    changed; a machine stands at most once in each. root: what all nested outboxes share.
     """
 
-    __slots__ = ("armed", "events", "frames", "owner", "rerouted", "root", "timestamp")
+    __slots__ = ("armed", "events", "frames", "owner", "rerouted", "root")
 
     def __init__(self, within: Outbox | None = None, owner: Machine | None = None) -> None:
         """A new outbox; or, for a Group, one nested `within` another: the same frames and events, its own armed and rerouted."""
@@ -115,8 +114,20 @@ class Outbox:
         self.armed: list[Machine] = []
         self.rerouted: list[Machine] = []
         self.owner = owner
-        self.root: _Root = _Root() if within is None else within.root
-        self.timestamp: int | None = None
+        self.root: OutboxRoot = OutboxRoot() if within is None else within.root
+
+    @property
+    def timestamp(self) -> int | None:
+        """What the transport said about the time of the frame that is being handled; events about frames carry it.
+
+        ns of another clock, of unknown origin: information, never compared with `now`. None while no frame is handled. One for
+        all nested outboxes; the hottest machines read it as `out.root.timestamp`, which saves this call.
+        """
+        return self.root.timestamp
+
+    @timestamp.setter
+    def timestamp(self, timestamp: int | None) -> None:
+        self.root.timestamp = timestamp
 
     def next_request_id(self) -> RequestId:
         """A number not yet given to a request of this outbox."""
@@ -124,13 +135,14 @@ class Outbox:
         return self.root.request_id
 
 
-class _Root:
-    """What all nested outboxes share."""
+class OutboxRoot:
+    """What all nested outboxes share. request_id: the last one given. timestamp: see `Outbox.timestamp`."""
 
-    __slots__ = ("request_id",)
+    __slots__ = ("request_id", "timestamp")
 
     def __init__(self) -> None:
         self.request_id: RequestId = 0
+        self.timestamp: int | None = None
 
 
 class Machine:

@@ -66,14 +66,15 @@ class Network:
     """All machines of one participant on one bus."""
 
     __slots__ = (
-        "_dropped", "_followers", "_frames", "_knowledge", "_members", "_now", "_reactions", "_settled", "_times", "out",
-        "runner",
+        "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_now", "_reactions", "_routes", "_settled",
+        "_times", "out", "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
         self._members = Members(self.out)
+        self._routes, self._heap = self._members.routes, self._members.heap  # as near as can be: looked at for each frame
         self._followers: dict[Machine, Follower] = {}
         self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
         self._dropped = 0
@@ -113,18 +114,23 @@ class Network:
         if now < self._now:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
-        out = self.out
+        out, root = self.out, self.out.root
         if out.rerouted:
             self._members.refresh()
-        out.timestamp = timestamp
+        root.timestamp = timestamp
         key = frame.key
-        for machine in self._members.routes.get(key, ()):
+        for machine in self._routes.get(key, ()):
             machine.receive(frame, now)
-        if len(out.events) > self._settled:
-            self._settle(now)
-            if len(out.events) > MAX_UNDRAINED_EVENTS:
-                self._shed()
-        out.timestamp = None
+        events, reactions = out.events, self._reactions
+        while self._settled < len(events):  # as `_settle` does; here without a call, which each frame would pay for
+            report = events[self._settled]
+            self._settled += 1
+            reaction = reactions.get(type(report))
+            if reaction is not None:
+                reaction(report, now)
+        if len(events) > MAX_UNDRAINED_EVENTS:
+            self._shed()
+        root.timestamp = None
         if key < SLOTS:
             self._times[key] = now
             self._frames[key] = frame
@@ -174,7 +180,10 @@ class Network:
 
     def next_deadline(self) -> Time:
         """When to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) when nothing changed."""
-        return self._members.next_deadline()
+        if self.out.armed or self.out.rerouted:
+            self._members.refresh()
+        heap = self._heap
+        return heap[0][0] if heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
         """Wake every machine whose deadline has come. Early calls do nothing."""
@@ -194,16 +203,21 @@ class Network:
         frames, events = out.frames, out.events
         if len(events) > self._settled:
             self._settle(now)
-        if self.runner.busy:
+        if self.runner.tasks:
             self._feed(now)
-        drained = frames[:], events[:]
-        frames.clear()
-        events.clear()
-        self._settled = 0
-        if self._dropped:
-            drained[1].insert(0, EventsDropped(0, self._dropped))
-            self._dropped = 0
-        return drained
+        to_send: list[Frame] = []
+        to_deliver: list[Event] = []
+        if frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
+            to_send = frames[:]
+            frames.clear()
+        if events:
+            to_deliver = events[:]
+            events.clear()
+            self._settled = 0
+            if self._dropped:
+                to_deliver.insert(0, EventsDropped(0, self._dropped))
+                self._dropped = 0
+        return to_send, to_deliver
 
     def _feed(self, now: Time) -> None:
         """Feed the events to the running procedures; what these report in turn, too."""

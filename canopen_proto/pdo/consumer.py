@@ -252,7 +252,7 @@ class PdoConsumer(Machine):
             self._held = data
             self._held_timestamp = self.out.timestamp
         else:
-            self._take(data, self.out.timestamp)
+            self._take(data, self.out.root.timestamp)
 
     def on_sync(self, counter: int | None, now: Time) -> None:
         """A SYNC came: data held for it go into the store, and `PdoReceived` is reported. counter: not used by consumers."""

@@ -110,22 +110,22 @@ class _Task:
 class Runner(Machine):
     """Runs procedures. Attach it to the Network whose outbox it was made with; that and others feed it by `observe`."""
 
-    __slots__ = ("_requests", "_tasks")
+    __slots__ = ("_requests", "tasks")
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
-        self._tasks: dict[RequestId, _Task] = {}
+        self.tasks: dict[RequestId, _Task] = {}
         self._requests: dict[tuple[object, RequestId], _Task] = {}
 
     @property
     def busy(self) -> bool:
         """Whether any procedure runs."""
-        return bool(self._tasks)
+        return bool(self.tasks)
 
     @property
     def needs_until(self) -> Time:
         """Until when the running procedures have asked for time, whoever may end them before; -NEVER if none has."""
-        return max((task.needs_until for task in self._tasks.values()), default=-NEVER)
+        return max((task.needs_until for task in self.tasks.values()), default=-NEVER)
 
     def start(self, procedure: Procedure[T], now: Time) -> RequestId:
         """Start a procedure: its first steps are taken at once. One Outcome event with the id that is returned follows."""
@@ -136,7 +136,7 @@ class Runner(Machine):
 
     def cancel(self, request_id: RequestId, now: Time) -> None:
         """Cancel a procedure that was started; an unknown or ended one, or one that is being cancelled, is left alone."""
-        task = self._tasks.get(request_id)
+        task = self.tasks.get(request_id)
         if task is not None and task.parent is None:
             self._cancel(task, now)
             self._rearm()
@@ -144,7 +144,7 @@ class Runner(Machine):
     def observe(self, root: object, report: Event, now: Time) -> None:
         """Take an event of the network whose `out.root` is given: the outcome or the news that a task waits for."""
         # Who begins to wait because of this very event is not told of it.
-        waiting = [(task, task.step) for task in self._tasks.values() if type(task.step) is Wait and task.step.match is not None]
+        waiting = [(task, task.step) for task in self.tasks.values() if type(task.step) is Wait and task.step.match is not None]
         if isinstance(report, Outcome):
             task = self._requests.pop((root, report.request_id), None)
             if task is not None:
@@ -162,7 +162,7 @@ class Runner(Machine):
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
             return
-        for task in tuple(self._tasks.values()):
+        for task in tuple(self.tasks.values()):
             if task.clean_up_by <= now:
                 self._give_up(task, now)
             elif task.wake <= now:
@@ -171,7 +171,7 @@ class Runner(Machine):
 
     def _rearm(self) -> None:
         deadline = NEVER
-        for task in self._tasks.values():
+        for task in self.tasks.values():
             deadline = min(deadline, task.wake, task.clean_up_by)
         self._arm(deadline)
 
@@ -199,7 +199,7 @@ class Runner(Machine):
 
     def _add(self, procedure: Procedure[Any], parent: _Task | None) -> _Task:
         task = _Task(procedure, self.out.next_request_id(), parent)
-        self._tasks[task.request_id] = task
+        self.tasks[task.request_id] = task
         return task
 
     def _resume(self, task: _Task, value: object, now: Time, error: BaseException | None = None) -> None:
@@ -333,7 +333,7 @@ class Runner(Machine):
         task.state, task.active = _State.DONE, False
         task.step, task.wake, task.clean_up_by = None, NEVER, NEVER
         task.result, task.error = result, error
-        del self._tasks[task.request_id]
+        del self.tasks[task.request_id]
         if task.parent is not None:
             self._child_ended(task.parent, task, was_cancelled, now)
         elif was_cancelled:

