@@ -2,12 +2,11 @@
 
 Both sides have a view of the node (our RemoteNode, the peer's) and a device (our LocalNode, the peer's), each behind a network,
 coupled by a function call. Ours is driven as a driver would do it: drained, and asked for its deadline, after every frame. The
-peer is read and written by `node.sdo["Statusword"].raw`, ours by `RemoteNode.read` and `message_of`, and `RemoteNode.write`.
+peer is read and written by `node.sdo["Statusword"].raw`, ours by `RemoteNode.read` and `value_of`, and `RemoteNode.write`.
 The two objects are an UNSIGNED16 by its own name, and an INTEGER32 that is a field of a record.
 
 Ours does more, and all of it is counted: it keeps what was read in the node's image of the device, checks the access and the
-limits before it writes, looks for the constants that a value bears, and has time-outs at both ends. The peer has a queue with a
-time-out at the client.
+limits before it writes, and has time-outs at both ends. The peer has a queue with a time-out at the client.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ class OurNodes:
             self.remote.read(name, self.now)
             (outcome,) = self.exchange()
             assert isinstance(outcome, SdoUploaded)
-            value = self.remote.message_of(outcome).value
+            value = self.remote.value_of(outcome)
         return value
 
     def write(self, name: str, count: int) -> Value:

@@ -78,17 +78,17 @@ class ValueRangeError(LocalProtocolError, ValueError):
     """A value does not fit its object: wrong kind, out of range, wrong length. The text names object, type and range."""
 
 
-def encode(value: Value, data_type: DataType, name: str = "value") -> bytes:
+def encode(value: Value, data_type: DataType, name: object = "value") -> bytes:
     """The bytes of a value as SDO carries them.
 
     Integers take int (and bool); reals take float and int; REAL32 rounds to the nearest value that it can hold, and the times
-    drop what is finer than a millisecond. name: how errors call the object. Raises ValueRangeError.
+    drop what is finer than a millisecond. name: how errors call the object, by its `str`. Raises ValueRangeError.
     Source: CiA 301 v4.2.0, 7.1.
     """
     return _CODECS[data_type].encode(value, name)
 
 
-def decode(data: bytes, data_type: DataType, name: str = "value") -> Value:
+def decode(data: bytes, data_type: DataType, name: object = "value") -> Value:
     """The value of bytes as SDO carries them.
 
     Raises ValueRangeError where the length is not the type's, or a time has more milliseconds than a day: machines that decode
@@ -115,10 +115,7 @@ def size_of(data_type: DataType) -> int | None:
 
 def bit_length_of(data_type: DataType) -> int | None:
     """Bits in a PDO (1 for BOOLEAN); None where the length varies."""
-    if data_type == DataType.BOOLEAN:
-        return 1
-    size = _CODECS[data_type].size
-    return None if size is None else size * 8
+    return _CODECS[data_type].bit_length
 
 
 def is_integer(data_type: DataType) -> bool:
@@ -155,46 +152,56 @@ def integer_type(size: int, *, signed: bool = False) -> DataType:
     return _INTEGER_TYPES[size, signed]
 
 
-class _Codec(ABC):
-    """How one data type is written and read."""
+def codec_of(data_type: DataType) -> Codec:
+    """How a data type is written and read: for an object that is looked up once and then transferred often."""
+    return _CODECS[data_type]
 
-    __slots__ = ("data_type", "size", "zero")
+
+class Codec(ABC):
+    """How one data type is written and read. size, bit_length, zero: as `size_of`, `bit_length_of`, `zero_of`."""
+
+    __slots__ = ("bit_length", "data_type", "size", "zero")
 
     def __init__(self, data_type: DataType, size: int | None, zero: Value) -> None:
         self.data_type = data_type
         self.size = size
+        self.bit_length = None if size is None else size * 8
         self.zero = zero
 
     @abstractmethod
-    def encode(self, value: Value, name: str) -> bytes: ...
+    def encode(self, value: Value, name: object) -> bytes: ...
 
     @abstractmethod
-    def decode(self, data: bytes, name: str) -> Value: ...
+    def decode(self, data: bytes, name: object) -> Value: ...
 
-    def wrong_kind(self, value: object, name: str, expected: str) -> ValueRangeError:
+    def wrong_kind(self, value: object, name: object, expected: str) -> ValueRangeError:
         return ValueRangeError(f"{name}: {self.data_type.name} takes {expected}, not {_show(value)}")
 
-    def wrong_length(self, data: bytes, name: str, expected: object) -> ValueRangeError:
+    def wrong_length(self, data: bytes, name: object, expected: object) -> ValueRangeError:
         return ValueRangeError(f"{name}: {self.data_type.name} has {expected} bytes, not {len(data)}")
 
 
-class _Boolean(_Codec):
-    """One byte by SDO. Any byte but 0 is read as true, since devices send 0xFF as well as 1."""
+class _Boolean(Codec):
+    """One byte by SDO, one bit in a PDO. Any byte but 0 is read as true, since devices send 0xFF as well as 1."""
 
     __slots__ = ()
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def __init__(self) -> None:
+        super().__init__(DataType.BOOLEAN, 1, False)
+        self.bit_length = 1
+
+    def encode(self, value: Value, name: object) -> bytes:
         if value is True or value is False or (isinstance(value, int) and value in (0, 1)):
             return b"\x01" if value else b"\x00"
         raise self.wrong_kind(value, name, "True or False")
 
-    def decode(self, data: bytes, name: str) -> bool:
+    def decode(self, data: bytes, name: object) -> bool:
         if len(data) != 1:
             raise self.wrong_length(data, name, 1)
         return data[0] != 0
 
 
-class _Integer(_Codec):
+class _Integer(Codec):
     """Two's complement for the signed ones."""
 
     __slots__ = ("high", "low", "signed", "width")
@@ -206,7 +213,7 @@ class _Integer(_Codec):
         self.low = -(1 << 8 * size - 1) if signed else 0
         self.high = (1 << 8 * size - signed) - 1
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, int):
             raise self.wrong_kind(value, name, "an integer")
         try:
@@ -215,13 +222,13 @@ class _Integer(_Codec):
             limits = f"{self.low}..{self.high}"
             raise ValueRangeError(f"{name}: {_show(value)} is outside {limits} ({self.data_type.name})") from None
 
-    def decode(self, data: bytes, name: str) -> int:
+    def decode(self, data: bytes, name: object) -> int:
         if len(data) != self.width:
             raise self.wrong_length(data, name, self.width)
         return int.from_bytes(data, "little", signed=self.signed)
 
 
-class _Real(_Codec):
+class _Real(Codec):
     """IEEE 754. Infinities and NaN are values like others."""
 
     __slots__ = ("layout",)
@@ -230,7 +237,7 @@ class _Real(_Codec):
         self.layout = struct.Struct(layout)
         super().__init__(data_type, self.layout.size, 0.0)
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, float | int):
             raise self.wrong_kind(value, name, "a number")
         try:
@@ -238,17 +245,17 @@ class _Real(_Codec):
         except OverflowError:
             raise ValueRangeError(f"{name}: {_show(value)} is too large for {self.data_type.name}") from None
 
-    def decode(self, data: bytes, name: str) -> float:
+    def decode(self, data: bytes, name: object) -> float:
         if len(data) != self.size:
             raise self.wrong_length(data, name, self.size)
         value: float = self.layout.unpack(data)[0]
         return value
 
 
-class _VisibleString(_Codec):
+class _VisibleString(Codec):
     __slots__ = ()
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, str):
             raise self.wrong_kind(value, name, "text")
         try:
@@ -257,44 +264,44 @@ class _VisibleString(_Codec):
             foreign = value[error.start]
             raise ValueRangeError(f"{name}: a VISIBLE_STRING has no character {foreign!a} ({_show(value)})") from None
 
-    def decode(self, data: bytes, name: str) -> str:
+    def decode(self, data: bytes, name: object) -> str:
         return bytes(data).decode("latin-1")
 
 
-class _UnicodeString(_Codec):
+class _UnicodeString(Codec):
     """An array of UNSIGNED16 to the standard, which says no more of it: half of a surrogate pair passes, so nothing is lost."""
 
     __slots__ = ()
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, str):
             raise self.wrong_kind(value, name, "text")
         return value.encode("utf-16-le", "surrogatepass")
 
-    def decode(self, data: bytes, name: str) -> str:
+    def decode(self, data: bytes, name: object) -> str:
         if len(data) % 2:
             raise self.wrong_length(data, name, "an even number of")
         return bytes(data).decode("utf-16-le", "surrogatepass")
 
 
-class _Octets(_Codec):
+class _Octets(Codec):
     __slots__ = ()
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, bytes | bytearray | memoryview):
             raise self.wrong_kind(value, name, "bytes")
         return bytes(value)
 
-    def decode(self, data: bytes, name: str) -> bytes:
+    def decode(self, data: bytes, name: object) -> bytes:
         return bytes(data)
 
 
-class _Difference(_Codec):
+class _Difference(Codec):
     """28 bits of milliseconds, 4 unused bits, 16 bits of days (CiA 301 v4.2.0, 7.1.6.7)."""
 
     __slots__ = ()
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, datetime.timedelta):
             raise self.wrong_kind(value, name, "a timedelta")
         days, milliseconds = divmod(value // datetime.timedelta(milliseconds=1), _MS_PER_DAY)
@@ -302,10 +309,10 @@ class _Difference(_Codec):
             raise ValueRangeError(f"{name}: {value} is outside 0..65535 days ({self.data_type.name})")
         return _TIME.pack(milliseconds, days)
 
-    def decode(self, data: bytes, name: str) -> Value:
+    def decode(self, data: bytes, name: object) -> Value:
         return self.span(data, name)
 
-    def span(self, data: bytes, name: str) -> datetime.timedelta:
+    def span(self, data: bytes, name: object) -> datetime.timedelta:
         if len(data) != _TIME.size:
             raise self.wrong_length(data, name, _TIME.size)
         milliseconds, days = _TIME.unpack(data)
@@ -320,7 +327,7 @@ class _TimeOfDay(_Difference):
 
     __slots__ = ()
 
-    def encode(self, value: Value, name: str) -> bytes:
+    def encode(self, value: Value, name: object) -> bytes:
         if not isinstance(value, datetime.datetime) or value.tzinfo is None:
             raise self.wrong_kind(value, name, "a datetime with its time zone")
         try:
@@ -329,7 +336,7 @@ class _TimeOfDay(_Difference):
             last = (EPOCH + datetime.timedelta(days=0xFFFF)).date()
             raise ValueRangeError(f"{name}: {value} is outside {EPOCH.date()}..{last} (TIME_OF_DAY)") from None
 
-    def decode(self, data: bytes, name: str) -> Value:
+    def decode(self, data: bytes, name: object) -> Value:
         return EPOCH + self.span(data, name)
 
 
@@ -346,8 +353,8 @@ _INTEGER_TYPES: Final[dict[tuple[int, bool], DataType]] = {
     for signed in (False, True)
 }
 
-_CODECS: Final[dict[DataType, _Codec]] = {
-    DataType.BOOLEAN: _Boolean(DataType.BOOLEAN, 1, False),
+_CODECS: Final[dict[DataType, Codec]] = {
+    DataType.BOOLEAN: _Boolean(),
     **{data_type: _Integer(data_type, size, signed) for (size, signed), data_type in _INTEGER_TYPES.items()},
     DataType.REAL32: _Real(DataType.REAL32, "<f"),
     DataType.REAL64: _Real(DataType.REAL64, "<d"),

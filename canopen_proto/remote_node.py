@@ -70,6 +70,7 @@ class RemoteNode(Group):
         "_wanted",
         "_writes",
         "commanded",
+        "dictionary",
         "emcy",
         "guarding",
         "heard_at",
@@ -94,9 +95,11 @@ class RemoteNode(Group):
         sdo_timeout: Time = 500 * MILLISECOND,
         heartbeat_timeout: Time = 0,
     ) -> None:
-        """node_id: 1..127. sdo_timeout: ns for one answer. heartbeat_timeout: ns until HeartbeatLost, 0 to only listen."""
+        """node_id: 1..127. dictionary: describes the node's objects. sdo_timeout: ns for one answer. heartbeat_timeout: ns until
+        HeartbeatLost, 0 to only listen."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
+        self.dictionary = dictionary
         self.values = Values(dictionary, node_id)
         self.heard_at: dict[int, Time] = {}
         self.nmt_state: NmtState | None = None
@@ -134,11 +137,6 @@ class RemoteNode(Group):
                 SdoAborted: self._on_aborted,
             }
         )
-
-    @property
-    def dictionary(self) -> ObjectDictionary:
-        """The description of the node's objects."""
-        return self.values.dictionary
 
     @property
     def is_operational(self) -> bool:
@@ -222,9 +220,13 @@ class RemoteNode(Group):
         variable.check_limits(meant)
         return variable, meant, variable.encode(meant)
 
+    def value_of(self, uploaded: SdoUploaded) -> Value:
+        """Return the value that an upload brought. Raises ObjectNotFound; ValueRangeError if its length is not the object's."""
+        return self.dictionary.at(uploaded.index, uploaded.subindex).decode(uploaded.data)
+
     def message_of(self, uploaded: SdoUploaded) -> Message:
-        """What an upload brought, by name and with its constants. Raises ValueRangeError where the length is not the object's."""
-        variable = self.dictionary.variable((uploaded.index, uploaded.subindex))
+        """Return what an upload brought, by name and with its constants. Raises as `value_of` does."""
+        variable = self.dictionary.at(uploaded.index, uploaded.subindex)
         return self.dictionary.message(self.node_id, variable, variable.decode(uploaded.data), self.out.timestamp)
 
     def fresh(self, mux: int, now: Time, max_age: Time = FRESH) -> Value | None:
@@ -456,16 +458,21 @@ class RemoteNode(Group):
 
     def _on_uploaded(self, report: SdoUploaded, now: Time) -> None:
         variable = self.dictionary.get(report.index, report.subindex)
-        if variable is not None and not self._is_ours(variable.mux):
-            try:
-                self.values.store[variable.mux] = variable.decode(report.data)
-            except ValueRangeError:
-                return  # a length that is not the object's: whoever asked sees the bytes
-            self._heard((variable.mux,), now)
+        if variable is None or self._is_ours(variable.mux):
+            return
+        try:
+            value = variable.decode(report.data)
+        except ValueRangeError:
+            return  # a length that is not the object's: the caller that asked sees the bytes
+        self.values.store[variable.mux] = value
+        self._heard((variable.mux,), now)
 
     def _is_ours(self, mux: int) -> bool:
         """Whether the image of an object is what we command: what was read of it is older, or somebody else's."""
-        return mux in self.commanded or any(mux in each.mapping.muxes for each in self.rpdos.values())
+        for producer in self.rpdos.values():  # written out: `any` over a generator costs more than the rest of a read's reaction
+            if mux in producer.mapping.muxes:
+                return True
+        return mux in self.commanded
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)

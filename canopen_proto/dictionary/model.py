@@ -31,7 +31,7 @@ from types import MappingProxyType
 from typing import Final, NoReturn
 
 from canopen_proto.datatypes import DataType, Value, is_signed
-from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable, mux
+from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable, description, mux
 from canopen_proto.machine import LocalProtocolError
 
 __all__ = [
@@ -125,7 +125,7 @@ class PdoDescription:
         return self.cob_base + node_id
 
 
-@dataclass(frozen=True, slots=True)
+@description  # not frozen at run time: one is made for each value that is read
 class Message:
     """One object's value as it was transferred: of which node, its name, which constants the value bears, and when.
 
@@ -183,10 +183,9 @@ class ObjectDictionary:
         self._fillers = {filler.name: filler for filler in fillers}
         self.source = source
 
-    def _by_name(self) -> _Names:
-        """The names, when somebody asks for them first: who works with numbers need not wait for them."""
-        if self._names is None:
-            self._names = _Names([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
+    def _name_all(self) -> _Names:
+        """Take up the names when the first one is looked for: a caller that works with numbers need not wait for them."""
+        self._names = _Names([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
         return self._names
 
     # ---- objects ----
@@ -221,21 +220,28 @@ class ObjectDictionary:
         A name counts before a number, and an exact name before one that differs in case, or in spaces, hyphens and underscores.
         Raises ObjectNotFound, whose text names near ones.
         """
+        if isinstance(key, str):
+            names = self._names or self._name_all()
+            found = names.exact.get(key)  # nearly always: it costs one look-up
+            return self._by_text(key, names) if found is None else found
         if isinstance(key, Variable):
             return key
-        if isinstance(key, str):
-            found = self._by_name().find(key)
-            if found is not None:
-                return found
-            number = _NUMBER.fullmatch(key.strip())
-            if number is None:
-                self._not_named(key)
-            return self._at(int(number[1], 16), int(number[2] or "0", 16))
         if isinstance(key, int):
-            return self._at(key, 0)
-        return self._at(*key)
+            return self.at(key, 0)
+        return self.at(*key)
 
-    def _at(self, index: int, subindex: int) -> Variable:
+    def _by_text(self, text: str, names: _Names) -> Variable:
+        """What a text means that is not a name as it is spelt."""
+        found = names.folded.get(_fold(text))
+        if found is not None:
+            return found
+        number = _NUMBER.fullmatch(text.strip())
+        if number is None:
+            self._not_named(text, names)
+        return self.at(int(number[1], 16), int(number[2] or "0", 16))
+
+    def at(self, index: int, subindex: int) -> Variable:
+        """The variable at an index and subindex. Raises ObjectNotFound, which says what there is; `get` gives None instead."""
         if 0 < index <= 0xFFFF and 0 <= subindex <= 0xFF:
             found = self._by_mux.get(index << 8 | subindex)
             if found is not None:
@@ -246,10 +252,9 @@ class ObjectDictionary:
             raise ObjectNotFound(f"{where}; {self.objects[index].name} has subindex {known}")
         raise ObjectNotFound(where)
 
-    def _not_named(self, name: str) -> NoReturn:
+    def _not_named(self, name: str, names: _Names) -> NoReturn:
         if name in self._fillers:
             raise ObjectNotFound(f"{name!r} is a filler of PDOs; it has no value")
-        names = self._by_name()
         if name in names.shared:
             raise ObjectNotFound(f"{names.shared[name]} objects have a field {name!r}; say which one, as {names.example(name)!r}")
         raise ObjectNotFound(f"object {name!r} is not in the dictionary{self._of_source()}{did_you_mean(name, names.exact)}")
@@ -288,9 +293,10 @@ class ObjectDictionary:
 
     def names_of(self, key: Key, value: Value) -> tuple[str, ...]:
         """The names of all constants that a value bears."""
-        if not isinstance(value, int):
+        constants = self.constants_of(key)
+        if not constants or not isinstance(value, int):
             return ()
-        return tuple(constant.name for constant in self.constants_of(key) if constant.is_in(value))
+        return tuple(constant.name for constant in constants if constant.is_in(value))
 
     def value_from(self, key: Key, value: Value) -> Value:
         """The value that a caller means: a constant's name becomes its value, anything else stays as it is.
@@ -395,9 +401,6 @@ class _Names:
             if name not in self.shared:
                 self.exact.setdefault(name, variable)
         self.folded = {_fold(name): variable for name, variable in self.exact.items()}
-
-    def find(self, name: str) -> Variable | None:
-        return self.exact.get(name) or self.folded.get(_fold(name))
 
     def example(self, field: str) -> str:
         """One of the whole names of a field that several records have."""

@@ -16,15 +16,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import field
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length_of, decode, encode, size_of, zero_of
+from canopen_proto.datatypes import Codec, DataType, Value, ValueRangeError, codec_of
 
 _T = TypeVar("_T")
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
-def _description(cls: type[_T]) -> type[_T]:
+def description(cls: type[_T]) -> type[_T]:
     """Class decorator: a dataclass with slots and a hash, immutable to the type checker only: one frozen at run time costs three
     times as much to make."""
     return dataclasses.dataclass(slots=True, unsafe_hash=True)(cls)
@@ -66,14 +66,14 @@ class ObjectType(IntEnum):
     RECORD = 9
 
 
-@_description
+@description
 class Variable:
     """What stands at one index and subindex.
 
     default: what it holds after start-up; None = the type's zero, or the limit next to it. adds_node_id: the device's node-ID is
     added to the default ("$NODEID+0x80" of an EDS). low_limit, high_limit: what a write may not pass, None = the type's own
-    limits. pdo_mappable: a PDO may carry it, in the direction that its access allows. mux, size (bytes by SDO, None = any) and
-    bit_length (in a PDO, None = cannot be mapped), label (name and place, for people) follow from the rest.
+    limits. pdo_mappable: a PDO may carry it, in the direction that its access allows. mux and codec (how its values become bytes)
+    follow from the rest.
 
     configured, configured_adds_node_id: what a DCF sets it to (ParameterValue), None = nothing; see `initial_of`. object_flags:
     bit 0, not to be written by a download of the whole dictionary; bit 1, not to be read by an upload of it (ObjFlags). unit,
@@ -104,29 +104,27 @@ class Variable:
     download_file: str = ""
     not_read: str = ""
     mux: int = field(init=False, repr=False, compare=False)
-    size: int | None = field(init=False, repr=False, compare=False)
-    bit_length: int | None = field(init=False, repr=False, compare=False)
-    label: str = field(init=False, repr=False, compare=False)
+    codec: Codec = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         made: Any = self  # immutable to the type checker
         made.mux = self.index << 8 | self.subindex
+        made.codec = codec_of(self.data_type)
 
-    if not TYPE_CHECKING:
+    @property
+    def size(self) -> int | None:
+        """Bytes by SDO; None: any number."""
+        return self.codec.size
 
-        def __getattr__(self, name):
-            """What is made when it is asked for first: a slot that was never set brings us here."""
-            match name:
-                case "size":
-                    self.size = size_of(self.data_type)
-                    return self.size
-                case "bit_length":
-                    self.bit_length = bit_length_of(self.data_type)
-                    return self.bit_length
-                case "label":
-                    self.label = f"{self.name} (0x{self.index:04X}:{self.subindex:02X})"
-                    return self.label
-            raise AttributeError(f"a Variable has no {name!r}")
+    @property
+    def bit_length(self) -> int | None:
+        """Bits in a PDO; None: it has no width of its own there."""
+        return self.codec.bit_length
+
+    @property
+    def label(self) -> str:
+        """Name and place, for people; `str` gives the same."""
+        return f"{self.name} (0x{self.index:04X}:{self.subindex:02X})"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,7 +145,7 @@ class Variable:
 
     def _zero(self) -> Value:
         """The type's zero, or what is next to it within the limits, where there is a value within them."""
-        zero = zero_of(self.data_type)
+        zero = self.codec.zero
         low, high = self.low_limit, self.high_limit
         if not isinstance(zero, int | float) or (low is not None and high is not None and low > high):
             return zero
@@ -157,11 +155,11 @@ class Variable:
 
     def encode(self, value: Value) -> bytes:
         """The value's bytes as SDO carries them. Raises ValueRangeError that names this object. Limits: `check_limits`."""
-        return encode(value, self.data_type, self.label)
+        return self.codec.encode(value, self)
 
     def decode(self, data: bytes) -> Value:
         """The value of bytes as SDO carries them. Raises ValueRangeError (wrong length) that names this object."""
-        return decode(data, self.data_type, self.label)
+        return self.codec.decode(data, self)
 
     def check_limits(self, value: Value) -> None:
         """Raise ValueRangeError where a number lies outside low_limit..high_limit."""
@@ -180,7 +178,7 @@ Key: TypeAlias = str | int | tuple[int, int] | Variable
 0x6041; (0x60C1, 1); the Variable itself."""
 
 
-@_description
+@description
 class Object:
     """What stands at one index: its variables by subindex.
 
