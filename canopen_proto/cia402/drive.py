@@ -28,6 +28,7 @@ from typing import Final
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import ALLOWED_VALUES
+from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
 from canopen_proto.cia402.drive_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
 from canopen_proto.cia402.homing_run import Homing
 from canopen_proto.cia402.modes import Mode, ModeStatus, supported
@@ -37,7 +38,7 @@ from canopen_proto.cia402.synchronous_modes import CyclicPosition, InterpolatedP
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.error_codes import register_bits_of
-from canopen_proto.machine import MILLISECOND, NEVER, Event, Machine, Outbox, Time
+from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
 
 STEP: Final = 10 * MILLISECOND
 """How often a drive looks at itself while it moves: following error, switches, target window. Positions do not depend on it."""
@@ -46,54 +47,6 @@ FOLLOWING_ERROR: Final = 0x8611
 HEARTBEAT_ERROR: Final = 0x8130
 COMMUNICATION_ERROR: Final = 0x8100
 _CONNECTION_FAULTS: Final = frozenset((HEARTBEAT_ERROR, COMMUNICATION_ERROR))
-
-
-class DriveStateChanged(Event):
-    """The drive is in another state. transition: its number in the standard, 0 to 16."""
-
-    __slots__ = ("previous", "state", "transition")
-    __match_args__ = ("node_id", "previous", "state", "transition")
-
-    def __init__(self, node_id: int, previous: State, state: State, transition: int) -> None:
-        self.node_id = node_id
-        self.previous = previous
-        self.state = state
-        self.transition = transition
-
-
-class StatuswordChanged(Event):
-    """6041h now holds another value; the node sends the event-driven TPDOs that map it."""
-
-    __slots__ = ("statusword",)
-    __match_args__ = ("node_id", "statusword")
-
-    def __init__(self, node_id: int, statusword: int) -> None:
-        self.node_id = node_id
-        self.statusword = statusword
-
-
-class DriveFault(Event):
-    """A fault is there that was not. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
-
-    __slots__ = ("error_code", "error_register")
-    __match_args__ = ("node_id", "error_code", "error_register")
-
-    def __init__(self, node_id: int, error_code: int, error_register: int) -> None:
-        self.node_id = node_id
-        self.error_code = error_code
-        self.error_register = error_register
-
-
-class DriveFaultCleared(Event):
-    """A fault that DriveFault told of was reset."""
-
-    __slots__ = ("error_code",)
-    __match_args__ = ("node_id", "error_code")
-
-    def __init__(self, node_id: int, error_code: int) -> None:
-        self.node_id = node_id
-        self.error_code = error_code
-
 
 _STATE_BITS: Final[dict[State, int]] = {
     State.UNKNOWN: 0x0000,

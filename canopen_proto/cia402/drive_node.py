@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from canopen_proto.cia402.drive import Drive, DriveFault, DriveFaultCleared, StatuswordChanged
+from canopen_proto.cia402.drive import Drive
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, StatuswordChanged
 from canopen_proto.cia402.late_drive import LateDrive
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.servo import UNSET_BY_ZERO, DriveSettings, Shape

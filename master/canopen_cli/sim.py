@@ -20,7 +20,7 @@ from canopen_cli.sim_devices import SHAPES, models, script_problem, wanted
 from canopen_master.hooks import ScriptError
 from canopen_master.parameter_keeper import ParameterKeeper, StateFileError
 from canopen_master.plant import PROFILES, DeviceEntry
-from canopen_proto.cia402.drive import DriveFault, DriveStateChanged
+from canopen_proto.cia402.drive_events import DriveFault, DriveStateChanged
 from canopen_proto.error_codes import error_text
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtStateChanged

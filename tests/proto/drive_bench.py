@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from canopen_proto.cia402.drive import Drive, DriveStateChanged, StatuswordChanged
+from canopen_proto.cia402.drive import Drive
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_events import DriveStateChanged, StatuswordChanged
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.dictionary.model import ObjectDictionary, mux

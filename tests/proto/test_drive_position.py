@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_proto.cia402.drive import DriveFault
+from canopen_proto.cia402.drive_events import DriveFault
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, NEVER

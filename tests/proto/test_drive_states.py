@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive import Drive, DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
+from canopen_proto.cia402.drive import Drive
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
+from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
 from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.cia402.states import TRANSITIONS, State, command_of
 from canopen_proto.dictionary.values import Values

@@ -7,7 +7,8 @@ import itertools
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from canopen_proto.cia402.drive import STEP, DriveStateChanged
+from canopen_proto.cia402.drive import STEP
+from canopen_proto.cia402.drive_events import DriveStateChanged
 from canopen_proto.cia402.states import TRANSITIONS, Command, State, command_of, state_of
 from canopen_proto.machine import NEVER, SECOND
 from tests.examples import examples

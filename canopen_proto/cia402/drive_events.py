@@ -1,0 +1,53 @@
+"""The events of the simulated drive."""
+
+from __future__ import annotations
+
+from canopen_proto.cia402.states import State
+from canopen_proto.machine import Event
+
+
+class DriveStateChanged(Event):
+    """The drive is in another state. transition: its number in the standard, 0 to 16."""
+
+    __slots__ = ("previous", "state", "transition")
+    __match_args__ = ("node_id", "previous", "state", "transition")
+
+    def __init__(self, node_id: int, previous: State, state: State, transition: int) -> None:
+        self.node_id = node_id
+        self.previous = previous
+        self.state = state
+        self.transition = transition
+
+
+class StatuswordChanged(Event):
+    """6041h now holds another value; the node sends the event-driven TPDOs that map it."""
+
+    __slots__ = ("statusword",)
+    __match_args__ = ("node_id", "statusword")
+
+    def __init__(self, node_id: int, statusword: int) -> None:
+        self.node_id = node_id
+        self.statusword = statusword
+
+
+class DriveFault(Event):
+    """A fault is there that was not. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
+
+    __slots__ = ("error_code", "error_register")
+    __match_args__ = ("node_id", "error_code", "error_register")
+
+    def __init__(self, node_id: int, error_code: int, error_register: int) -> None:
+        self.node_id = node_id
+        self.error_code = error_code
+        self.error_register = error_register
+
+
+class DriveFaultCleared(Event):
+    """A fault that DriveFault told of was reset."""
+
+    __slots__ = ("error_code",)
+    __match_args__ = ("node_id", "error_code")
+
+    def __init__(self, node_id: int, error_code: int) -> None:
+        self.node_id = node_id
+        self.error_code = error_code
