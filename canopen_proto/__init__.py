@@ -1,1 +1,77 @@
-"""CANopen as pure state machines: frames and time go in, frames and events come out. See docs/contract.md."""
+"""CANopen as pure state machines: frames and time go in, frames and events come out. See docs/contract.md.
+
+These are the names that a program needs which runs the core in a loop of its own. `canopen_proto.procedures` has sequences of
+requests, `canopen_proto.drive` those that move a CiA 402 drive, `canopen_proto.dictionary` what describes a device. Every other
+name is imported from its module.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from canopen_proto.abort import AbortCode as AbortCode
+    from canopen_proto.cia402.drive_node import powerball as powerball
+    from canopen_proto.dictionary.model import NotInDictionary as NotInDictionary
+    from canopen_proto.dictionary.model import ObjectDictionary as ObjectDictionary
+    from canopen_proto.drive.axis import Axis as Axis
+    from canopen_proto.drive.axis import AxisSettings as AxisSettings
+    from canopen_proto.emcy import EmcyReceived as EmcyReceived
+    from canopen_proto.frame import Frame as Frame
+    from canopen_proto.group import Group as Group
+    from canopen_proto.heartbeat import HeartbeatLost as HeartbeatLost
+    from canopen_proto.heartbeat import HeartbeatReceived as HeartbeatReceived
+    from canopen_proto.heartbeat import HeartbeatRecovered as HeartbeatRecovered
+    from canopen_proto.heartbeat import NodeBooted as NodeBooted
+    from canopen_proto.local_node import LocalNode as LocalNode
+    from canopen_proto.machine import MILLISECOND as MILLISECOND
+    from canopen_proto.machine import NEVER as NEVER
+    from canopen_proto.machine import SECOND as SECOND
+    from canopen_proto.machine import Event as Event
+    from canopen_proto.machine import LocalProtocolError as LocalProtocolError
+    from canopen_proto.machine import Machine as Machine
+    from canopen_proto.machine import Outbox as Outbox
+    from canopen_proto.machine import Outcome as Outcome
+    from canopen_proto.machine import RequestId as RequestId
+    from canopen_proto.machine import Time as Time
+    from canopen_proto.network import Network as Network
+    from canopen_proto.nmt import NmtCommand as NmtCommand
+    from canopen_proto.nmt import NmtMaster as NmtMaster
+    from canopen_proto.nmt import NmtState as NmtState
+    from canopen_proto.pdo.consumer import PdoReceived as PdoReceived
+    from canopen_proto.procedures.runner import ProcedureCancelled as ProcedureCancelled
+    from canopen_proto.procedures.runner import ProcedureFailed as ProcedureFailed
+    from canopen_proto.procedures.runner import ProcedureFinished as ProcedureFinished
+    from canopen_proto.procedures.steps import Procedure as Procedure
+    from canopen_proto.procedures.steps import ProcedureError as ProcedureError
+    from canopen_proto.remote_node import RemoteNode as RemoteNode
+    from canopen_proto.sdo.client import SdoClient as SdoClient
+    from canopen_proto.sdo.events import ObjectAccessPending as ObjectAccessPending
+    from canopen_proto.sdo.events import ObjectWritten as ObjectWritten
+    from canopen_proto.sdo.events import SdoAborted as SdoAborted
+    from canopen_proto.sdo.events import SdoDownloaded as SdoDownloaded
+    from canopen_proto.sdo.events import SdoUploaded as SdoUploaded
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__, __all__ = lazy_names(
+        globals(),
+        {
+            "canopen_proto.abort": "AbortCode",
+            "canopen_proto.cia402.drive_node": "powerball",
+            "canopen_proto.dictionary.model": "NotInDictionary ObjectDictionary",
+            "canopen_proto.drive.axis": "Axis AxisSettings",
+            "canopen_proto.emcy": "EmcyReceived",
+            "canopen_proto.frame": "Frame",
+            "canopen_proto.group": "Group",
+            "canopen_proto.heartbeat": "HeartbeatLost HeartbeatReceived HeartbeatRecovered NodeBooted",
+            "canopen_proto.local_node": "LocalNode",
+            "canopen_proto.machine": "Event LocalProtocolError MILLISECOND Machine NEVER Outbox Outcome RequestId SECOND Time",
+            "canopen_proto.network": "Network",
+            "canopen_proto.nmt": "NmtCommand NmtMaster NmtState",
+            "canopen_proto.pdo.consumer": "PdoReceived",
+            "canopen_proto.procedures.runner": "ProcedureCancelled ProcedureFailed ProcedureFinished",
+            "canopen_proto.procedures.steps": "Procedure ProcedureError",
+            "canopen_proto.remote_node": "RemoteNode",
+            "canopen_proto.sdo.client": "SdoClient",
+            "canopen_proto.sdo.events": "ObjectAccessPending ObjectWritten SdoAborted SdoDownloaded SdoUploaded",
+        },
+    )

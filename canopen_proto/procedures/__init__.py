@@ -4,9 +4,6 @@
     runner.py          `Runner`, which runs them; `Network.run` is the usual way in
     streams.py         read and write what nobody holds whole: firmware images, recordings
     objects.py         read and write a node's objects by name and value
-    drive/             the manual's sequences for a CiA 402 drive: homing, interpolation, halt ...
-    identity.py        what a drive is, by its vendor-ID; limits.py: what it says of its limits
-    following.py       what no PDO brings of a drive that follows set-points, and its limit
     grip.py            a drive that stops by itself when its master is gone
     configure_pdo.py   `define_pdo` and what it is made of
     described_pdos.py  the PDOs of a device's file; device_pdos.py: as the device has them set up
@@ -14,5 +11,46 @@
     backup.py          read all that a node holds; walk.py: of one of which nobody knows what it has
     restore.py         set a node to given values, in the order that CiA 302 asks for
 
-Import from these modules.
+What a procedure of one's own is made of is imported from here; each of the product's, from its module.
 """
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from canopen_proto.procedures.objects import UnexpectedLength as UnexpectedLength
+    from canopen_proto.procedures.objects import read as read
+    from canopen_proto.procedures.objects import read_if_present as read_if_present
+    from canopen_proto.procedures.objects import read_int as read_int
+    from canopen_proto.procedures.objects import write as write
+    from canopen_proto.procedures.runner import ProcedureCancelled as ProcedureCancelled
+    from canopen_proto.procedures.runner import ProcedureFailed as ProcedureFailed
+    from canopen_proto.procedures.runner import ProcedureFinished as ProcedureFinished
+    from canopen_proto.procedures.runner import Runner as Runner
+    from canopen_proto.procedures.steps import Cancelled as Cancelled
+    from canopen_proto.procedures.steps import Procedure as Procedure
+    from canopen_proto.procedures.steps import ProcedureError as ProcedureError
+    from canopen_proto.procedures.steps import SdoFailed as SdoFailed
+    from canopen_proto.procedures.steps import StepTimeout as StepTimeout
+    from canopen_proto.procedures.steps import act as act
+    from canopen_proto.procedures.steps import all_of as all_of
+    from canopen_proto.procedures.steps import ask_for_time as ask_for_time
+    from canopen_proto.procedures.steps import current_time as current_time
+    from canopen_proto.procedures.steps import sleep as sleep
+    from canopen_proto.procedures.steps import wait_for_event as wait_for_event
+    from canopen_proto.procedures.streams import download_stream as download_stream
+    from canopen_proto.procedures.streams import upload_stream as upload_stream
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__, __all__ = lazy_names(
+        globals(),
+        {
+            "canopen_proto.procedures.objects": "UnexpectedLength read read_if_present read_int write",
+            "canopen_proto.procedures.runner": "ProcedureCancelled ProcedureFailed ProcedureFinished Runner",
+            "canopen_proto.procedures.steps": (
+                "Cancelled Procedure ProcedureError SdoFailed StepTimeout act all_of ask_for_time current_time sleep "
+                "wait_for_event"
+            ),
+            "canopen_proto.procedures.streams": "download_stream upload_stream",
+        },
+    )

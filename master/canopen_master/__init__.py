@@ -8,88 +8,81 @@
 For scripts without async there is `canopen_master.direct`, the manual's blocking API on top of this.
 """
 
-from canopen_master.bus import BusChanged, FramesLost, FramesNotSent
-from canopen_master.errors import (
-    BusError,
-    ChainError,
-    ChainFault,
-    ChainFileError,
-    ChainHalted,
-    HaltNotConfirmed,
-    MasterClosed,
-    MasterError,
-    NodeError,
-    NodeSilent,
-    SdoError,
-    SdoGivenUp,
-    SdoNotConfirmed,
-    SdoRefused,
-    SdoTimeout,
-    SetPointRefused,
-    UnexpectedAnswer,
-    UnknownChain,
-)
-from canopen_master.grip import NodeIdTaken, NotHeld
-from canopen_master.master import Master
-from canopen_master.motion.chain import Chain, ChainSettings, ChainState
-from canopen_master.motion.chain_file import ChainDescription, JointDescription, parse_chains, read_chains
-from canopen_master.motion.cycles import Cycle, Cycles
-from canopen_master.motion.device import Device
-from canopen_master.node import Node
-from canopen_master.node_pdos import PdoDiffers
-from canopen_master.session import MasterSession, open_master
-from canopen_master.simulation import DeviceModel, Host, powerballs, simulate, standard_drives
-from canopen_master.subscription import Subscription
-from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings, HomingStyle
-from canopen_proto.procedures.grip import Grip
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "SCHUNK_POWERBALL",
-    "AxisSettings",
-    "BusChanged",
-    "BusError",
-    "Chain",
-    "ChainDescription",
-    "ChainError",
-    "ChainFault",
-    "ChainFileError",
-    "ChainHalted",
-    "ChainSettings",
-    "ChainState",
-    "Cycle",
-    "Cycles",
-    "Device",
-    "DeviceModel",
-    "FramesLost",
-    "FramesNotSent",
-    "Grip",
-    "HaltNotConfirmed",
-    "HomingStyle",
-    "Host",
-    "JointDescription",
-    "Master",
-    "MasterClosed",
-    "MasterError",
-    "MasterSession",
-    "Node",
-    "NodeError",
-    "NodeIdTaken",
-    "NodeSilent",
-    "NotHeld",
-    "PdoDiffers",
-    "SdoError",
-    "SdoGivenUp",
-    "SdoNotConfirmed",
-    "SdoRefused",
-    "SdoTimeout",
-    "SetPointRefused",
-    "Subscription",
-    "UnexpectedAnswer",
-    "UnknownChain",
-    "open_master",
-    "parse_chains",
-    "powerballs",
-    "read_chains",
-    "simulate",
-    "standard_drives",
-]
+if TYPE_CHECKING:
+    from canopen_master.bus import BusChanged as BusChanged
+    from canopen_master.bus import FramesLost as FramesLost
+    from canopen_master.bus import FramesNotSent as FramesNotSent
+    from canopen_master.errors import BusError as BusError
+    from canopen_master.errors import ChainError as ChainError
+    from canopen_master.errors import ChainFault as ChainFault
+    from canopen_master.errors import ChainFileError as ChainFileError
+    from canopen_master.errors import ChainHalted as ChainHalted
+    from canopen_master.errors import HaltNotConfirmed as HaltNotConfirmed
+    from canopen_master.errors import MasterClosed as MasterClosed
+    from canopen_master.errors import MasterError as MasterError
+    from canopen_master.errors import NodeError as NodeError
+    from canopen_master.errors import NodeSilent as NodeSilent
+    from canopen_master.errors import SdoError as SdoError
+    from canopen_master.errors import SdoGivenUp as SdoGivenUp
+    from canopen_master.errors import SdoNotConfirmed as SdoNotConfirmed
+    from canopen_master.errors import SdoRefused as SdoRefused
+    from canopen_master.errors import SdoTimeout as SdoTimeout
+    from canopen_master.errors import SetPointRefused as SetPointRefused
+    from canopen_master.errors import UnexpectedAnswer as UnexpectedAnswer
+    from canopen_master.errors import UnknownChain as UnknownChain
+    from canopen_master.grip import NodeIdTaken as NodeIdTaken
+    from canopen_master.grip import NotHeld as NotHeld
+    from canopen_master.master import Master as Master
+    from canopen_master.motion.chain import Chain as Chain
+    from canopen_master.motion.chain import ChainSettings as ChainSettings
+    from canopen_master.motion.chain import ChainState as ChainState
+    from canopen_master.motion.chain_file import ChainDescription as ChainDescription
+    from canopen_master.motion.chain_file import JointDescription as JointDescription
+    from canopen_master.motion.chain_file import parse_chains as parse_chains
+    from canopen_master.motion.chain_file import read_chains as read_chains
+    from canopen_master.motion.cycles import Cycle as Cycle
+    from canopen_master.motion.cycles import Cycles as Cycles
+    from canopen_master.motion.device import Device as Device
+    from canopen_master.node import Node as Node
+    from canopen_master.node_pdos import PdoDiffers as PdoDiffers
+    from canopen_master.session import MasterSession as MasterSession
+    from canopen_master.session import open_master as open_master
+    from canopen_master.simulation import DeviceModel as DeviceModel
+    from canopen_master.simulation import Host as Host
+    from canopen_master.simulation import powerballs as powerballs
+    from canopen_master.simulation import simulate as simulate
+    from canopen_master.simulation import standard_drives as standard_drives
+    from canopen_master.subscription import Subscription as Subscription
+    from canopen_proto.drive.axis import SCHUNK_POWERBALL as SCHUNK_POWERBALL
+    from canopen_proto.drive.axis import AxisSettings as AxisSettings
+    from canopen_proto.drive.axis import HomingStyle as HomingStyle
+    from canopen_proto.procedures.grip import Grip as Grip
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__, __all__ = lazy_names(
+        globals(),
+        {
+            "canopen_master.bus": "BusChanged FramesLost FramesNotSent",
+            "canopen_master.errors": (
+                "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
+                "NodeError NodeSilent SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout SetPointRefused "
+                "UnexpectedAnswer UnknownChain"
+            ),
+            "canopen_master.grip": "NodeIdTaken NotHeld",
+            "canopen_master.master": "Master",
+            "canopen_master.motion.chain": "Chain ChainSettings ChainState",
+            "canopen_master.motion.chain_file": "ChainDescription JointDescription parse_chains read_chains",
+            "canopen_master.motion.cycles": "Cycle Cycles",
+            "canopen_master.motion.device": "Device",
+            "canopen_master.node": "Node",
+            "canopen_master.node_pdos": "PdoDiffers",
+            "canopen_master.session": "MasterSession open_master",
+            "canopen_master.simulation": "DeviceModel Host powerballs simulate standard_drives",
+            "canopen_master.subscription": "Subscription",
+            "canopen_proto.drive.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
+            "canopen_proto.procedures.grip": "Grip",
+        },
+    )

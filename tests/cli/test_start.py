@@ -46,7 +46,7 @@ def test_version_and_help_import_click_and_next_to_nothing_of_ours(option: str) 
     ours, _, others = ended.stdout.splitlines()[-1].partition(" | ")
     assert ours.split() == [
         *(f"canopen_cli.{name}" for name in ("app", "entry", "importing", "lazy", "options", "problem")),
-        *(f"canopen_proto.{name}" for name in ("frame", "machine")),
+        *(f"canopen_proto.{name}" for name in ("frame", "lazy_names", "machine")),
     ]
     assert others == "click"
 

@@ -25,8 +25,8 @@ MODULES = [".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removes
 
 ALLOWED = {
     "__future__", "abc", "binascii", "bisect", "collections", "collections.abc", "csv", "dataclasses", "datetime", "difflib",
-    "enum", "functools", "heapq", "io", "itertools", "math", "operator", "re", "reprlib", "string", "struct", "tomllib",
-    "types", "typing", "xml.parsers", "xml.parsers.expat",
+    "enum", "functools", "heapq", "importlib", "io", "itertools", "math", "operator", "re", "reprlib", "string", "struct",
+    "tomllib", "types", "typing", "xml.parsers", "xml.parsers.expat",
 }  # fmt: skip
 FORBIDDEN = {
     "asyncio", "can", "canopen", "click", "concurrent", "http", "logging", "matplotlib", "msgpack", "multiprocessing", "numpy",
@@ -134,4 +134,16 @@ def test_a_network_is_imported_without_what_it_does_not_need() -> None:
         {"ast", "csv", "dataclasses", "datetime", "decimal", "difflib", "importlib.metadata", "inspect", "tomllib"}
     )
     parts = {name.split(".")[1] for name in loaded if name.startswith("canopen_proto.")}
-    assert parts <= {"abort", "bus_knowledge", "frame", "group", "machine", "network", "nmt", "procedures", "sdo", "sync"}
+    assert parts <= {
+        "abort",
+        "bus_knowledge",
+        "frame",
+        "group",
+        "lazy_names",
+        "machine",
+        "network",
+        "nmt",
+        "procedures",
+        "sdo",
+        "sync",
+    }

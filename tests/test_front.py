@@ -1,0 +1,90 @@
+"""What each package offers to those who import it; that it loads no more than what was asked for; and a user's example."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import subprocess
+import sys
+from types import ModuleType
+
+import pytest
+import trio
+import trio.testing
+
+import canopen_master
+import canopen_proto
+import canopen_proto.procedures
+from tests import user_example
+
+LAZY = [canopen_proto, canopen_proto.procedures, canopen_master]
+
+
+def seen_by_type_checkers(package: ModuleType) -> dict[str, str]:
+    """By the name, the module that it is imported from under TYPE_CHECKING."""
+    for statement in ast.parse(inspect.getsource(package)).body:
+        if isinstance(statement, ast.If) and ast.unparse(statement.test) == "TYPE_CHECKING":
+            imports = [each for each in statement.body if isinstance(each, ast.ImportFrom)]
+            return {name.asname or name.name: each.module or "" for each in imports for name in each.names}
+    raise AssertionError(f"{package.__name__} imports nothing under TYPE_CHECKING")
+
+
+@pytest.mark.parametrize("package", LAZY, ids=lambda package: package.__name__)
+def test_each_name_is_what_type_checkers_take_it_for(package: ModuleType) -> None:
+    homes = seen_by_type_checkers(package)
+    assert set(package.__all__) == set(homes)
+    for name, home in homes.items():
+        assert getattr(package, name) is getattr(importlib.import_module(home), name)
+    assert set(homes) <= set(dir(package))
+
+
+@pytest.mark.parametrize("package", LAZY, ids=lambda package: package.__name__)
+def test_no_name_is_that_of_a_module(package: ModuleType) -> None:
+    """Or the one would take the place of the other, whichever was imported last."""
+    assert {each.name for each in pkgutil.iter_modules(package.__path__)}.isdisjoint(package.__all__)
+
+
+@pytest.mark.parametrize("package", LAZY, ids=lambda package: package.__name__)
+def test_a_name_that_is_not_there(package: ModuleType) -> None:
+    with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'Nonsense'"):
+        package.Nonsense  # noqa: B018 - the look is what is tested
+    with pytest.raises(ImportError):
+        exec(f"from {package.__name__} import Nonsense")
+
+
+@pytest.mark.parametrize(
+    ("statement", "absent"),
+    [
+        ("import canopen_proto", {"canopen_proto.frame", "canopen_proto.machine"}),
+        ("from canopen_proto import Frame, Outbox", {"canopen_proto.network", "canopen_proto.sdo", "canopen_proto.cia402"}),
+        ("from canopen_proto import LocalNode", {"canopen_proto.cia402", "canopen_proto.drive", "canopen_proto.remote_node"}),
+        ("import canopen_master.plain_text", {"canopen_master.master", "trio", "can"}),
+    ],
+)
+def test_only_what_was_asked_for_is_loaded(statement: str, absent: set[str]) -> None:
+    program = f"import sys; sys.path[:] = {sys.path!r}; {statement}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert absent.isdisjoint(done.stdout.split())
+
+
+def test_an_embedding_of_ones_own() -> None:
+    assert user_example.embedded() == ["a device of profile 402, 127", "41.5 degrees", "the sensor is silent"]
+
+
+def test_a_script_for_the_master() -> None:
+    told = trio.run(user_example.scripted, clock=trio.testing.MockClock(autojump_threshold=0))
+    assert told == ["Simulated Schunk Powerball joint", "joint1 at 0.01"]
+
+
+def test_what_a_user_writes_passes_mypy_strict(pytestconfig: pytest.Config) -> None:
+    """As a user checks it: outside this tree, against the installed packages."""
+    if importlib.util.find_spec("mypy") is None:
+        pytest.skip("mypy is not installed: pip install 'canopen-proto[dev]'")
+    assert pytestconfig.cache is not None
+    place = pytestconfig.cache.mkdir("mypy")
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={place}", user_example.__file__]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False, cwd=place)
+    assert (done.stdout, done.stderr) == ("Success: no issues found in 1 source file\n", "")
