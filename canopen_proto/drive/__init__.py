@@ -1,4 +1,4 @@
-"""The master's side of one CiA 402 drive: the `Axis`, its limits, whether it follows; the manual's sequences, as procedures.
+"""The master's side of one CiA 402 drive: the `Axis`, its limits, the watch on its path; the manual's sequences as procedures.
 
     reset_fault   0x0000, then 0x0080: the reset is a rising edge             manual: faultReset
     enable        up to Operation enabled, step by step                       manual: initDevice
@@ -11,14 +11,14 @@
     engage_brake  down to Ready to switch on                                  manual: enableBreak
     shut_down     unpowered (Switch on disabled)                              manual: shutdownDevice, with NMT stop
 
-A procedure that moves the drive halts it when it is cancelled or fails. Bit 4 is cleared before each homing and each start of
-interpolation: both begin on its rising edge.
+A procedure that moves the drive halts it if the procedure is cancelled or fails. Bit 4 is cleared before each homing and each
+start of interpolation: both begin on its rising edge.
 
-watching.py waits, controlword.py commands, state.py leads through states and modes, halting.py stops, homing.py and motion.py
-move, failures.py has the errors.
+watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops, homing.py and motion.py move,
+failures.py has the errors.
 
-A wait ends as soon as its goal is reached or cannot be: DriveFault, StateLost (a quick stop or a disable that was not ours),
-ModeLost (somebody else's 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
+A wait ends as soon as its goal is reached or out of reach: DriveFault, StateLost (a quick stop or disable that was not ours),
+ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """

@@ -1,26 +1,26 @@
-"""`Axis`: the master's side of one CiA 402 drive. What it knows of the drive, and the one image of its controlword.
+"""`Axis`: the master's side of one CiA 402 drive. It holds what is known of the drive, and the one image of its controlword.
 
 Theory of operation
 -------------------
 An Axis stands on a `RemoteNode` and adds meaning to its values: state, mode, position in the user's unit. Its sequences (enable,
 homing, interpolation) are procedures, in `canopen_proto.drive`.
 
-**One controlword image per axis.** It is the node's own image of 0x6040, the one that an RPDO is built from. While a live RPDO
-carries 0x6040, a command goes into the image and out by that PDO; otherwise by SDO, and a confirmed SDO write sets the image too,
-or the next RPDO would send a stale 0 and drop the drive.
+**One controlword image per axis.** It is the node's own image of 0x6040, from which RPDOs are built. While a live RPDO carries
+0x6040, a command goes into the image, and that PDO sends it. Otherwise the command goes by SDO. A confirmed SDO write sets the
+image too: else the next RPDO would send a stale 0 and take the drive out of operation.
 
-Units: positions outside are in the user's unit (radians for an arm), on the wire in counts (the Schunk arm's are millidegrees).
-counts = round(direction * unit * counts_per_unit) + offset. Without a scale, positions outside are counts, too.
+Units: the user sees positions in the user's unit (radians for an arm). On the wire they are counts (millidegrees for the Schunk
+arm). counts = round(direction * unit * counts_per_unit) + offset. Without a scale, the user sees counts too.
 
-**What it is.** A drive is a CiA 402 drive, unless the user says Schunk or its vendor-ID (0x1018:01) does. What the settings leave
-open (None) is settled by `drive.identity.identify`, which reads the vendor-ID once; 0x6502 decides nothing.
+**Kind of drive.** A drive is a CiA 402 drive unless the user or its vendor-ID (0x1018:01) says Schunk.
+`drive.identity.identify` reads the vendor-ID once, and fills in the settings that are None. 0x6502 decides nothing.
 
-**Reference.** A drive that this master has homed, and that boots then, counts as not homed: it may have lost its power, and its
-positions may mean something else. It `has_lost_reference` until it is homed again, and absolute set-points are refused meanwhile
-(`drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master has never
-homed has no reference to lose.
+**Reference.** A drive that boots after this master homed it counts as not homed: it may have lost its power, and its positions
+may mean something else. It `has_lost_reference` until it is homed again. Until then absolute set-points are refused
+(`drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master never homed
+has no reference to lose.
 
-Events: `AxisStateChanged` whenever a statusword shows another state, or the node boots: then nothing is known of the drive.
+Events: `AxisStateChanged` when a statusword shows another state, or when the node boots (the state is UNKNOWN then).
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
@@ -56,36 +56,38 @@ if TYPE_CHECKING:
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 OBEYED: Final = -NEVER
-"""`Axis.started_at` of a drive that has no start left to obey."""
+"""`Axis.started_at` of a drive that has obeyed every start."""
 
 
 class HomingStyle(enum.Enum):
     """How a drive homes."""
 
     STANDARD = "standard"
-    """CiA 402: mode 6, method in 0x6098, bits 13, 12 and 10 of the statusword tell."""
+    """CiA 402: mode 6, method in 0x6098; bits 13, 12 and 10 of the statusword show the result."""
     SCHUNK = "schunk"
-    """Schunk Powerball firmware of 2012: mode 6 though 0x6502 lacks it, no 0x6098; done when bit 8 (moving) has come and gone and
-    bit 15 (referenced) is set."""
+    """Schunk Powerball firmware of 2012: mode 6 although 0x6502 lacks it, no 0x6098. Homing is done when bit 8 (moving) was set,
+    is 0 again, and bit 15 (referenced) is set."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisSettings:
-    """What differs from axis to axis.
+    """The settings of one axis.
 
-    counts_per_unit: counts on the wire per user's unit; None if nobody gave a scale: positions are counts then, as on the wire.
-    direction: 1, or -1 for a motor that is mounted the other way round; offset: counts at position 0. homing: how it homes; None
-    leaves that to its vendor-ID. homing_method: written to 0x6098, None leaves what the drive has. homing_timeout, state_timeout:
-    ns for a whole homing, for one change of state or mode. following_error_limit: how far off its set-points the drive may be, in
-    the user's unit, before it counts as lost; None: as `drive.following.following_limit` finds it, math.inf: no limit.
-    keeps_reference: whether the drive knows its position after a reset or without power, as one with an absolute encoder does; it
-    need not be homed again then. reaction_time: ns that the drive may take until what it shows answers what it was commanded; for
-    that long the end of a homing, a move or a halt that it has shown before is not believed. halt_time: ns that a halted drive
-    may take beyond that; one whose speed shows that it still slows down is waited for longer.
+    counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count.
+    direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
+    homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098; None keeps the drive's own.
+    homing_timeout: ns for a whole homing. state_timeout: ns for one change of state or mode.
+    following_error_limit: how far off its set-points the drive may be, in the user's unit, before it counts as lost; None: the
+    limit that `drive.following.following_limit` finds; math.inf: no limit.
+    keeps_reference: whether the drive knows its position after a reset or a loss of power (an absolute encoder). Such a drive
+    need not be homed again.
+    reaction_time: ns until what the drive shows answers the last command. Until then, an end of a homing, a move or a halt that
+    was shown before the command is not believed. halt_time: ns that a halted drive may take in addition. The wait is extended
+    while the drive's speed still falls.
 
-    min_position, max_position: set-points and targets beyond are refused, in the user's unit; None: only what the drive says
-    (0x607D), which counts in any case. max_speed: set-points that ask for more are refused, in the user's unit per second; None:
-    what the drive says (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
+    min_position, max_position: in the user's unit; set-points and targets beyond are refused. None: only the drive's own limits
+    (0x607D) apply, which always apply. max_speed: in the user's unit per second; set-points that need more are refused. None: the
+    drive's own limit (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
     """
 
     counts_per_unit: float | None = None
@@ -123,9 +125,9 @@ class AxisSettings:
             raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
 
     def of_vendor(self, vendor_id: int | None) -> AxisSettings:
-        """These settings, with what they leave open filled in as drives of that vendor have it (None: no vendor-ID).
+        """Return these settings, with open ones (None) filled in for drives of that vendor (None: no vendor-ID).
 
-        A joint of Schunk's counts millidegrees, and its positions are radians outside, as SCHUNK_POWERBALL has it.
+        A joint of Schunk's counts millidegrees; its user's unit is the radian, as in SCHUNK_POWERBALL.
         """
         homing = self.homing
         if homing is None:
@@ -135,7 +137,7 @@ class AxisSettings:
         return replace(self, homing=homing, counts_per_unit=scale)
 
     def difference(self, other: AxisSettings) -> str:
-        """In what these settings differ from others, for people: "direction 1, not -1"; empty where they are the same."""
+        """Return how these settings differ from others, as text: "direction 1, not -1"; empty if they are equal."""
         names = [each.name for each in fields(self) if getattr(self, each.name) != getattr(other, each.name)]
         return ", ".join(f"{name} {_shown(getattr(self, name))}, not {_shown(getattr(other, name))}" for name in names)
 
@@ -145,11 +147,11 @@ def _shown(value: object) -> str:
 
 
 SCHUNK_POWERBALL: Final = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN, homing=HomingStyle.SCHUNK)
-"""The manual's arm: millidegrees on the wire, radians outside."""
+"""The manual's arm: millidegrees on the wire; the user's unit is the radian."""
 
 
 class AxisStateChanged(Event):
-    """The drive's statusword shows another state than before (UNKNOWN: it has booted). statusword: as last heard."""
+    """The drive's statusword shows another state than before (UNKNOWN: its node booted). statusword: as last heard."""
 
     __slots__ = ("previous", "state", "statusword")
     __match_args__ = ("node_id", "previous", "state", "statusword")
@@ -162,27 +164,27 @@ class AxisStateChanged(Event):
 
 
 class AxisGrip(Protocol):
-    """Who sees to it that a drive stops by itself when its master is gone; see procedures/grip.py."""
+    """Makes a drive stop by itself if its master is gone; see procedures/grip.py."""
 
     def hold(self) -> Procedure[None]:
-        """The drive is about to be enabled."""
+        """Take hold of the drive: it is about to be enabled."""
 
     def let_go(self) -> Procedure[None]:
-        """The drive stands and is disabled."""
+        """Let go of the drive: it stands and is disabled."""
 
 
 class Axis:
-    """One drive as its master sees it; see this module's text. Getters only show what was heard: they send nothing.
+    """One drive as its master sees it; see this module's text. Properties show what was heard; they send nothing.
 
-    settings: those in force; what the user left open is filled in once `is_identified`. grip: asked before the drive is enabled,
-    and once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which starts a motion; OBEYED
-    once the drive has shown that it took it.
+    settings: the settings in force; open ones are filled in once `is_identified`. grip: takes hold before the drive is enabled,
+    and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which starts a
+    motion; OBEYED once the drive has shown that it took it.
     """
 
     __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state")
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
-        """node: its dictionary must have controlword, statusword and modes of operation, else LocalProtocolError."""
+        """Make the axis of a node. Raises LocalProtocolError if its dictionary lacks controlword, statusword or a mode object."""
         for key in (CONTROLWORD, STATUSWORD, MODES_OF_OPERATION, MODES_OF_OPERATION_DISPLAY):
             node.dictionary.variable((key >> 8, key & 0xFF))
         self.node = node
@@ -252,7 +254,7 @@ class Axis:
 
     @property
     def is_homed(self) -> bool:
-        """Whether it was homed, by this master, since it was switched on; set by `axis.home`."""
+        """Whether this master homed it since it was switched on; `drive.home` sets it."""
         return self._is_homed
 
     @is_homed.setter
@@ -262,18 +264,18 @@ class Axis:
 
     @property
     def has_lost_reference(self) -> bool:
-        """Whether it was homed, by this master, and is not any more: it was reset, or a later homing did not succeed."""
+        """Whether this master homed it, and its reference is lost: it was reset, or a later homing failed."""
         return self._was_homed and not self._is_homed and not self.settings.keeps_reference
 
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
-        """0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
+        """Return 0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
         heard = self.node.heard_at.get(STATUSWORD)
         if heard is None or heard < not_before or now - heard > FRESH:
             return None
         return self._int(STATUSWORD)
 
     def describe(self) -> str:
-        """State, statusword and what else explains it, in one line for people."""
+        """Return one line for people: state, statusword, error code and last EMCY."""
         if self._heard(STATUSWORD) is None:
             parts = ["its statusword was never heard"]
         else:
@@ -285,15 +287,15 @@ class Axis:
             parts.append(f"last EMCY 0x{last_emcy.code:04X} {last_emcy.text}")
         return "; ".join(parts)
 
-    # ---- what it is ----
+    # ---- the kind of drive ----
 
     def identify(self, vendor_id: int | None) -> None:
-        """Fill in what the settings leave open, by the drive's vendor-ID (None: it has none). Later calls change nothing."""
+        """Fill in open settings (None) by the drive's vendor-ID (None: it has none). Later calls change nothing."""
         if not self.is_identified:
             self.settings, self.is_identified = self._given.of_vendor(vendor_id), True
 
     def check_settings(self, wanted: AxisSettings) -> None:
-        """Raise LocalProtocolError that names the differences, unless these settings are those in force, or those first given."""
+        """Raise LocalProtocolError, naming the differences, unless these settings are those in force or those first given."""
         if wanted not in (self.settings, self._given):
             difference = self.settings.difference(wanted)
             raise LocalProtocolError(f"drive {self.node.node_id} is in use with other settings: {difference}")
@@ -306,15 +308,15 @@ class Axis:
         return 1.0 if scale is None else scale
 
     def to_counts(self, position: float) -> int:
-        """A position in the user's unit as counts on the wire."""
+        """Convert a position in the user's unit to counts on the wire."""
         return round(self.settings.direction * position * self._scale) + self.settings.offset
 
     def from_counts(self, counts: float) -> float:
-        """Counts on the wire as a position in the user's unit."""
+        """Convert counts on the wire to a position in the user's unit."""
         return self.settings.direction * (counts - self.settings.offset) / self._scale
 
     def amount_from_counts(self, counts: float) -> float:
-        """An amount, such as a speed, that is in counts on the wire, in the user's unit."""
+        """Convert an amount, such as a speed, from counts to the user's unit."""
         return counts / self._scale
 
     @property
@@ -329,14 +331,14 @@ class Axis:
         return self._int(INTERPOLATION_SET_POINT if has_own else TARGET_POSITION)
 
     def set_position(self, position: float) -> None:
-        """Give the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
+        """Set the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
 
-        Raises ValueRangeError where the drive's object cannot hold it; then the last set-point stays.
+        Raises ValueRangeError if the drive's object cannot hold it; the last set-point stays then.
         """
         self.set_position_counts(self.to_counts(position))
 
     def set_position_counts(self, counts: int) -> None:
-        """As `set_position`, in counts."""
+        """Set the next set-point in counts; else as `set_position`."""
         for key in (INTERPOLATION_SET_POINT, TARGET_POSITION):
             variable = self.node.dictionary.get(key >> 8, key & 0xFF)
             if variable is not None:
@@ -344,9 +346,9 @@ class Axis:
                 self.node.values.store[key] = counts
 
     def set_controlword(self, word: int, now: Time) -> None:
-        """Put a command into the image; an event-driven RPDO takes it along at once, a synchronous one behind the next SYNC.
+        """Put a command into the image. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.
 
-        Without a live RPDO of 0x6040 it is only noted: `axis.command` sends it in every case.
+        Without a live RPDO that carries 0x6040 nothing is sent; `drive.command` sends in every case.
         """
         self.node.values.store[CONTROLWORD] = word & 0xFFFF
         producer = self.node.rpdo_of(0x6040)

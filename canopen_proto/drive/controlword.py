@@ -1,4 +1,4 @@
-"""Bring a controlword to a drive."""
+"""Send a controlword to a drive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
 from canopen_proto.sync import SyncReceived, SyncSent
 
 SYNC_ALIVE: Final = 500 * MILLISECOND
-"""SYNC counts as running when one was sent or heard within this time; it is also what a command waits for the next one."""
+"""SYNC counts as running if one was sent or heard within this time. A command waits no longer than this for the next one."""
 
 STAYS: Final = {
     State.SWITCH_ON_DISABLED: Command.DISABLE_VOLTAGE,
@@ -25,16 +25,16 @@ STAYS: Final = {
     State.FAULT_REACTION_ACTIVE: Command.DISABLE_VOLTAGE,
     State.FAULT: Command.DISABLE_VOLTAGE,
 }
-"""State -> the command that leaves a drive there. In all of these it follows nothing."""
+"""State -> the command that leaves a drive there. In all of these states the drive follows no set-points."""
 
 
 def command(axis: Axis, controlword: int) -> Procedure[None]:
-    """Bring a controlword to the drive: by the live RPDO that carries it, else by SDO, confirmed.
+    """Send a controlword to the drive: by the live RPDO that carries it, else by confirmed SDO.
 
-    A synchronous RPDO leaves behind a SYNC, and the drive takes it at the SYNC after that (CiA 301 v4.2.0, 7.5.2.35). The command
-    waits for that one, so that two commands in a row are two PDOs, an edge is an edge, and what the drive shows from then on is
-    its answer. Where SYNC is not running such an RPDO would never leave, and SDO is used; as it is where the RPDO is not sent
-    (any more). One that the drive holds for a SYNC then goes first, with this word (`RemoteNode.write`). Raises SdoFailed,
+    A synchronous RPDO leaves behind a SYNC, and the drive takes it at the next SYNC (CiA 301 v4.2.0, 7.5.2.35). The command waits
+    for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
+    SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
+    then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). Raises SdoFailed,
     NodeLost.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
@@ -53,22 +53,22 @@ def _bring(axis: Axis, controlword: int) -> Procedure[None]:
     last_sync = axis.node.last_sync
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
         yield from act(lambda now: axis.set_controlword(controlword, now))
-        # One of type n goes at every n-th SYNC.
+        # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
     yield from write(axis.node, "0x6040", controlword)
 
 
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:
-    """Put a controlword into each RPDO that the drive holds for a SYNC. A drive that holds none is not commanded.
+    """Put a controlword into each RPDO that the drive holds for a SYNC. Sends nothing if it holds none.
 
-    It is for a drive that `command` does not command, or not yet. Whenever a SYNC comes, no older word acts.
+    This is for a drive that `command` does not command, or not yet: no SYNC that comes makes an older word act.
     """
     yield from act(lambda now: axis.node.replace_held(CONTROLWORD, controlword, now))
 
 
 def _syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
-    """Wait for that many SYNCs; False once the next one does not come."""
+    """Wait for that many SYNCs; return False if one does not come within SYNC_ALIVE."""
     node = axis.node
 
     def concerns(report: Event) -> bool:

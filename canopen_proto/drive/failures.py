@@ -1,4 +1,4 @@
-"""Why a drive does not do what it was told: the errors of these procedures, and what is found out for their texts."""
+"""The errors of the drive procedures, and the functions that make their texts."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from canopen_proto.remote_node import RemoteNode
 
 
 class DriveFault(ProcedureError):
-    """The drive is in Fault, or fell into it while something else was awaited."""
+    """The drive is in Fault, or went into Fault during a wait."""
 
 
 class NodeLost(ProcedureError):
-    """The drive's node booted, fell silent (heartbeat, node guarding) or was stopped while something was awaited."""
+    """The drive's node booted, fell silent (heartbeat, node guarding) or was stopped during a wait."""
 
 
 class StateLost(ProcedureError):
-    """The drive left the state that was needed: a quick stop, or a disable, that was not ours."""
+    """The drive left the state that was needed: a quick stop or a disable that this master did not command."""
 
 
 class ModeLost(ProcedureError):
@@ -39,21 +39,21 @@ class HomingFailed(ProcedureError):
 
 
 class LimitReached(ProcedureError):
-    """A limit lies before the target of a move. The drive has stopped there (0x607D, or another limit of its own), or was not
-    moved at all (min_position, max_position of its settings)."""
+    """A limit lies before the target of a move. The drive stopped at its own limit (0x607D or another), or was not moved at all
+    (min_position, max_position of its settings)."""
 
 
 class ReferenceLost(ProcedureError):
-    """Positions of the drive mean something else than before, or nothing: it has to be homed again. Nothing was sent."""
+    """Positions of the drive may not mean what they meant before: the drive must be homed again. Nothing was sent."""
 
 
 def name_of(axis: Axis) -> str:
-    """The drive in messages."""
+    """Return the drive's name for messages."""
     return f"drive {axis.node.node_id}"
 
 
 def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
-    """What to raise for a drive in fault: with its error code (0x603F), which is read first, and its last EMCY."""
+    """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY."""
     try:
         yield from read_if_present(axis.node, "0x603F")
     except ProcedureError as error:
@@ -62,7 +62,7 @@ def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
 
 
 def state_lost(axis: Axis, state: State, goal: str) -> StateLost:
-    """What to raise for a drive that shows `state`, and should not before `goal` is reached."""
+    """Return the error to raise for a drive that went to `state` before it reached `goal`."""
     return StateLost(
         f"{name_of(axis)} went to {state} while waiting for {goal}: {axis.describe()}. Try: find out what took it there: another "
         "master, a quick stop, or an input of the drive (enable, safe torque off, limit switch)"
@@ -70,7 +70,7 @@ def state_lost(axis: Axis, state: State, goal: str) -> StateLost:
 
 
 def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
-    """What to raise for a drive that shows another mode than `mode`, which it had."""
+    """Return the error to raise for a drive that left `mode`."""
     return ModeLost(
         f"{name_of(axis)} left {mode_name(mode)} while waiting for {goal}: 0x6061 shows {mode_name(axis.mode or 0)}. Try: find "
         "out which other master writes its mode of operation (0x6060)"
@@ -78,7 +78,7 @@ def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
 
 
 def is_loss_of(node: RemoteNode, report: Event) -> bool:
-    """Whether an event says that the node booted, fell silent or was stopped."""
+    """Return whether an event says that the node booted, fell silent or was stopped."""
     if report.node_id != node.node_id:
         return False
     lost = isinstance(report, NodeBooted | HeartbeatLost | NodeGuardingLost)
@@ -86,7 +86,7 @@ def is_loss_of(node: RemoteNode, report: Event) -> bool:
 
 
 def node_lost(axis: Axis, report: Event, goal: str) -> NodeLost:
-    """What to raise for such an event."""
+    """Return the error to raise for such an event."""
     match report:
         case HeartbeatLost(timeout=timeout):
             seen = f"no heartbeat came for {timeout / SECOND:g} s"

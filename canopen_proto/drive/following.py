@@ -1,9 +1,9 @@
-"""`Following`: whether one drive follows its set-points, seen by its master from what the drive sends each cycle.
+"""`Following`: the master's watch on whether one drive follows its set-points, by what the drive sends each cycle.
 
 Theory of operation
 -------------------
-A drive that stops following says so in its next PDO, or sends none; nobody else tells the master. `begin` starts the watch, `end`
-ends it. In between each value that comes, by PDO or SDO, is judged at once, and each SYNC judges what did not come:
+A drive that stops following shows that in its next PDO, or sends none: the master has no other sign. `begin` starts the watch,
+`end` ends it. In between, each value that comes, by PDO or SDO, is judged at once, and each SYNC judges what did not come:
 
     state              the statusword shows another state than Operation enabled
     mode               0x6061 shows another mode of operation
@@ -11,19 +11,19 @@ ends it. In between each value that comes, by PDO or SDO, is judged at once, and
     bit 13             "following error" is 1
     bit 11             "internal limit" is 1 in two statuswords in a row: a drive may cut a single step
     following error    the position is further off the set-points than the limit
-    silence            what the drive sends at SYNCs was not heard behind SILENT_SYNCS of them in a row, for SILENT_TIME at least
+    silence            a value sent at SYNCs did not come for SILENT_SYNCS of them in a row, and for SILENT_TIME at least
     NMT state          a heartbeat shows that the node is no longer Operational
     boot-up            the node was reset, or lost its power
 
-The first of these is reported as `FollowingLost`, in words, and the watch is over. Bits 11 and 13 may stand when the watch
+The first of these is reported as `FollowingLost`, in words, and the watch is over. Bits 11 and 13 may be set when the watch
 begins. Such a bit counts only after it was seen 0 (bit 13 is reserved in interpolated position mode; drives use it).
 
-**Following error.** `error` is the set-point of a cycle minus the position of the same cycle: what is sent behind SYNC n is
-reached at SYNC n + `lag`, whose PDO shows it. That pairing is right to some cycles only: adapters hold frames back, and drives
-buffer set-points. So what is compared with the limit is the distance from the position to the nearest set-point of UNCERTAIN
-cycles before or behind.
+**Following error.** `error` is the set-point of a cycle minus the position of the same cycle: a set-point sent behind SYNC n is
+reached at SYNC n + `lag`, whose PDO shows it. This pairing may be some cycles wrong: adapters hold frames back, and drives buffer
+set-points. So the limit is compared with the distance from the position to the nearest set-point, up to UNCERTAIN cycles earlier
+or later.
 
-What is in no PDO has to be read (`unsent`): `read_unsent` does that. `following_limit` finds the limit.
+Values that no PDO carries (`unsent`) must be read: `read_unsent` does that. `following_limit` finds the limit.
 
     limit = yield from following_limit(axis, (yield from read_limits(axis)))
     yield from start_interpolation(axis, cycle_time)
@@ -63,13 +63,13 @@ from canopen_proto.sdo.client import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
 LAG: Final = 2
-"""SYNCs from sending a set-point to being there: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
+"""SYNCs from sending a set-point to reaching it: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
 UNCERTAIN: Final = 2
-"""Cycles by which a position may belong to an earlier or a later set-point."""
+"""How many cycles earlier or later the set-point of a position may lie."""
 SILENT_SYNCS: Final = 3
-"""One lost frame is no lost drive."""
+"""More than one: a drive is not lost because a frame is."""
 SILENT_TIME: Final = 20 * MILLISECOND
-"""So long an adapter may hold frames back (a serial one over USB: 16 ms by default)."""
+"""An adapter may hold frames back this long (a serial one over USB: 16 ms by default)."""
 
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
@@ -82,9 +82,9 @@ _NAMES: Final[dict[int, str]] = {
 
 
 class FollowingLost(Event):
-    """A drive does not follow its set-points (any more); told once for each `Following.begin`.
+    """A drive no longer follows its set-points; reported once for each `Following.begin`.
 
-    cause: in words, as "no longer follows ...". is_silent: its PDOs do not come any more.
+    cause: in words, as "no longer follows ...". is_silent: its PDOs stopped coming.
     """
 
     __slots__ = ("cause", "is_silent")
@@ -97,10 +97,10 @@ class FollowingLost(Event):
 
 
 class Following:
-    """Watches one drive; see this module's text. One per Axis, for as long as that lives.
+    """The watch on one drive; see this module's text. Each Axis has one, for its whole life.
 
-    error: the following error as last seen, in the user's unit; 0 while nothing is watched. largest_error: the largest so far, to
-    be set back by whoever wants to. unsent: muxes of what is watched and does not come at SYNCs by itself.
+    error: the following error as last seen, in the user's unit; 0 while the watch is off. largest_error: the largest so far; the
+    caller may set it back to 0. unsent: muxes of watched objects that the drive does not send at SYNCs.
     """
 
     __slots__ = (
@@ -146,7 +146,7 @@ class Following:
 
     @property
     def is_on(self) -> bool:
-        """Whether the drive is watched, and nothing was found."""
+        """Whether the drive is watched, and has followed so far."""
         return self._is_on
 
     def begin(
@@ -158,11 +158,11 @@ class Following:
         lag: int = LAG,
         silent_syncs: int = SILENT_SYNCS,
     ) -> None:
-        """Watch the drive from now on. It must follow set-points already (bit 12), and stand at the present one.
+        """Watch the drive from now on. It must already follow set-points (bit 12), and stand at the present one.
 
-        limit: of the following error, in the user's unit. mode: of operation, which 0x6061 has to show. cyclic: as for `expect`.
-        lag: SYNCs from sending a set-point to being there. silent_syncs: SYNCs in a row that the drive may leave unanswered, but
-        for the last.
+        limit: of the following error, in the user's unit. mode: the mode of operation that 0x6061 has to show. cyclic: as for
+        `expect`. lag: SYNCs from sending a set-point to reaching it. silent_syncs: unanswered SYNCs in a row that make the drive
+        count as silent.
         """
         self._limit, self._mode, self._lag = limit, mode, lag
         self._silent_syncs = silent_syncs
@@ -175,25 +175,25 @@ class Following:
         self._is_on = True
 
     def expect(self, cyclic: Mapping[int, int]) -> None:
-        """The drive sends these at SYNCs by itself, mux -> at every how many of them; what else it has is `unsent`."""
+        """Expect these objects at SYNCs: mux -> n for "at every n-th SYNC". Other watched objects that it has are `unsent`."""
         self._cyclic = cyclic
         self._unanswered = {}
         dictionary = self._axis.node.dictionary
         self.unsent = {mux for mux in _NAMES if mux not in cyclic and (mux >> 8, mux & 0xFF) in dictionary}
 
     def end(self) -> None:
-        """No set-points are followed any more."""
+        """End the watch: no more set-points follow."""
         self._is_on = False
         self.error = 0.0
 
     def lose(self, cause: str, *, is_silent: bool = False) -> None:
-        """End the watch with FollowingLost, if it is on: for what only a caller can see."""
+        """End the watch with FollowingLost, if it is on: for a cause that only the caller can see."""
         if self._is_on:
             self._is_on = False
             node = self._axis.node
             node.out.events.append(FollowingLost(node.node_id, cause, is_silent))
 
-    # ---- what comes ----
+    # ---- values that come ----
 
     def _on_values(self, muxes: Collection[int], now: Time) -> None:
         if not self._is_on:
@@ -242,7 +242,7 @@ class Following:
     def _on_boot(self) -> None:
         self.lose("was reset, or lost its power")
 
-    # ---- what does not come ----
+    # ---- values that do not come ----
 
     def _on_sync(self, now: Time) -> None:
         if not self._is_on:
@@ -255,7 +255,7 @@ class Following:
         self._points.append(self._axis.set_point)  # this SYNC takes it along
 
     def _judge_silence(self, now: Time) -> None:
-        """By the SYNCs that were not answered: where none was sent, since we stalled, nobody was silent."""
+        """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
         heard_at = self._axis.node.heard_at
         for mux, every in self._cyclic.items():
             unanswered, first = self._unanswered.get(mux, (0, now))
@@ -270,20 +270,21 @@ class Following:
 
 
 READ_INTERVAL: Final = 5 * MILLISECOND
-"""From one request to the next on a bus, on average, at least: some 5 % of it at 1 Mbit/s."""
+"""The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
 UNANSWERED: Final = 3
-"""SDO time-outs of a drive for which one object may stay unread: an answer may be lost, and another client may disturb it."""
+"""SDO time-outs for which an object may stay unread: an answer may be lost, and another client may disturb the transfer."""
 DEFAULT_TIME: Final = 100 * MILLISECOND
-"""So far behind a drive may be by default, at its largest speed: position controllers without feed-forward lag by 10 to 50 ms."""
+"""How far behind a drive may be by default, at its top speed: position controllers without feed-forward lag by 10 to 50 ms."""
 OFF: Final = 0x7FFF_FFFF
 """A window of 0x6065 that no INTEGER32 can leave; 0xFFFFFFFF switches the drive's own watch off."""
 
 
 def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
-    """How far off its set-points a drive may be: by its settings, else by its own window 0x6065, else by its speed limit.
+    """Return how far off its set-points a drive may be: by its settings, else by its window 0x6065, else by its speed limit.
 
-    The drive's time-out 0x6066 is not waited for: by then it would stop by itself. limits: of its set-points; by default a drive
-    may be off by its way in DEFAULT_TIME at that speed (where the user lifted it, at DEFAULT_SPEED). Raises SdoFailed.
+    The drive's time-out 0x6066 is not awaited: after it, the drive would stop by itself. limits: of its set-points. By default a
+    drive may be off by its way in DEFAULT_TIME at its speed limit (at DEFAULT_SPEED if the user lifted the limit). Raises
+    SdoFailed.
     """
     limit = axis.settings.following_error_limit
     if limit is not None:
@@ -298,16 +299,15 @@ def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
 
 
 def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
-    """Read what the drives do not send at SYNCs by themselves (`Following.unsent`), until cancelled.
+    """Read the watched objects that the drives do not send at SYNCs (`Following.unsent`), until cancelled.
 
-    The drives take turns behind the SYNCs, one request each, and READ_INTERVAL apart at least; without SYNC nothing is followed,
-    and nothing is read. So a change is seen after as many cycles as there are objects to read. Each drive has a request of its
-    own: one that does not answer holds up no other.
+    The drives take turns behind the SYNCs, one request each, at least READ_INTERVAL apart. Without SYNC no drive follows
+    set-points, and nothing is read. A change is seen after as many cycles as there are objects to read. Each drive has its own
+    request: a drive that does not answer delays no other.
 
-    A request goes before all that wait for the same drive, but not before an SDO transfer that is under way with it: a channel
-    serves one at a time. So an SDO channel that is free is used, if the node has several (`RemoteNode.add_sdo_channel`). A drive
-    is lost if an object could not be read for UNANSWERED times its SDO time-out. An object that a drive does not have is left out
-    from then on.
+    A request overtakes all that wait for the same drive, but not a transfer under way: an SDO channel serves one at a time. If
+    the node has several channels (`RemoteNode.add_sdo_channel`), a free one is used. A drive is lost if an object could not be
+    read for UNANSWERED times its SDO time-out. An object that a drive does not have is not read again.
     """
     yield from all_of(*(_watch(drive, number, len(drives)) for number, drive in enumerate(drives, start=1)))
 
@@ -325,7 +325,7 @@ def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
 
 
 def _read(drive: Following, mux: int) -> Procedure[None]:
-    """Read an object until that succeeds once; the drive is lost if it does not."""
+    """Read an object, repeatedly until it succeeds; the drive is lost if it does not."""
     node = drive.axis.node
     patience = UNANSWERED * node.sdo.timeout
     deadline = (yield from current_time()) + patience
@@ -348,7 +348,7 @@ def _read(drive: Following, mux: int) -> Procedure[None]:
 
 
 def _ask(drive: Following, mux: int, deadline: Time) -> Procedure[bool]:
-    """Read an object, before all that waits for the drive; False if there is no outcome until the deadline."""
+    """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
     node, index, subindex = drive.axis.node, mux >> 8, mux & 0xFF
     client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
     request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))

@@ -1,8 +1,8 @@
 """Halt a drive: it stops and stays enabled. Also the clean-up of everything that moves a drive.
 
-How long that takes is the drive's business: its speed and its ramp. So a halt waits step by step, as long as the drive is slower
-at the end of a step than it was at its beginning. A step takes `reaction_time` and `halt_time`. A drive that does not get slower
-is told after one step.
+The drive's speed and ramp decide how long that takes. So a halt waits step by step, as long as the drive is slower at the end of
+a step than at its beginning. A step takes `reaction_time` plus `halt_time`. A drive that does not get slower is reported after
+one step.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from canopen_proto.procedures.steps import (
 from canopen_proto.remote_node import FRESH
 
 STANDSTILL_LOOK: Final = 30 * MILLISECOND
-"""Between two looks at the position of a drive whose statusword does not tell that it stands."""
+"""Between two looks at the position of a drive whose statusword does not show whether it stands."""
 
 MANY_LOOKS: Final = 10
-"""Looks that tell a position that goes to and fro from one that goes somewhere."""
+"""Looks that are needed to tell a position that goes to and fro from one that moves on."""
 
 _SHOWS_STANDSTILL: Final = (
     Mode.PROFILE_POSITION,
@@ -54,25 +54,25 @@ _SHOWS_STANDSTILL: Final = (
     Mode.HOMING,
     Mode.INTERPOLATED_POSITION,
 )
-"""Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Others reserve it."""
+"""Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Other modes reserve it."""
 
 _CAN_BE_ENABLED: Final = (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
-"""From these, one controlword leads to Operation enabled (from the first in drives that take two steps at once)."""
+"""States from which one controlword leads to Operation enabled (from the first: in drives that take two steps at once)."""
 
 _SLOWER: Final = 0.02
-"""What a drive whose ramp is not known has to lose of its speed in a step, as a share, to be one that slows down."""
+"""A drive whose ramp is not known slows down if it loses at least this share of its speed in a step."""
 _OF_ITS_RAMP: Final = 0.25
-"""What one whose ramp is known has to lose, as a share of what that ramp takes away in `halt_time`: it may begin smoothly."""
+"""A drive whose ramp is known slows down if it loses this share of what the ramp takes in `halt_time`: it may begin smoothly."""
 
 
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
-    A drive that is not enabled is not commanded; one that brakes is waited for. One that was told to be enabled, and is not yet,
-    is watched for `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced: by the halt, or by what
-    leaves a drive that is not enabled as it is. Any later command without bit 8 ends the halt. It waits as long as the drive
-    slows down (0x606C, else 0x6064). Raises StepTimeout where the drive does not stand, and has not become slower within a step,
-    or shows no state for `reaction_time`; SdoFailed, NodeLost.
+    A drive that is not enabled is not commanded; if it brakes, its standstill is awaited. A drive that was commanded to enable,
+    and is not enabled yet, is watched for `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced:
+    by the halt, or by a word that keeps a disabled drive in its state. Any later command without bit 8 ends the halt. The wait
+    lasts as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout if the drive still moves and did not become
+    slower within a step, or if it shows no state for `reaction_time`; SdoFailed, NodeLost.
     """
     yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
     try:
@@ -103,12 +103,12 @@ def halt(axis: Axis) -> Procedure[None]:
 
 
 def _may_be_enabled(axis: Axis) -> bool:
-    """Whether the last controlword enables operation, or may do so: one that was not confirmed may have arrived."""
+    """Return whether the last controlword enables operation, or may do so: an unconfirmed one may have arrived."""
     return any(map(enables_operation, axis.node.may_hold(CONTROLWORD)))
 
 
 def _late_state(axis: Axis) -> Procedure[State]:
-    """The state of a drive that may be on its way to Operation enabled, once it is there or `reaction_time` is over."""
+    """Wait for a drive that may be on its way to Operation enabled, at most `reaction_time`; return its state."""
     goal = "operation enabled, which it was told"
     try:
         word = yield from wait_for_statusword(
@@ -125,7 +125,7 @@ def _halt_word(axis: Axis) -> int:
 
 
 def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
-    """Halt as the clean-up of something that ended with `cause`; what goes wrong is noted there, or raised for a Cancelled."""
+    """Halt as the clean-up after `cause`. A halt that fails is noted in `cause`, or raised if `cause` is Cancelled."""
     try:
         yield from halt(axis)
     except ProcedureError as error:
@@ -138,14 +138,14 @@ def _wait_for_standstill(axis: Axis) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     before: float | None = None
     while True:
-        yield from ask_for_time(timeout + SECOND)  # a drive that answers, and slows down, is worth waiting for
+        yield from ask_for_time(timeout + SECOND)  # as long as the drive answers and slows down
         judge = _Standstill(axis)
         try:
             yield from judge.watch.until(judge.judge, timeout)
             return
         except StepTimeout:
             if before is None:
-                before = judge.top_speed  # not that at the beginning: it may just have gathered speed
+                before = judge.top_speed  # not the speed at the beginning: the drive may just have accelerated
             now = yield from _speed(axis)
             if before is None or now is None or not (yield from _has_slowed(axis, before, now)):
                 raise
@@ -153,38 +153,38 @@ def _wait_for_standstill(axis: Axis) -> Procedure[None]:
 
 
 class _Standstill:
-    """The judge of a halt: whether what the drive shows says that it stands.
+    """Judges, during a halt, whether the drive stands.
 
-    Both have to say so: its bits (bit 10 where the mode has it, Schunk's bit 8), and its position, which has to stay where it is.
-    A drive that stands may yet obey an older command, and then move. So one that was started a moment ago is believed once its
-    bits have said that it moves, or `reaction_time` after its start. One that tells no position is believed once its bits have
-    said that it moves, or `reaction_time` after the halt: bit 10 may have stood since before ("target velocity reached", say).
+    Two things have to show it: the status bits (bit 10 if the mode has it, Schunk's bit 8), and a position that does not change.
+    A drive that stands may still obey an older command and then move. So a drive that was just started is believed once its bits
+    have shown that it moves, or `reaction_time` after its start. A drive without a position is believed once its bits have shown
+    that it moves, or `reaction_time` after the halt: bit 10 may be left from before (as "target velocity reached").
     """
 
     def __init__(self, axis: Axis) -> None:
         reads = {MODES_OF_OPERATION_DISPLAY: FRESH, POSITION_ACTUAL_VALUE: STANDSTILL_LOOK, VELOCITY_ACTUAL_VALUE: FRESH}
         present = {mux: pause for mux, pause in reads.items() if (mux >> 8, mux & 0xFF) in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
-        self.top_speed: float | None = None  # that was seen, in the drive's unit
+        self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self._axis = axis
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
-        self._was_moving = False  # its bits have said so
+        self._was_moving = False  # as its bits showed
         self._looked_at: Time = -NEVER
         self._positions: deque[int] = deque(maxlen=MANY_LOOKS)
 
     def judge(self, statusword: int, heard_at: Time) -> bool | None:
-        """True if the drive stands."""
+        """Return True if the drive stands, None if it is not certain."""
         self._look()
         state = state_of(statusword)
         if state is State.UNKNOWN:
-            return None  # the next statusword will tell
+            return None  # the next statusword will show a state
         if state not in POWERED:
             return True
         has_position = "0x6064" in self._axis.node.dictionary and self.watch.refusal(POSITION_ACTUAL_VALUE) is None
         if self._is_schunk:
             stands = not statusword & StatusBit.MANUFACTURER_8
         elif not self._knows(MODES_OF_OPERATION_DISPLAY):
-            return None  # what bit 10 means is not known yet
+            return None  # the meaning of bit 10 is not known yet
         elif has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
             return self._is_at_one_place() or None
         else:
@@ -197,11 +197,11 @@ class _Standstill:
         return (has_obeyed and (not has_position or self._is_at_one_place())) or None
 
     def _knows(self, mux: int) -> bool:
-        """Whether the object was heard, or will never be."""
+        """Return whether the object was heard, or will never be."""
         return self.watch.heard(mux) is not None or self.watch.refusal(mux) is not None
 
     def _look(self) -> None:
-        """See where the drive is, and how fast."""
+        """Take note of the drive's position and speed."""
         if self.watch.heard(VELOCITY_ACTUAL_VALUE) is not None:
             self.top_speed = max(self.top_speed or 0.0, abs(self._axis.velocity_counts or 0))
         heard_at = self.watch.heard(POSITION_ACTUAL_VALUE)
@@ -215,8 +215,8 @@ class _Standstill:
         self._positions.append(position)
 
     def _is_at_one_place(self) -> bool:
-        """Whether the position is the same as one look before, but for the last digit; or goes to and fro, as a fine encoder's
-        does on a drive that holds its place: then the way of MANY_LOOKS leads nowhere."""
+        """Return whether the position stays: it changed by at most one count since the last look, or it goes to and fro, as a
+        fine encoder's does while the drive holds its place, so that the steps of MANY_LOOKS looks cancel out."""
         steps = [after - before for before, after in pairwise(self._positions)]
         if steps and abs(steps[-1]) <= 1:
             return True
@@ -224,7 +224,7 @@ class _Standstill:
 
 
 def _speed(axis: Axis) -> Procedure[float | None]:
-    """How fast the drive is now, in its own unit; None where it does not tell."""
+    """Return the drive's present speed, in its own unit; None if it does not tell."""
     node = axis.node
     now = yield from current_time()
     velocity = node.fresh(VELOCITY_ACTUAL_VALUE, now, STANDSTILL_LOOK)
@@ -243,7 +243,7 @@ def _speed(axis: Axis) -> Procedure[float | None]:
 
 
 def _has_slowed(axis: Axis, before: float, now: float) -> Procedure[bool]:
-    """Whether the drive is clearly slower than it was a step ago."""
+    """Return whether the drive is clearly slower than a step ago."""
     loss = _SLOWER * before
     ramp = yield from _ramp(axis)
     if ramp is not None:
@@ -252,7 +252,7 @@ def _has_slowed(axis: Axis, before: float, now: float) -> Procedure[bool]:
 
 
 def _ramp(axis: Axis) -> Procedure[int | None]:
-    """The deceleration by which the drive halts (0x605D), in its own unit per second; None where it does not tell."""
+    """Return the deceleration with which the drive halts (0x605D), in its own unit per second; None if it does not tell."""
     node = axis.node
     option = yield from read_if_present(node, (HALT_OPTION_CODE >> 8, 0))
     keys = {1: (PROFILE_DECELERATION, PROFILE_ACCELERATION), 2: (QUICK_STOP_DECELERATION,)}

@@ -2,17 +2,17 @@
 
 Theory of operation
 -------------------
-A homing begins with the rising edge of bit 4. When the drive sees the edge and shows it is its own business: for up to
-`reaction_time` it may still show the end of the homing before, and be about to move. So a bit that tells an end counts for this
-homing once it was seen 0 after the edge. A bit that stood all the time counts once the drive has shown that end, which says that
-it stands, for `reaction_time` without a break: it was done between two looks (methods 35 and 37), or was at its reference.
+A homing begins with the rising edge of bit 4. The drive may show the edge late: for up to `reaction_time` it may still show the
+end of the homing before, and be about to move. So a bit that shows an end counts for this homing once it was seen 0 after the
+edge. A bit that never was 0 counts once the drive has shown that end (it stands, then) for `reaction_time` without a break: the
+homing was done between two looks (methods 35 and 37), or the drive was at its reference.
 
               homed                          failed            neither, and it stands
     standard  bits 13, 12, 10 = 0, 1, 1      bit 13 = 1        bits 13, 12, 10 = 0, 0, 1
     Schunk    bit 15 = 1, bit 8 = 0          -                 bit 15 = 0, bit 8 = 0
 
-"Neither" is what a drive shows before it begins, and between two parts of its way; for `reaction_time` without a break it is a
-homing that did not begin, or was interrupted.
+A drive shows "neither" before it begins, and between two parts of its way. For `reaction_time` without a break it means that the
+homing did not begin, or was interrupted.
 
 Source: IEC 61800-7-201 (CiA 402-2), homing mode: statusword.
 """
@@ -36,7 +36,7 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError,
 
 
 class _Ending(Enum):
-    """What a statusword says of a homing."""
+    """The end of a homing that a statusword shows."""
 
     NONE = auto()
     HOMED = auto()
@@ -52,14 +52,14 @@ _STANDARD_ENDINGS: Final = {
 }
 _STANDARD_BITS: Final = {_Ending.HOMED: ModeStatus.HOMING_ATTAINED, _Ending.FAILED: ModeStatus.HOMING_ERROR}
 _SCHUNK_BITS: Final = {_Ending.HOMED: StatusBit.MANUFACTURER_15}
-"""The bit that tells an end."""
+"""The bit that shows an end."""
 
 
 def home(axis: Axis) -> Procedure[None]:
-    """Home the drive, from any state without fault, and wait for the end. One that moves is halted first.
+    """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
 
     Returns when the drive stands at its new reference. Raises HomingFailed, DriveFault, ModeUnsupported, StateLost, ModeLost,
-    NodeLost, StepTimeout (`homing_timeout`). The drive is halted when that happens, and when it is cancelled.
+    NodeLost, StepTimeout (`homing_timeout`). After an error or a cancellation the drive is halted.
     """
     settings = axis.settings
     yield from halt(axis)
@@ -92,10 +92,10 @@ def _wait_for_end(axis: Axis) -> Procedure[None]:
 
 
 class _EndOfHoming:
-    """Judges which statuswords tell the end of one homing; see this module's text."""
+    """Judges which statuswords show the end of one homing; see this module's text."""
 
     def __init__(self, axis: Axis, edge: Time) -> None:
-        """edge: when bit 4 has reached the drive."""
+        """Judge a homing whose rising bit 4 reached the drive at `edge`."""
         self._reaction_time = axis.settings.reaction_time
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._bits = _SCHUNK_BITS if self._is_schunk else _STANDARD_BITS
@@ -105,7 +105,7 @@ class _EndOfHoming:
         self._began = False
 
     def judge(self, statusword: int, heard_at: Time) -> _Ending | None:
-        """The end that this statusword tells for certain."""
+        """Return the end that this statusword shows for certain, else None."""
         ending = self._ending_of(statusword)
         self._seen_clear |= ~statusword
         if ending is not self._shown:
@@ -126,7 +126,7 @@ class _EndOfHoming:
         return _Ending.HOMED if statusword & StatusBit.MANUFACTURER_15 else _Ending.STANDS
 
     def why_it_stands(self) -> str:
-        """What to say of a drive that stands, neither homed nor with an error."""
+        """Return, for a message, why the drive stands, neither homed nor with an error."""
         if not self._began:
             return f"did not begin to home within {self._reaction_time / SECOND:g} s (reaction_time)"
         return "stopped, but is not referenced (bit 15)" if self._is_schunk else "stopped before it was homed: it was interrupted"

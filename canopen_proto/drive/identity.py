@@ -1,8 +1,9 @@
-"""`identify`: what a drive is, by its vendor-ID, as far as the user has not said it.
+"""`identify`: find out the kind of a drive by its vendor-ID, unless the user's settings say it.
 
-CiA 402 drives differ in what the standard leaves to the maker, and Schunk's Powerball joints in more than that: they home in mode
-6 although 0x6502 lacks it, without 0x6098, and bits 8 and 15 of the statusword tell how it went. Who treats one as the other
-waits for bits that never come, or believes bits that mean something else. So a drive is asked who made it before it is used.
+CiA 402 drives differ in what the standard leaves to the maker. Schunk's Powerball joints differ in more: they home in mode 6
+although 0x6502 lacks it, without 0x6098, and bits 8 and 15 of the statusword show the result. A master that takes one kind for
+the other waits for bits that never come, or believes bits that mean something else. So the vendor-ID is read before a drive is
+used.
 
 Source: CiA 301 v4.2.0, 7.5.2.21 (identity object); CiA's list of vendor-IDs.
 """
@@ -16,10 +17,10 @@ from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 
 
 def identify(axis: Axis) -> Procedure[None]:
-    """Fill in what the axis' settings leave open, by the drive's vendor-ID (0x1018:01), read by SDO.
+    """Fill in the open settings of the axis (None) by the drive's vendor-ID (0x1018:01), read by SDO.
 
-    Nothing is read where they leave nothing open, or a second time. A drive without the object is a CiA 402 drive. Raises
-    SdoFailed for a drive that does not answer.
+    Reads nothing if no setting is open, or if the drive is identified already. A drive without the object is a CiA 402 drive.
+    Raises SdoFailed if the drive does not answer.
     """
     if axis.is_identified or axis.settings.homing is not None:
         return

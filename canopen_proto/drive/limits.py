@@ -1,31 +1,31 @@
-"""`SetPointLimits`: what a drive must not be asked for by set-points, in the user's unit. `limits_of` gathers them for one axis.
+"""`SetPointLimits`: the limits of a drive's set-points, in the user's unit. `limits_of` gathers them for one axis.
 
-Where they come from
+Origin of the limits
 --------------------
-    position   0x607D of the drive, and min_position, max_position of the settings; where both say something, the narrower
+    position   0x607D of the drive, and min_position, max_position of the settings; the narrower, if both are given
     speed      max_speed of the settings; else the lower of 0x607F and 0x6080 of the drive; else DEFAULT_SPEED
 
-The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Where nobody limits
-the position, it has no limit: a turntable has none.
+The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Without either, the
+position has no limit: a turntable has none.
 
 A direction of -1 makes the drive's upper limit the user's lower one.
 
-**Acceleration** (0x60C5) is shown and refuses nothing. A path that misses a cycle stands still for it and then goes on; from one
-period to the next that is an acceleration to its whole speed, and to refuse it would be to stop the path for good. What a drive
-cannot follow for that reason shows as its following error.
+**Acceleration** (0x60C5) is shown and refuses nothing. A path that misses a cycle stands still for that cycle and then goes on.
+From one period to the next this is an acceleration to its whole speed; to refuse it would stop the path for good. If a drive
+cannot follow for that reason, its following error shows it.
 
-Left out: 0x607D is taken as it stands, without the home offset 0x607C (drives differ in whether it counts).
+Left out: 0x607D is used without the home offset 0x607C (drives differ in whether it counts).
 
-**What a drive says** (`read_limits`) is read by number, whatever the dictionary has: it may be that of another drive, and a limit
-that it lacks is a limit all the same. An object that the drive does not have, or does not let us read, says nothing. Nor does
-0x607D if its minimum is not below its maximum (0 and 0 are no limits), an end of INTEGER32, or a speed or an acceleration of 0 or
-beyond INTEGER32.
+**The drive's limits** (`read_limits`) are read by number, whatever the dictionary has: it may be that of another drive, and a
+drive obeys a limit that the dictionary lacks. An object sets no limit if the drive does not have it or does not let us read it.
+Nor does 0x607D if its minimum is not below its maximum (0 and 0 are no limits), an end of INTEGER32, or a speed or acceleration
+that is 0 or beyond INTEGER32.
 
 Units. 0x607F is in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). Counts per motor revolution are feed
-constant / gear ratio (0x6092, 0x6091), or, if the feed constant is the 1 that stands for none, the encoder's increments (0x608F).
-A velocity unit is a count per second, unless the drive tells another one: in 0x60A9 (0xB4 is a revolution, 0xB5 an increment;
-0x03 a second, 0x47 a minute; the first byte a power of ten), or as the older 0x608C (0xA4 is rev/min, its power of ten in
-0x608B). A speed whose unit we do not know, or cannot convert, is left out.
+constant / gear ratio (0x6092, 0x6091). If the feed constant is 1 (which means "not set"), they are the encoder's increments
+(0x608F). A velocity unit is a count per second, unless the drive names another one: in 0x60A9 (0xB4 is a revolution, 0xB5 an
+increment; 0x03 a second, 0x47 a minute; the first byte a power of ten), or in the older 0x608C (0xA4 is rev/min, its power of ten
+in 0x608B). A speed is left out if its unit is not known or cannot be converted.
 
 Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, factor
 group; CiA 303-2 (units); all from memory, and as the files of four makers have them.
@@ -44,23 +44,23 @@ from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 from canopen_proto.remote_node import RemoteNode
 
 DEFAULT_SPEED: Final = 30_000
-"""Counts per second. Nobody says how fast the drive may go: this is three times the speed of the manual's paths. On its arm it is
-30 degrees per second. Half a metre from the joint that is 250 mm/s, which ISO 10218-1 calls reduced speed."""
+"""Counts per second, for a drive whose speed nothing limits: three times the speed of the manual's paths. On the manual's arm it
+is 30 degrees per second. Half a metre from the joint that is 250 mm/s, which ISO 10218-1 calls reduced speed."""
 
 _DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
 _TOLERANCE: Final = 1 + 1e-6
-"""A path at the limit itself is not refused for what floating point makes of it."""
+"""A path at the limit itself is not refused for a rounding error of floating point."""
 
 
 class Limit(NamedTuple):
-    """source: who says so, for people: "0x607D:02 of the drive", "the settings (max_speed)", "the default ..."."""
+    """A limit and its source, in words: "0x607D:02 of the drive", "the settings (max_speed)", "the default ..."."""
 
     value: float
     source: str
 
 
 class DriveLimits(NamedTuple):
-    """What a drive says by itself, in counts, counts per second, counts per second²; None where it says nothing."""
+    """The drive's own limits, in counts, counts per second, counts per second²; None: it has no such limit."""
 
     lowest: Limit | None = None
     highest: Limit | None = None
@@ -69,7 +69,7 @@ class DriveLimits(NamedTuple):
 
 
 class Excess(NamedTuple):
-    """A limit that a set-point is beyond. is_speed: of the speed, else of the position. value: what was asked for."""
+    """A limit that a set-point exceeds. is_speed: the limit is of the speed, else of the position. value: as requested."""
 
     is_speed: bool
     value: float
@@ -80,7 +80,7 @@ class Excess(NamedTuple):
 class SetPointLimits:
     """The limits of one axis, in its user's unit; see this module's text. lowest, highest: positions, None for no limit.
 
-    speed: per second; acceleration: per second², None if the drive tells none; it refuses nothing.
+    speed: per second; acceleration: per second², None if the drive has none; nothing is refused because of it.
     """
 
     axis: Axis
@@ -90,7 +90,7 @@ class SetPointLimits:
     acceleration: Limit | None
 
     def excess(self, start: float, target: float, time: Time) -> Excess | None:
-        """The limit that a straight way from `start` to `target` within `time` ns is beyond; None if it may be asked for."""
+        """Return the limit that a straight way from `start` to `target` within `time` ns exceeds; None if it is allowed."""
         speed = abs(target - start) * SECOND / time
         if speed > self.speed.value * _TOLERANCE:
             return Excess(True, speed, self.speed)
@@ -98,7 +98,7 @@ class SetPointLimits:
         return None if limit is None else Excess(False, target, limit)
 
     def position_excess(self, start: float, target: float) -> Limit | None:
-        """The position limit that a way from `start` to `target` is beyond; None if it may be asked for.
+        """Return the position limit that a way from `start` to `target` exceeds; None if it is allowed.
 
         A joint that stands beyond a limit may stay there and come back, but not go further.
         """
@@ -114,7 +114,7 @@ class SetPointLimits:
 
 
 def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
-    """The limits of an axis. told: what its drive says, None if it was not asked."""
+    """Return the limits of an axis. told: the drive's own limits, None if they were not read."""
     settings, told = axis.settings, told or DriveLimits()
     ends = [_converted(limit, axis.from_counts) for limit in (told.lowest, told.highest)]
     lowest, highest = ends[:: settings.direction]
@@ -142,7 +142,7 @@ _OF_DRIVE: Final = "of the drive"
 
 
 def read_limits(axis: Axis) -> Procedure[SetPointLimits]:
-    """The limits of an axis, by its settings and by what its drive says. Raises SdoFailed where the drive does not answer."""
+    """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer."""
     node = axis.node
     lowest = yield from _read(node, 0x607D, 1, signed=True)
     highest = yield from _read(node, 0x607D, 2, signed=True)
@@ -186,20 +186,20 @@ def _read(node: RemoteNode, index: int, subindex: int = 0, *, signed: bool = Fal
 
 
 def _read_amount(node: RemoteNode, index: int) -> Procedure[int | None]:
-    """A limit that is an amount; None where it is none."""
+    """Read a limit of a speed or an acceleration; return None if the value is no limit."""
     amount = yield from _read(node, index)
     return amount if amount is not None and 0 < amount < _INTEGER32 - 1 else None
 
 
 def _read_ratio(node: RemoteNode, index: int) -> Procedure[float]:
-    """Subindex 1 by subindex 2; 1, which changes nothing, where the drive has none."""
+    """Read an object and return subindex 1 / subindex 2; 1, which changes nothing, if the drive does not have it."""
     numerator = yield from _read(node, index, 1)
     denominator = yield from _read(node, index, 2)
     return numerator / denominator if numerator and denominator else 1.0
 
 
 def _counts_per_revolution(node: RemoteNode) -> Procedure[float | None]:
-    """Counts on the wire for a turn of the motor; None if the drive does not tell."""
+    """Return the counts on the wire for a turn of the motor; None if the drive does not tell."""
     feed = yield from _read_ratio(node, 0x6092)
     if feed > 1:
         gear = yield from _read_ratio(node, 0x6091)
@@ -209,7 +209,7 @@ def _counts_per_revolution(node: RemoteNode) -> Procedure[float | None]:
 
 
 def _velocity_unit(node: RemoteNode) -> Procedure[float | None]:
-    """Counts per second in one velocity unit; None if that cannot be told."""
+    """Return the counts per second in one velocity unit; None if that is not known."""
     unit = yield from _read(node, 0x60A9)
     if unit:
         prefix, numerator, denominator, _ = unit.to_bytes(4, "big")

@@ -18,12 +18,12 @@ from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
 
 NO_WINDOW: Final = 2**32 - 1
-"""0x6067, position window: not watched."""
+"""0x6067, position window: the drive does not watch it."""
 
 _OTHER_TARGET: Final = "a target within the limit, or another limit"
 
 _TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
-"""A set-point that is given so drops the one before."""
+"""The controlword with which a new set-point drops the one before."""
 
 
 def _require_reference(axis: Axis) -> None:
@@ -35,12 +35,12 @@ def _require_reference(axis: Axis) -> None:
 
 
 def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
-    """Make the drive follow a set-point per SYNC in interpolated position mode; the position from which it does so.
+    """Make the drive follow one set-point per SYNC in interpolated position mode; return the position where it starts.
 
-    cycle_time: ns between two SYNCs, 1 to 255 ms or 0.1 ms steps below. sends_itself: the caller sends the set-points by a PDO of
-    its own; else an RPDO that the node exchanges has to carry them. The actual position is read and is the first set-point, so
-    that nothing jumps. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
-    StepTimeout, and ProcedureError where no RPDO carries set-points, or none is sent. Halted if cancelled half-way.
+    cycle_time: ns between two SYNCs, 1 to 255 ms, or 0.1 ms steps below 25.5 ms. sends_itself: the caller sends the set-points by
+    a PDO of its own; else an RPDO that the node exchanges must carry them. The actual position is read and becomes the first
+    set-point, so that nothing jumps. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
+    StepTimeout; ProcedureError if no RPDO carries set-points, or none is sent. The drive is halted if this is cancelled.
     """
     goal = "interpolation active (bit 12)"
     yield from _prepare(axis, Mode.INTERPOLATED_POSITION, (0x60C1, 1), cycle_time, sends_itself)
@@ -48,19 +48,19 @@ def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = Fa
 
 
 def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
-    """As start_interpolation, in cyclic synchronous position mode (0x607A is the set-point, and there is no bit 4)."""
+    """Do as `start_interpolation`, in cyclic synchronous position mode: 0x607A is the set-point, and bit 4 is not used."""
     goal = "follows command (bit 12)"
     yield from _prepare(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, (0x607A, 0), cycle_time, sends_itself)
     return (yield from _follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, (0x607A, 0), ModeStatus.FOLLOWS_COMMAND, goal))
 
 
 def _carriers(axis: Axis, set_point: tuple[int, int]) -> list[int]:
-    """The numbers of the RPDOs that carry a set-point."""
+    """Return the numbers of the RPDOs that carry a set-point."""
     return [number for number, rpdo in axis.node.rpdos.items() if rpdo.mapping.find_component(set_point) is not None]
 
 
 def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Time, sends_itself: bool) -> Procedure[None]:
-    """See whether the drive has a reference, and set-points can reach it; halt it, and select the mode."""
+    """Check that the drive has a reference and that set-points reach it; halt it, and select the mode."""
     _require_reference(axis)
     if not sends_itself and not _carriers(axis, set_point):
         index, subindex = set_point
@@ -68,14 +68,14 @@ def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Tim
             f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries 0x{index:04X}:{subindex:02X}. "
             "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
         )
-    yield from halt(axis)  # one that moves would be snapped back to where it was seen
+    yield from halt(axis)  # a moving drive would jump back to the position that was read
     yield from _align(axis, set_point)  # in csp the drive follows as soon as it has mode and power
     yield from set_mode(axis, mode)
     yield from _set_interpolation_period(axis, cycle_time)
 
 
 def _align(axis: Axis, set_point: tuple[int, int]) -> Procedure[int]:
-    """Make the actual position the set-point, so that nothing jumps; that position, in counts."""
+    """Make the actual position the set-point, so that nothing jumps; return that position, in counts."""
     position = yield from read_int(axis.node, "0x6064")
     axis.set_position_counts(position)
     if set_point in axis.node.dictionary:
@@ -84,7 +84,7 @@ def _align(axis: Axis, set_point: tuple[int, int]) -> Procedure[int]:
 
 
 def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
-    """Write 0x60C2: period = :1 * 10 ** :2 seconds, :1 being UNSIGNED8."""
+    """Write 0x60C2: the period is :1 * 10 ** :2 seconds; :1 is an UNSIGNED8."""
     if (0x60C2, 1) not in axis.node.dictionary:
         return
     exponent = -4 if cycle_time % MILLISECOND else -3
@@ -108,7 +108,7 @@ def _follow(axis: Axis, mode: Mode, set_point: tuple[int, int], active: int, goa
         if carriers and not any(node.rpdos[number].is_live for number in carriers):
             raise ProcedureError(
                 f"{name_of(axis)} would get no set-points: RPDOs are sent to a node that is Operational, and this one is "
-                f"{node.nmt_state.name if node.nmt_state is not None else 'in an NMT state that nobody knows'}. Try: NMT start"
+                f"{node.nmt_state.name if node.nmt_state is not None else 'in an unknown NMT state'}. Try: NMT start"
             )
         yield from command(axis, int(Command.ENABLE_OPERATION))
         if mode == Mode.INTERPOLATED_POSITION:
@@ -132,11 +132,11 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
     The set-point handshake of CiA 402: bit 4 clear, target, bit 4 set, bit 12 acknowledges, bit 4 clear, bit 10 at the target.
-    Bit 5 is always set: a target that a halt has kept, or that is under way, is dropped. A drive in another mode is halted first.
-    Whether it is the target is seen by the position (0x6062, 0x6064): a drive stops at a software limit, and shows bit 10 there.
-    timeout: ns for the whole way. Raises LimitReached, with nothing sent where the target is beyond min_position or max_position
-    of the settings; DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is
-    not relative. Halted when cancelled or failed.
+    Bit 5 is always set: it drops a target that a halt has kept, or that is under way. A drive in another mode is halted first.
+    The position (0x6062, 0x6064) shows whether the target is reached: bit 10 also rises when a drive stops at a software limit.
+    timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
+    the settings. Raises DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position
+    that is not relative. The drive is halted if this fails or is cancelled.
     """
     if not relative:
         _require_reference(axis)
@@ -152,7 +152,7 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     relation = ModeControl.RELATIVE if relative else 0
     try:
         if relative and axis.controlword & ControlBit.HALT:
-            # The drive may reckon from the target that the halt has kept: where it stands becomes its target.
+            # The drive may count from the target that the halt kept: so first make its present position the target.
             yield from _give_set_point(axis, (yield from _demand(axis)), 0)
             yield from _wait_for_acknowledge(axis, True)
         target = counts + ((yield from _demand(axis)) if relative else 0)
@@ -174,10 +174,10 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
 
 
 def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
-    """Give a set-point, which takes the place of any other.
+    """Give a set-point that replaces any other.
 
-    A halt keeps the drive's target, and a word without bit 8 goes on to it. So the halt ends in the very word that gives the new
-    set-point. No drive has to take one while it is halted for that: the standard does not say whether it does.
+    A halt keeps the drive's target, and a word without bit 8 lets the drive go on to it. So the halt ends with the same word that
+    gives the new set-point. A halted drive need not accept a set-point, then: the standard does not say whether it does.
     """
     yield from command(axis, _TAKES_AT_ONCE | relation | axis.controlword & ControlBit.HALT)
     yield from _wait_for_acknowledge(axis, False)
@@ -215,7 +215,7 @@ def _wait_for_acknowledge(axis: Axis, wanted: bool) -> Procedure[None]:
 
 
 def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, relative: bool) -> Procedure[None]:
-    """Wait for bit 10 at the target. For `reaction_time` it may still be that of the target before."""
+    """Wait for bit 10 at the target. For `reaction_time` it may still belong to the target before."""
     deadline = (yield from current_time()) + timeout
     while True:
         left = max(0, deadline - (yield from current_time()))
@@ -230,7 +230,7 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
     limit = yield from _limit_before(axis, target)
     if not limit and statusword & StatusBit.INTERNAL_LIMIT:
         limit = "an internal limit of the drive is active (bit 11)"
-    if limit or (is_there is False and not relative):  # 0x60F2: from where a drive reckons is its own business
+    if limit or (is_there is False and not relative):  # 0x60F2: the drive decides what a relative target counts from
         raise LimitReached(
             f"{name_of(axis)} stands at {axis.from_counts(position):g} ({position} counts), not at its target "
             f"{axis.from_counts(target):g} ({target} counts): {limit or axis.describe()}. Try: {_OTHER_TARGET}"
@@ -238,13 +238,13 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
 
 
 def _demand(axis: Axis) -> Procedure[int]:
-    """Where the drive's profile is now (0x6062), in counts; where the axis is, for a drive that does not tell."""
+    """Return the present position demand (0x6062) of the drive, in counts; the actual position if it has no demand."""
     demand = yield from read_if_present(axis.node, "0x6062")
     return demand if isinstance(demand, int) else (yield from read_int(axis.node, "0x6064"))
 
 
 def _is_at(axis: Axis, target: int) -> Procedure[bool | None]:
-    """Whether the drive is at its target; None where it tells too little: neither its demand (0x6062) nor a window (0x6067)."""
+    """Return whether the drive is at its target; None if it has neither a demand (0x6062) nor a window (0x6067)."""
     node = axis.node
     demand = yield from read_if_present(node, "0x6062")
     position = yield from read_int(node, "0x6064")
@@ -258,7 +258,7 @@ def _is_at(axis: Axis, target: int) -> Procedure[bool | None]:
 
 
 def _turn(axis: Axis) -> Procedure[int]:
-    """The counts after which the position of an axis without end begins again (0x607B), 0 for one with ends."""
+    """Return the counts of one turn of an endless axis (0x607B); 0 for an axis with ends."""
     low = yield from read_if_present(axis.node, (0x607B, 1))
     high = yield from read_if_present(axis.node, (0x607B, 2))
     return high - low + 1 if isinstance(low, int) and isinstance(high, int) and low < high else 0
@@ -270,10 +270,10 @@ def _distance(position: int, target: int, turn: int) -> int:
 
 
 def _limit_before(axis: Axis, target: int) -> Procedure[str]:
-    """The software limit (0x607D) beyond which a target lies, in words; "" if there is none.
+    """Return the software limit (0x607D) that lies before a target, in words; "" if there is none.
 
-    The standard reckons the limits from the mechanical zero: the home offset (0x607C) is taken off them before they are compared.
-    Not all drives do so. So a limit is named if the target lies beyond it in either way.
+    The standard counts the limits from the mechanical zero: the home offset (0x607C) is subtracted before they are compared. Not
+    all drives do so. So a limit is named if the target is beyond it in either way.
     """
     node = axis.node
     low = yield from read_if_present(node, (0x607D, 1))
@@ -292,5 +292,5 @@ def _limit_before(axis: Axis, target: int) -> Procedure[str]:
 
 
 def read_position(axis: Axis) -> Procedure[float]:
-    """The actual position (0x6064), in the user's unit, read by SDO."""
+    """Read the actual position (0x6064) by SDO; return it in the user's unit."""
     return axis.from_counts((yield from read_int(axis.node, "0x6064")))

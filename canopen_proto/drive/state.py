@@ -19,7 +19,7 @@ from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, current_time
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
-"""How far a state is on the way to Operation enabled; all others: 0."""
+"""How far a state is on the way to Operation enabled; 0 for all other states."""
 _STANDING: Final = (Mode.INTERPOLATED_POSITION, Mode.HOMING, Mode.PROFILE_POSITION)
 """Modes in which a drive stands until bit 4 of the controlword rises."""
 
@@ -29,15 +29,15 @@ def _leaves(state: State) -> Callable[[int], bool]:
 
 
 def change_state(axis: Axis, target: State) -> Procedure[int]:
-    """Lead the drive to a state, one command after the other; the statusword.
+    """Lead the drive to a state, one command after the other; return the statusword.
 
-    A drive in fault is not reset: that is `reset_fault`, a decision of the user's. A drive that is led up and goes down, or comes
-    to a state twice, is commanded by somebody else: StateLost. Raises DriveFault, NodeLost, StepTimeout, SdoFailed too.
-    On the way to Operation enabled `axis.grip` first has it watch over its master.
+    A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
+    when it is led up, or reaches a state twice: something else commands it. Raises DriveFault, NodeLost, StepTimeout, SdoFailed.
+    On the way to Operation enabled, `axis.grip` first makes the drive watch its master.
     """
     if target is State.OPERATION_ENABLED and axis.grip is not None:
         yield from axis.grip.hold()
-    if target in STAYS:  # the drive may be there already, and hold an RPDO that takes it away
+    if target in STAYS:  # the drive may be there already, and hold an RPDO that would lead it away
         yield from command_held(axis, STAYS[target])
     statusword = yield from read_statusword(axis)
     seen: list[State] = []
@@ -56,9 +56,9 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
 
 
 def reset_fault(axis: Axis) -> Procedure[None]:
-    """Clear a fault by a rising edge of bit 7; a drive without one is left as it is, at most without power.
+    """Clear a fault by a rising edge of bit 7. A drive without a fault stays as it is, or at worst loses its power.
 
-    Returns when the drive is out of Fault. Raises DriveFault where it stays: the cause is still there.
+    Returns when the drive has left Fault. Raises DriveFault if it stays there: the cause persists.
     """
     statusword = yield from wait_for_statusword(
         axis,
@@ -87,16 +87,16 @@ def reset_fault(axis: Axis) -> Procedure[None]:
 def enable(axis: Axis) -> Procedure[None]:
     """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed.
 
-    In velocity, torque and cyclic modes the drive then obeys its last target at once, whoever gave it: select a mode first, or
-    call `select_standing_mode`.
+    In velocity, torque and cyclic modes the drive then obeys its last target at once, from whatever source: select a mode first,
+    or call `select_standing_mode`.
     """
     yield from change_state(axis, State.OPERATION_ENABLED)
 
 
 def select_standing_mode(axis: Axis) -> Procedure[None]:
-    """Select a mode in which power alone moves nothing: the drive's own, if it is such a one, else ip, hm or pp.
+    """Select a mode in which power alone moves nothing: ip, hm or pp, and the present mode if it is one of them.
 
-    In these a motion begins when bit 4 of the controlword rises. Raises ModeUnsupported for a drive that has none of them.
+    In these modes a motion begins when bit 4 of the controlword rises. Raises ModeUnsupported if the drive has none of them.
     """
     shown = yield from read_int(axis.node, "0x6061")
     for mode in sorted(_STANDING, key=lambda each: each != shown):
@@ -119,9 +119,9 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
     """Select a mode of operation and wait until the drive shows it.
 
-    Raises ModeUnsupported, with nothing written, where 0x6502 lacks the mode (a drive without 0x6502 is asked by doing), and
-    where the drive does not take it up within `state_timeout`. waive_check: for drives that can do what 0x6502 denies (Schunk's
-    homing). Raises DriveFault, StateLost (it was enabled, and is no more), NodeLost.
+    Raises ModeUnsupported, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if the
+    drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
+    homing). Raises DriveFault, StateLost (the drive was enabled, and no longer is), NodeLost.
     """
     if not waive_check:
         modes = yield from read_if_present(axis.node, "0x6502")
@@ -129,7 +129,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
             has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
             raise ModeUnsupported(f"{name_of(axis)} does not support {mode_name(mode)}: 0x6502 = 0x{modes:08X}, which is {has}")
     state = state_of((yield from read_statusword(axis)))
-    # Bit 4 means something else in each mode: what interpolates must not begin to home because it still stands.
+    # Bit 4 means something else in each mode: a drive that interpolates must not begin to home because the bit is still set.
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
@@ -158,21 +158,21 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
 
 
 def quick_stop(axis: Axis) -> Procedure[None]:
-    """Command a quick stop and wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
+    """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
     yield from command(axis, int(Command.QUICK_STOP))
     stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
     yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
 
 
 def engage_brake(axis: Axis) -> Procedure[None]:
-    """From any state without fault to Ready to switch on: no torque, brake engaged."""
+    """Lead the drive from any state without fault to Ready to switch on: no torque, brake engaged."""
     yield from change_state(axis, State.READY_TO_SWITCH_ON)
 
 
 def shut_down(axis: Axis) -> Procedure[None]:
-    """To Switch on disabled: no power. Then RPDOs are no longer sent, and `axis.grip` lets go.
+    """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.grip` go.
 
-    A drive in Fault has no power, and stays there. One in its fault reaction still has power, and brakes: it is waited for.
+    A drive in Fault has no power, and stays there. A drive in its fault reaction still has power and brakes: it is awaited.
     """
     state = state_of((yield from read_statusword(axis)))
     if state is State.FAULT_REACTION_ACTIVE:

@@ -1,15 +1,16 @@
-"""Wait for a drive: one wait for all procedures, which knows what ends it.
+"""Wait for a drive: one kind of wait for all procedures, which ends as soon as its goal is reached or out of reach.
 
 Theory of operation
 -------------------
-A `Watch` looks at the statusword, and at what else it is told to, whenever something came: by a TPDO, which serves for 100 ms,
-else by SDO, 10 ms after the last answer. The reads run beside the wait: a TPDO, a lost heartbeat or a boot-up ends it while an
-answer is still awaited. What was heard before the wait began does not count.
+A `Watch` looks at the statusword, and at the other objects it was given, whenever a value comes. A value comes by TPDO, which
+serves for 100 ms, else by SDO, 10 ms after the last answer. The reads run beside the wait: a TPDO, a lost heartbeat or a boot-up
+ends it while an answer is still awaited. Values heard before the wait began do not count.
 
-Each look asks in this order: is the drive in fault, did it leave the state that it has to stay in, does it show another mode
-(0x6061), and then the judge: is what is waited for there? The mode-specific bits mean something else in each mode. So with a mode
-that has to stay, the judge's word counts only once 0x6061 was heard after it was first given: from the TPDO that carries it, else
-by one more read. While waiting, a mode that no TPDO carries is read every 100 ms. A drive that refuses 0x6061 is not asked again.
+Each look checks in this order: is the drive in fault, did it leave the state that it has to stay in, does it show another mode
+(0x6061), and last the judge: is the goal reached? The mode-specific bits mean something else in each mode. So if a mode has to
+stay, the judge's result counts only once 0x6061 was heard after the judge first gave one: from the TPDO that carries it, else by
+one more read. During the wait, a mode that no TPDO carries is read every 100 ms. If the drive refuses 0x6061, it is not read
+again.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MODE: Final = MODES_OF_OPERATION_DISPLAY
 
 
 def read_statusword(axis: Axis) -> Procedure[int]:
-    """The present statusword: what was heard no longer than 100 ms ago, else read by SDO."""
+    """Return the present statusword: as heard within the last 100 ms, else read by SDO."""
     now = yield from current_time()
     statusword = axis.fresh_statusword(now)
     if statusword is None:
@@ -56,11 +57,11 @@ def wait_for_statusword(
     mode: int | None = None,
     stays: State | None = None,
 ) -> Procedure[int]:
-    """Wait until done(statusword), at most `timeout` ns; the statusword. What was heard before the wait does not count.
+    """Wait until done(statusword) is true, at most `timeout` ns; return that statusword. It must be heard during the wait.
 
-    mode: what 0x6061 has to show meanwhile; stays: the state that the drive has to stay in; None: any. Raises, as soon as it is
-    seen: DriveFault (unless accept_fault), NodeLost, StateLost, ModeLost; StepTimeout that names `goal` and what was seen last;
-    SdoFailed where the statusword cannot be read.
+    mode: the mode that 0x6061 must show meanwhile; stays: the state that the drive must stay in; None: any. Raises DriveFault
+    (unless accept_fault), NodeLost, StateLost or ModeLost as soon as it is seen; StepTimeout, which names `goal` and what was
+    seen last; SdoFailed if the statusword cannot be read.
     """
     watch: Watch[int] = Watch(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays)
     return (yield from watch.until(lambda statusword, heard_at: statusword if done(statusword) else None, timeout))
@@ -79,9 +80,9 @@ class Watch(Generic[T]):
         stays: State | None = None,
         reads: Mapping[int, Time] | None = None,
     ) -> None:
-        """goal: what is waited for, in messages. mode, stays, accept_fault: as in `wait_for_statusword`.
+        """Prepare a wait. goal: its name in messages. mode, stays, accept_fault: as in `wait_for_statusword`.
 
-        reads: mux -> ns between two reads of what else the judge looks at; the drive's dictionary has to have it.
+        reads: the other objects that the judge looks at, mux -> ns between two reads; the drive's dictionary must have them.
         """
         self.axis = axis
         self.goal = goal
@@ -92,26 +93,26 @@ class Watch(Generic[T]):
         self._pauses: dict[int, Time] = {STATUSWORD: POLL_INTERVAL, **(reads or {})}
         if mode is not None:
             self._pauses.setdefault(_MODE, FRESH)
-        self._due: dict[int, Time] = {}  # mux -> when it is to be read by SDO
-        self._open: dict[RequestId, tuple[int, Time]] = {}  # the reads under way: mux, and when it was asked for
-        self._timed_out: set[int] = set()  # whose last read was not answered
+        self._due: dict[int, Time] = {}  # mux -> when to read it by SDO
+        self._open: dict[RequestId, tuple[int, Time]] = {}  # the reads under way: mux, and when it was requested
+        self._timed_out: set[int] = set()  # muxes whose last read was not answered
         self._refused: dict[int, SdoFailed] = {}
-        self._mode_seen: Time = -NEVER  # 0x6061 is known to be as it is at this time or later
-        self._reached_at: Time | None = None  # since when the judge says so
+        self._mode_seen: Time = -NEVER  # the mode known from 0x6061 was in force at this time or later
+        self._reached_at: Time | None = None  # since when the judge gives a result
 
     def heard(self, mux: int) -> Time | None:
-        """When the drive last said the value of an object, since the wait began; None: not yet."""
+        """Return when the drive last sent the value of an object, since the wait began; None: not yet."""
         heard_at = self.axis.node.heard_at.get(mux)
         return heard_at if heard_at is not None and heard_at >= self.began else None
 
     def refusal(self, mux: int) -> SdoFailed | None:
-        """The error with which the drive refused to let an object be read, if it did."""
+        """Return the error with which the drive refused to have an object read; None if it did not."""
         return self._refused.get(mux)
 
     def until(self, judge: Callable[[int, Time], T | None], timeout: Time) -> Procedure[T]:
-        """Wait until judge(statusword, when it was heard) gives a result, at most `timeout` ns; that result.
+        """Wait until judge(statusword, time it was heard) gives a result, at most `timeout` ns; return that result.
 
-        The judge is asked at each look, and may raise. Else as `wait_for_statusword`.
+        The judge is called at each look, and may raise. Else as `wait_for_statusword`.
         """
         axis, node = self.axis, self.axis.node
         self.began = yield from current_time()
@@ -148,7 +149,7 @@ class Watch(Generic[T]):
             raise (yield from fault_of(axis, f"while waiting for {self.goal}"))
         if self._stays is not None and state is not self._stays:
             if state is State.UNKNOWN:
-                return None  # no state at all: the next statusword will tell
+                return None  # no state at all: the next statusword will show one
             raise state_lost(axis, state, self.goal)
         if self._mode is not None and _MODE in axis.node.heard_at and axis.mode != self._mode:
             raise mode_lost(axis, self._mode, self.goal)
@@ -164,17 +165,17 @@ class Watch(Generic[T]):
         return result
 
     def _ask(self, now: Time) -> None:
-        """Read by SDO what is due."""
+        """Read by SDO each object that is due."""
         node = self.axis.node
         for mux, due in self._due.items():
             if due <= now:
-                # Urgent: a wait for a drive does not stand in line behind a backup of it.
+                # Urgent: a wait for a drive must not queue behind a backup of it.
                 request_id = node.read((mux >> 8, mux & 0xFF), now, urgent=True)
                 self._open[request_id] = (mux, now)
                 self._due[mux] = NEVER
 
     def _concerns(self, report: Event) -> bool:
-        """Whether the wait has to look at an event."""
+        """Return whether the wait has to look at an event."""
         if isinstance(report, Outcome):
             return report.request_id in self._open
         node = self.axis.node
@@ -211,7 +212,7 @@ class Watch(Generic[T]):
             self._timed_out.add(mux)  # a single frame may have been lost
 
     def _take_back(self, now: Time) -> None:
-        """Give up the reads under way: what follows, perhaps a halt, does not wait for them."""
+        """Cancel the reads under way, so that what follows, perhaps a halt, does not wait for them."""
         for request_id in self._open:
             self.axis.node.cancel(request_id, now)
         self._open.clear()
