@@ -29,9 +29,13 @@ SPARE_WAKES: Final = 64
 
 
 class Members:
-    """The machines on one outbox: their routes and their deadlines."""
+    """The machines on one outbox: their routes and their deadlines.
 
-    __slots__ = ("_keys", "_out", "_sequence", "heap", "routes")
+    routes: by key, the machines that want its frames, in the order of their attachment. receivers: by key, what to hand these
+    frames to, see `Machine.receiver_of`. heap: the wakes that are held, the nearest first.
+    """
+
+    __slots__ = ("_keys", "_out", "_sequence", "heap", "receivers", "routes")
 
     def __init__(self, out: Outbox) -> None:
         self._out = out
@@ -39,6 +43,7 @@ class Members:
         self.heap: list[tuple[Time, int, Machine]] = []
         self._sequence = 0
         self.routes: dict[int, tuple[Machine, ...]] = {}
+        self.receivers: dict[int, tuple[Machine, ...]] = {}
 
     def __iter__(self) -> Iterator[Machine]:
         return iter(self._keys)
@@ -75,11 +80,7 @@ class Members:
 
     def _unroute(self, machine: Machine) -> None:
         for key in self._keys[machine]:
-            rest = tuple(other for other in self.routes[key] if other is not machine)
-            if rest:
-                self.routes[key] = rest
-            else:
-                del self.routes[key]
+            self._set_route(key, tuple(other for other in self.routes[key] if other is not machine))
 
     def _route(self, machine: Machine) -> None:
         self._unroute(machine)
@@ -87,7 +88,14 @@ class Members:
         for key in keys:
             sharers = {*self.routes.get(key, ()), machine}
             # Sorted by attachment, wherever a machine that changed its CAN-IDs comes from.
-            self.routes[key] = tuple(member for member in self._keys if member in sharers) if len(sharers) > 1 else (machine,)
+            self._set_route(key, tuple(member for member in self._keys if member in sharers) if len(sharers) > 1 else (machine,))
+
+    def _set_route(self, key: int, machines: tuple[Machine, ...]) -> None:
+        if machines:
+            self.routes[key] = machines
+            self.receivers[key] = tuple(machine.receiver_of(key) for machine in machines)
+        else:
+            del self.routes[key], self.receivers[key]
 
     def refresh(self) -> None:
         """Take up what the members announced: changed CAN-IDs and nearer deadlines."""
@@ -162,13 +170,12 @@ class Settling:
 class Group(Machine):
     """A machine made of machines; see this module's text. Members are made with `inner` as their outbox."""
 
-    __slots__ = ("_members", "_reactions", "_routes", "inner")
+    __slots__ = ("_members", "_reactions", "inner")
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
         self.inner = Outbox(within=out, owner=self)
         self._members = Members(self.inner)
-        self._routes = self._members.routes
         self._reactions: dict[type[Event], Reaction] = {}
 
     def can_ids(self) -> Iterable[int]:
@@ -176,20 +183,16 @@ class Group(Machine):
         return tuple(self._members.routes)
 
     def receive(self, frame: Frame, now: Time) -> None:
-        inner = self.inner
-        if inner.rerouted:
+        if self.inner.rerouted:
             self._members.refresh()
-        events = inner.events
-        mark = len(events)
-        for machine in self._routes.get(frame.key, ()):
+        mark = len(self.inner.events)
+        for machine in self._members.receivers.get(frame.key, ()):
             machine.receive(frame, now)
-        reactions = self._reactions
-        while mark < len(events):  # as `_settle` does: here for the price of a call, which each frame would pay
-            report = events[mark]
-            reaction = reactions.get(type(report))
-            if reaction is not None:
-                reaction(report, now)
-            mark += 1
+        self._settle(mark, now)
+
+    def receiver_of(self, key: int) -> Machine:
+        """Return the entrance for a key. (A group that overrides `receive` overrides this too, and returns itself.)"""
+        return _Entrance(self, self._members.receivers.get(key, ()))
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
@@ -212,6 +215,34 @@ class Group(Machine):
         reactions = self._reactions
         while mark < len(events):
             reaction = reactions.get(type(events[mark]))
+            if reaction is not None:
+                reaction(events[mark], now)
+            mark += 1
+
+
+class _Entrance(Machine):
+    """Where a group that is a member takes in the frames of one key: `Group.receive` without its look-up.
+
+    The members around it keep it in their routes, and ask for another one when the group's own routes change. A frame passes one
+    for each level, so what is saved here counts.
+    """
+
+    __slots__ = ("_events", "_machines", "_reactions")
+
+    def __init__(self, group: Group, machines: tuple[Machine, ...]) -> None:
+        super().__init__(group.out)
+        self._events = group.inner.events
+        self._reactions = group._reactions
+        self._machines = machines
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Hand the frame to the machines, then react to what they reported: `Group._settle`, written out to save the call."""
+        events = self._events
+        mark = len(events)
+        for machine in self._machines:
+            machine.receive(frame, now)
+        while mark < len(events):
+            reaction = self._reactions.get(type(events[mark]))
             if reaction is not None:
                 reaction(events[mark], now)
             mark += 1

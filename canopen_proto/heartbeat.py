@@ -288,23 +288,30 @@ class HeartbeatConsumer(Machine):
             return
         self.last_heard = now
         out = self.out
-        if state:
-            out.events.append(HeartbeatReceived(self.node_id, state, out.root.timestamp))
-            if self.lost:
-                self.lost = False
-                out.events.append(HeartbeatRecovered(self.node_id, state))
-            self._begun = True
-        else:
-            out.events.append(NodeBooted(self.node_id, out.root.timestamp))
-            state = NmtState.PRE_OPERATIONAL
+        if not state:
+            self._on_boot_up(now)
+            return
+        out.events.append(HeartbeatReceived(self.node_id, state, out.root.timestamp))
+        if self.lost:
+            self.lost = False
+            out.events.append(HeartbeatRecovered(self.node_id, state))
+        self._begun = True
         timeout = self.timeout
-        if timeout and self._begun and not self.lost:
+        if timeout:
             self.deadline = deadline = now + timeout
             if deadline < self._wake:  # seldom: a deadline that moves later needs no more than this
                 self._arm(deadline)
         if state is not self.state:
             out.events.append(NmtStateReported(self.node_id, self.state, state))
             self.state = state
+
+    def _on_boot_up(self, now: Time) -> None:
+        self.out.events.append(NodeBooted(self.node_id, self.out.timestamp))
+        if self.timeout and self._begun and not self.lost:
+            self._arm(now + self.timeout)
+        if self.state is not NmtState.PRE_OPERATIONAL:
+            self.out.events.append(NmtStateReported(self.node_id, self.state, NmtState.PRE_OPERATIONAL))
+            self.state = NmtState.PRE_OPERATIONAL
 
     def handle_timeout(self, now: Time) -> None:
         """Report HeartbeatLost, once, when the consumer time is over."""

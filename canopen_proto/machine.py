@@ -164,6 +164,10 @@ class Machine:
     def receive(self, frame: Frame, now: Time) -> None:
         """Handle a frame whose key is among `can_ids()`. Never raises, whatever the frame holds."""
 
+    def receiver_of(self, key: int) -> Machine:
+        """Return the machine whose `receive` gets the frames of a key: this one, or one that has done its look-ups already."""
+        return self
+
     def handle_timeout(self, now: Time) -> None:
         """Handle the passing of time. Called early it does nothing; called late it is still right."""
 

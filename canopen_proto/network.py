@@ -74,7 +74,7 @@ class Network:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
         self._members = Members(self.out)
-        self._routes, self._heap = self._members.routes, self._members.heap  # as near as can be: looked at for each frame
+        self._routes, self._heap = self._members.receivers, self._members.heap  # as near as can be: looked at for each frame
         self._followers: dict[Machine, Follower] = {}
         self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
         self._dropped = 0
@@ -114,23 +114,24 @@ class Network:
         if now < self._now:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
-        out, root = self.out, self.out.root
+        out = self.out
         if out.rerouted:
             self._members.refresh()
+        root = out.root
         root.timestamp = timestamp
         key = frame.key
         for machine in self._routes.get(key, ()):
             machine.receive(frame, now)
-        events, reactions = out.events, self._reactions
-        while self._settled < len(events):  # as `_settle` does; here without a call, which each frame would pay for
-            report = events[self._settled]
-            self._settled += 1
-            reaction = reactions.get(type(report))
+        events, settled = out.events, self._settled
+        while settled < len(events):  # as `_settle` does, without a call, which each frame would pay for
+            reaction = self._reactions.get(type(events[settled]))
             if reaction is not None:
-                reaction(report, now)
-        if len(events) > MAX_UNDRAINED_EVENTS:
-            self._shed()
+                reaction(events[settled], now)
+            settled += 1
+        self._settled = settled
         root.timestamp = None
+        if settled > MAX_UNDRAINED_EVENTS:
+            self._shed()
         if key < SLOTS:
             self._times[key] = now
             self._frames[key] = frame
