@@ -10,6 +10,7 @@ import gc
 import signal
 
 import hypothesis
+import pytest
 
 # On a build server hypothesis takes its own profile `ci` for the parent of what is registered, and that one never looks further
 everyday = hypothesis.settings.get_profile("default")
@@ -20,6 +21,24 @@ hypothesis.settings.load_profile("same")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # so a shell starts what it runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of the tests that lack the same thing (a kernel with vcan, tshark ...) keep one: it is skipped, and says why."""
+    lacking: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        reason = next((mark.kwargs["reason"] for mark in item.iter_markers("skipif") if mark.args[0]), None)
+        if reason is not None:
+            lacking.setdefault(reason, []).append(item)
+    left_out = set()
+    for reason, (first, *others) in lacking.items():
+        if others:
+            more = pytest.mark.skipif(True, reason=f"{reason}; {len(others)} more tests need it")
+            first.add_marker(more, append=False)
+            left_out.update(others)
+    config.hook.pytest_deselected(items=[*left_out])
+    items[:] = [item for item in items if item not in left_out]
 
 
 def pytest_collection_finish() -> None:

@@ -33,6 +33,10 @@ EDS_NAMES = (
 DCF_NAMES = ("oresat-battery.dcf", "schunk-powerball-lwa4p.dcf")
 XDD_NAMES = ("oresat-gps.xdd", "sample-node-1.xdd")
 
+needs_vendor_files = pytest.mark.skipif(
+    not FOLDER.is_dir(), reason=f"no device files of makers: there is no folder {FOLDER} (${VARIABLE} names another)"
+)
+
 INI_NAMES = EDS_NAMES + DCF_NAMES
 ALL_NAMES = INI_NAMES + XDD_NAMES
 

@@ -14,7 +14,7 @@ from canopen_proto.dictionary.roles import roles_in
 from canopen_proto.procedures.backup import same_value
 from tests.cli.backup_world import NODE, lasting
 from tests.cli.cli_support import runner
-from tests.vendor_files import ALL_NAMES, path_of
+from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of
 
 STRANGE_PDOS = ("canopen-sample.eds", "cia-301.eds")
 """Their PDOs carry what they do not have, or have the CAN-ID of NMT: once off, they cannot be valid again."""
@@ -46,7 +46,7 @@ def changes(dictionary: ObjectDictionary, values: dict[int, Value]) -> Iterator[
             yield variable, high if value != high else low
 
 
-@pytest.mark.parametrize("name", ["sample_io.xdd", *ALL_NAMES])
+@pytest.mark.parametrize("name", ["sample_io.xdd", *(pytest.param(name, marks=needs_vendor_files) for name in ALL_NAMES)])
 def test_a_device_is_backed_up_changed_and_restored(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

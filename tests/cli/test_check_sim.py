@@ -20,7 +20,7 @@ from canopen_master.plant import DeviceEntry
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site
 from tests.proto.full_device import NODE_ID
-from tests.vendor_files import ALL_NAMES, load, path_of
+from tests.vendor_files import ALL_NAMES, load, needs_vendor_files, path_of
 
 
 class Failure(NamedTuple):
@@ -73,6 +73,7 @@ FAILURES: Mapping[str, Mapping[str, Failure]] = {
 }
 
 
+@needs_vendor_files
 @pytest.mark.parametrize("name", ALL_NAMES)
 def test_what_fails_is_explained_by_the_file(name: str) -> None:
     description = read_description(load(name), name)

@@ -13,7 +13,7 @@ from canopen_data.eds import EdsDocument, read_eds
 from canopen_data.findings import DictionaryError, Severity
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Values, Variable
-from tests.vendor_files import INI_NAMES, load
+from tests.vendor_files import INI_NAMES, load, needs_vendor_files
 
 DATA = Path(__file__).parents[1] / "files"
 
@@ -380,6 +380,7 @@ def test_both_samples_of_the_io_device_are_one_device() -> None:
 MOST_ERRORS = {"canopen-sample.eds": 1, "cia-301.eds": 10}
 
 
+@needs_vendor_files
 @pytest.mark.parametrize("name", INI_NAMES)
 def test_a_makers_file_is_read(name: str) -> None:
     description = read_eds(load(name), name)

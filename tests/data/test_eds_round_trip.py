@@ -20,7 +20,7 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 from tests.data.test_eds_writer import SAMPLE
 from tests.examples import examples
 from tests.proto.generated_dictionaries import descriptions, values_of
-from tests.vendor_files import INI_NAMES, XDD_NAMES, load
+from tests.vendor_files import INI_NAMES, XDD_NAMES, load, needs_vendor_files
 
 
 def facts(description: DeviceDescription) -> dict[str, Any]:
@@ -93,6 +93,7 @@ def test_a_damaged_file(text: str, data: st.DataObject) -> None:
     assert sections_of(read_eds(write_eds(dcf))) == sections_of(dcf)
 
 
+@needs_vendor_files
 @pytest.mark.parametrize("name", INI_NAMES)
 def test_a_makers_file(name: str) -> None:
     data = load(name)
@@ -107,6 +108,7 @@ def test_a_makers_file(name: str) -> None:
     assert again == expected
 
 
+@needs_vendor_files
 @pytest.mark.parametrize("name", XDD_NAMES)
 def test_a_makers_xdd_as_eds(name: str) -> None:
     read = read_xdd(load(name), name)

@@ -23,7 +23,9 @@ from canopen_proto.machine import MILLISECOND, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoUploaded
-from tests.vendor_files import ALL_NAMES, path_of
+from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of
+
+pytestmark = needs_vendor_files
 
 NODE = 5
 

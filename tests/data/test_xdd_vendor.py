@@ -11,7 +11,9 @@ from canopen_data.eds.reader import read_eds
 from canopen_data.xdd import read_xdd
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Variable
-from tests.vendor_files import XDD_NAMES, load
+from tests.vendor_files import XDD_NAMES, load, needs_vendor_files
+
+pytestmark = needs_vendor_files
 
 NO_ACCESS = {index << 8 | subindex for index in range(0x6005, 0x600A) for subindex in range(1, 3 if index < 0x6009 else 5)}
 """By mux. The XDD has access="noAccess", the EDS AccessType=UNKNOWN: both become rw, the XDD's with a direction by PDOmapping."""

@@ -30,6 +30,10 @@ from tests.interop.recorded_transfers import Transfer, is_initiate, transfers_of
 VARIABLE = "CANOPEN_RECORDED_SESSIONS"
 FOLDER = Path(os.environ.get(VARIABLE) or Path(__file__).parents[2] / ".." / "shared" / "logs")
 
+needs_recordings = pytest.mark.skipif(
+    not FOLDER.is_dir(), reason=f"no recorded bus sessions: there is no folder {FOLDER} (${VARIABLE} names another)"
+)
+
 FROM_DEVICE = (SDO_SERVER_TO_CLIENT, ERROR_CONTROL, EMCY, TPDO1, TPDO2)
 
 PREPARED = 500 * MILLISECOND

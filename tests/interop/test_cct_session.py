@@ -16,6 +16,9 @@ from canopen_proto.verdict import Result
 from tests.check.certified_nodes import certified
 from tests.check.conformance_rig import Fault, Site
 from tests.interop.cct_session import Difference, Replay, load_device, load_session, unexplained, with_application
+from tests.interop.recorded import needs_recordings
+
+pytestmark = needs_recordings
 
 REGISTER = "0x1001 has the bits of the error as long as it lasts (7.5.2.2); the recorded device clears them at once"
 SYNC_TIME_OUT = "the recorded device tells of a SYNC that does not come (0x8100); no clause asks for that"

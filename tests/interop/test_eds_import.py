@@ -19,7 +19,7 @@ from canopen_data.description import DeviceDescription
 from canopen_data.eds import read_eds
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Variable
-from tests.vendor_files import INI_NAMES, load
+from tests.vendor_files import INI_NAMES, load, needs_vendor_files
 
 
 class Difference(NamedTuple):
@@ -171,6 +171,7 @@ def explains(known: Difference, found: Difference) -> bool:
     )
 
 
+@needs_vendor_files
 @pytest.mark.filterwarnings("ignore:The 'warn' method:DeprecationWarning")  # the peer's, where [DeviceInfo] is missing
 @pytest.mark.parametrize("name", INI_NAMES)
 def test_every_object_is_as_the_peer_reads_it_or_the_difference_has_a_reason(name: str, caplog: pytest.LogCaptureFixture) -> None:
@@ -186,6 +187,7 @@ def test_every_object_is_as_the_peer_reads_it_or_the_difference_has_a_reason(nam
     assert [each for each in listed if not any(explains(each, other) for other in found)] == []
 
 
+@needs_vendor_files
 def test_the_peer_makes_compact_entries_when_they_are_asked_for() -> None:
     text = load("canopen-sample.eds").decode()
     theirs = import_od(Stream(text))[0x3006]

@@ -12,7 +12,6 @@ their phase. Lely's first one comes a period after 0x1017 was written, ours at o
 from __future__ import annotations
 
 import datetime
-import inspect
 
 import pytest
 
@@ -24,26 +23,30 @@ from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.nmt import NmtCommand, NmtState, NmtStateChanged
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
-from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_proto.time_stamp import TimeReceived
 from tests.interop.demo_device import NUMBERS, OUTPUTS, TEXT, demo_device
-from tests.interop.recorded import FOLDER, DeviceReplay, Difference, Line, MasterReplay, load, sdo_of, with_differences
+from tests.interop.recorded import (
+    FOLDER,
+    DeviceReplay,
+    Difference,
+    Line,
+    MasterReplay,
+    load,
+    needs_recordings,
+    sdo_of,
+    with_differences,
+)
 from tests.interop.recorded_scenes import NUMBER, OUT_OF_SCOPE, SCENES, Scene
+
+pytestmark = needs_recordings
 
 by_scene = pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 NAMED = {scene.name: scene for scene in SCENES}
 
 
 def test_every_recording_is_replayed() -> None:
-    if not FOLDER.is_dir():
-        pytest.skip(f"no recorded sessions: there is no folder {FOLDER}")
     assert {path.stem for path in FOLDER.glob("*.log")} <= {*NAMED, *OUT_OF_SCOPE}
-
-
-@pytest.mark.parametrize("name", sorted(OUT_OF_SCOPE))
-def test_lss(name: str) -> None:
-    load(name)
-    pytest.skip("LSS is not built")
 
 
 # ---- our device in the place of the recorded one ----
@@ -83,18 +86,10 @@ def without_repeats(frames: list[str]) -> list[str]:
     return [text for text, before in zip(frames, [None, *frames], strict=False) if text != before]
 
 
-def skip_without_block_transfer(replay: DeviceReplay, lines: list[Line]) -> None:
-    if any(transfer.is_block for transfer in sdo_of(lines, replay.node.node_id)):
-        first = next(line.frame.data for line in replay.sent if line.frame.can_id == SDO_SERVER_TO_CLIENT + replay.node.node_id)
-        if first[0] == 0x80 and int.from_bytes(first[4:], "little") == AbortCode.INVALID_COMMAND:
-            pytest.skip("our server has no block transfer yet")
-
-
 @by_scene
 def test_our_device_says_what_theirs_said(scene: Scene) -> None:
     lines = load(scene.name)
     replay = replay_to_device(scene, lines)
-    skip_without_block_transfer(replay, lines)
     node_id = scene.node_id
     for can_id in (SDO_SERVER_TO_CLIENT + node_id, EMCY + node_id):
         assert texts(replay.sent, can_id) == with_differences(texts(lines, can_id), of_can_id(scene.differences, can_id))
@@ -190,10 +185,6 @@ def test_a_pdo_of_a_wrong_length() -> None:
 
 def replay_to_master(scene: Scene, lines: list[Line]) -> MasterReplay:
     """Our master after the recording."""
-    if "block" not in inspect.signature(SdoClient.upload).parameters:
-        for transfer in sdo_of(lines, scene.node_id):
-            if transfer.is_block:
-                pytest.skip("our client has no block transfer yet")
     dictionary = demo_device(scene.node_id)
     replay = MasterReplay(scene.node_id, dictionary, sdo_timeout=300 * MILLISECOND)
     remote = replay.remote

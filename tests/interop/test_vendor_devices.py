@@ -17,7 +17,9 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.local_node import LocalNode
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_dictionary, peer_network
-from tests.vendor_files import ALL_NAMES, XDD_NAMES, path_of
+from tests.vendor_files import ALL_NAMES, XDD_NAMES, needs_vendor_files, path_of
+
+pytestmark = needs_vendor_files
 
 NODE = 5
 OF_EACH_TYPE = 3

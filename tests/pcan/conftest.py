@@ -7,7 +7,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.pcan.stand_in import stand_in
+from tests.pcan.stand_in import needs_compiler, stand_in
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "peak" in getattr(item, "fixturenames", ()):
+            item.add_marker(needs_compiler)
 
 
 @pytest.fixture

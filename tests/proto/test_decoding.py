@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,8 +13,7 @@ from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.observer.decoding import Decoder
 from canopen_proto.observer.sdo import MAX_KEPT, OverheardChannel, bytes_text
 from tests.examples import examples
-
-LOGS = Path(__file__).parents[3] / "shared" / "logs"
+from tests.interop.recorded import FOLDER, needs_recordings
 
 
 def obj(index: int, *values: tuple[DataType, int], name: str = "") -> Object:
@@ -324,11 +321,10 @@ def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
         assert len(meaning.text) < 300
 
 
+@needs_recordings
 def test_recorded_transfers_come_out_whole() -> None:
-    if not LOGS.is_dir():
-        pytest.skip("the recorded sessions are not here")
     seen = []
-    for path in sorted(LOGS.glob("*.log")):
+    for path in sorted(FOLDER.glob("*.log")):
         decoder = Decoder()
         seen += [decoder.decode(Frame.parse(line.split()[2])) for line in path.read_text().splitlines()]
     texts = [meaning.text for meaning in seen]

@@ -29,7 +29,7 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import Pending
 from tests.examples import examples
 from tests.proto.bus import Bus
-from tests.vendor_files import path_of
+from tests.vendor_files import needs_vendor_files, path_of
 
 NODE = 5
 ENTRY = 127 << 16 | 500
@@ -333,6 +333,7 @@ def dictionary_of(name: str) -> ObjectDictionary:
     return drive_dictionary_of(load_description(path_of(name)).dictionary, Shape.STANDARD)[0]
 
 
+@needs_vendor_files
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_drives_made_of_files(name: str) -> None:
     notices, gap = FILES[name]

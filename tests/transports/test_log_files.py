@@ -16,7 +16,7 @@ from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.record import Record
 from tests.examples import examples
-from tests.interop.recorded import FOLDER, VARIABLE
+from tests.interop.recorded import FOLDER, needs_recordings
 from tests.transports.test_tcp_framing import frames
 
 NOW = 1_795_225_377_712_132_000
@@ -206,10 +206,10 @@ def test_each_line_is_there_at_once(tmp_path: Path) -> None:
     writer.close()
 
 
+@needs_recordings
 def test_recorded_sessions_are_read(tmp_path: Path) -> None:
     paths = sorted(FOLDER.glob("*.log"))
-    if not paths:
-        pytest.skip(f"no recorded sessions in {FOLDER} (${VARIABLE} names another folder)")
+    assert paths
     for path in paths:
         reader = LogReader(path)
         records = list(reader)
