@@ -1,17 +1,17 @@
-"""Sequences over the machines, without I/O: what a procedure is, and those of the product.
+"""Procedures: sequences of requests over the machines, without I/O.
 
-    steps.py           what a procedure is made of: upload, download, sleep, wait_for_event, all_of
-    runner.py          `Runner`, which runs them; `Network.run` is the usual way in
-    streams.py         read and write what nobody holds whole: firmware images, recordings
+    steps.py           the steps of a procedure: upload, download, sleep, wait_for_event, all_of
+    runner.py          `Runner`, which runs procedures; usually called through `Network.run`
+    streams.py         read and write large objects piece by piece: firmware images, recordings
     objects.py         read and write a node's objects by name and value
-    grip.py            a drive that stops by itself when its master is gone
-    configure_pdo.py   `define_pdo` and what it is made of
-    described_pdos.py  the PDOs of a device's file; device_pdos.py: as the device has them set up
-    scan.py            who is on the bus
-    backup.py          read all that a node holds; walk.py: of one of which nobody knows what it has
+    grip.py            make a drive stop by itself if its master is gone
+    configure_pdo.py   `define_pdo` and its parts: change a PDO of a device
+    described_pdos.py  exchange the PDOs of a device's file; device_pdos.py: those that the device has set up
+    scan.py            find the nodes of a bus
+    backup.py          read all objects of a node; walk.py: the same without knowing its objects
     restore.py         set a node to given values, in the order that CiA 302 asks for
 
-What a procedure of one's own is made of is imported from here; each of the product's, from its module.
+Import from here what your own procedures need; import a procedure of the product from its module.
 """
 
 from typing import TYPE_CHECKING

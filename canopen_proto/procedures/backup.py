@@ -1,20 +1,20 @@
-"""Reading all that a node holds: for a backup, a comparison, a dump.
+"""Read all objects of a node: for a backup, a comparison, a dump.
 
 Theory of operation
 -------------------
-`back_up` asks for each readable object of the node's dictionary, one after the other, by SDO. It changes nothing in the device.
-Each object ends in one `Reading`, whose `result` says what came of it; none is passed over in silence. What is not asked for:
+`back_up` reads each readable object of the node's dictionary by SDO, one after the other. It changes nothing in the device. Each
+object, read or not, ends in one `Reading`, whose `result` says how it went. Not read are:
 
-- write-only objects, and those whose ObjFlags (bit 1) keep them out of an upload (CiA 306-1);
-- DOMAINs, unless they are wanted: a DOMAIN may be a firmware image, and no line of a DCF holds one.
+- write-only objects, and those whose ObjFlags (bit 1) exclude them from an upload (CiA 306-1);
+- DOMAINs, unless they are wanted: a DOMAIN may be a firmware image, and a DCF cannot hold one.
 
-A device may refuse some of its objects, or not know what its EDS lists: that is noted, and the next one is asked for. Where an
-answer is missing, or the transfer broke (an abort of the class "service error" says nothing of the object), the object is asked
-for once more: reading changes nothing, and a frame may be lost. A device that does not answer at all is another matter: if the
-very first object, or MAX_SILENT in a row, get no answer, the device is gone, and the procedure fails. It also fails if the device
-is reset meanwhile, as what it said before may not be so any more.
+A device may refuse some of its objects, or lack what its EDS lists: that is noted, and the next object is read. If an answer is
+missing, or the transfer broke (an abort of the class "service error" says nothing about the object), the object is read once
+more: reading changes nothing, and a frame may be lost. But if the very first object, or MAX_SILENT in a row, get no answer, the
+device is gone, and the procedure fails. It also fails if the device is reset meanwhile: the values read before may no longer be
+true.
 
-An ObjectRead event tells of each object as it is known.
+An ObjectRead event reports each object as soon as its result is known.
 
 Source: CiA 302-3 (upload of a device's configuration); CiA 306-1 v1.4.0, ObjFlags.
 """
@@ -39,46 +39,46 @@ from canopen_proto.sdo.client import Block
 MAX_SILENT: Final = 3
 """Objects in a row without an answer, after which the device counts as gone. One may be a device's fault, or a lost frame."""
 NO_UPLOAD: Final = 2
-"""ObjFlags, bit 1: refuses to be read by an upload of the whole dictionary. CiA 306-1."""
+"""ObjFlags, bit 1: an upload of the whole dictionary leaves the object out. CiA 306-1."""
 
 
 class ReadResult(StrEnum):
-    """What came of one object."""
+    """The outcome of reading one object."""
 
     READ = "read"
     WRITE_ONLY = "write-only"
     KEPT_OUT = "kept out"
-    """Its ObjFlags forbid an upload; not asked for."""
+    """Its ObjFlags exclude it from an upload; not read."""
     DOMAIN = "domain"
-    """Not asked for."""
+    """A DOMAIN, not read."""
     ABSENT = "absent"
-    """The device does not have it, though its dictionary does; or has no data in it, as in a history without errors."""
+    """The device does not have it, although its dictionary does; or it holds no data, as a history without errors."""
     REFUSED = "refused"
-    """With any other abort code."""
+    """The device refused it, with any other abort code."""
     WRONG_LENGTH = "wrong length"
     """The bytes are no value of the object's type."""
     NO_ANSWER = "no answer"
-    """Or none that makes sense."""
+    """The device gave no answer, or none that makes sense."""
 
     @property
     def is_missing(self) -> bool:
-        """Whether a complete backup would have it."""
+        """Whether a complete backup should have this object."""
         return self in (ReadResult.REFUSED, ReadResult.WRONG_LENGTH, ReadResult.NO_ANSWER)
 
 
 _SERVICE_ERROR: Final = 0x05
-"""The highest byte of abort codes that are about the protocol: toggle bit, time-out, sequence, CRC (CiA 301 v4.2.0, table 22)."""
+"""The highest byte of abort codes about the protocol: toggle bit, time-out, sequence, CRC (CiA 301 v4.2.0, table 22)."""
 _REFUSALS: Final[dict[int, ReadResult]] = {
     **dict.fromkeys((*ABSENT, AbortCode.NO_DATA), ReadResult.ABSENT),
     AbortCode.WRITE_ONLY: ReadResult.WRITE_ONLY,
 }
-"""Abort codes that say no more than that there is nothing to be read."""
+"""Abort codes that only mean that there is nothing to read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One object. data: its bytes, where the device sent some; value: the same as a value (READ only). abort_code: of a transfer
-    that failed."""
+    """The result for one object. data: its bytes, None if the device sent none; value: the same, decoded (READ only). abort_code:
+    of a transfer that failed."""
 
     variable: Variable
     result: ReadResult
@@ -89,7 +89,7 @@ class Reading:
 
 @dataclass(slots=True)
 class Backup:
-    """What a node held. dictionary: by which it was read. readings: by index and subindex."""
+    """The objects of a node as read. dictionary: used for reading. readings: in order of index and subindex."""
 
     node_id: int
     dictionary: ObjectDictionary
@@ -97,23 +97,23 @@ class Backup:
 
     @property
     def values(self) -> dict[int, Value]:
-        """What was read, by mux."""
+        """The values that were read, by mux."""
         return {each.variable.mux: each.value for each in self.readings if each.value is not None}
 
     @property
     def counts(self) -> dict[ReadResult, int]:
-        """How many objects ended in each way; only those ways that occurred."""
+        """The number of objects with each result; only results that occurred."""
         counts = Counter(each.result for each in self.readings)
         return {result: counts[result] for result in ReadResult if counts[result]}
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing is missing that should be there."""
+        """Whether every object that should be read was read."""
         return not any(each.result.is_missing for each in self.readings)
 
 
 class ObjectRead(Event):
-    """One object of a backup is known. done, total: how many of all; total 0: not known."""
+    """The result of one object of a backup is known. done, total: numbers of objects; total 0: not known."""
 
     __slots__ = ("done", "index", "result", "subindex", "total")
     __match_args__ = ("node_id", "index", "subindex", "result", "done", "total")
@@ -137,8 +137,8 @@ def back_up(
 ) -> Procedure[Backup]:
     """Read all readable objects of a node.
 
-    dictionary: which objects it has; by default what the node's is. only: these objects of it. domains: DOMAINs too. block: how
-    objects of variable length are read, see `Block`. Raises SdoFailed where the device is gone; see this module's text.
+    dictionary: the objects to read; by default the node's. only: read only these objects of it. domains: read DOMAINs too. block:
+    how to read objects of variable length, see `Block`. Raises SdoFailed if the device is gone; see this module's text.
     """
     dictionary = node.dictionary if dictionary is None else dictionary
     backup = Backup(node.node_id, dictionary)
@@ -156,7 +156,7 @@ def back_up(
 
 
 def _not_asked(dictionary: ObjectDictionary, variable: Variable, domains: bool) -> ReadResult | None:
-    """Why an object is not asked for; None where it is."""
+    """Return why an object is not to be read; None if it is to be read."""
     if not variable.access.readable:
         return ReadResult.WRITE_ONLY
     if (variable.object_flags | dictionary.objects[variable.index].object_flags) & NO_UPLOAD:
@@ -172,7 +172,7 @@ def _read(node: RemoteNode, variable: Variable, block: Block, patience: Patience
 
 
 def reading_of(variable: Variable, answer: bytes | SdoFailed) -> Reading:
-    """What an answer says of an object."""
+    """Return the reading of an object that follows from an answer."""
     if isinstance(answer, SdoFailed):
         if answer.origin is not AbortOrigin.PEER:
             result = ReadResult.NO_ANSWER
@@ -186,13 +186,13 @@ def reading_of(variable: Variable, answer: bytes | SdoFailed) -> Reading:
 
 
 class Patience:
-    """How much silence of a device is borne."""
+    """Counts how many more unanswered requests are allowed before a device counts as gone."""
 
     def __init__(self) -> None:
-        self._left = 1  # the first request shows whether anybody is there
+        self._left = 1  # the first request shows whether the device is there
 
     def note(self, answer: bytes | SdoFailed) -> None:
-        """Raise what has failed where the device is gone."""
+        """Take note of an answer. Raises it, if it is a failure that shows that the device is gone."""
         if not isinstance(answer, SdoFailed) or answer.origin is AbortOrigin.PEER:
             self._left = MAX_SILENT
             return
@@ -202,7 +202,7 @@ class Patience:
 
 
 def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Patience) -> Procedure[bytes | SdoFailed]:
-    """An object's bytes, or why there are none. Raises SdoFailed where the device is gone."""
+    """Read an object; return its bytes or the failure. Raises SdoFailed if the device is gone."""
     answer: bytes | SdoFailed
     try:
         answer = yield from upload_again(node, index, subindex, block)
@@ -213,7 +213,7 @@ def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Pat
 
 
 def upload_again(node: RemoteNode, index: int, subindex: int, block: Block) -> Procedure[bytes]:
-    """Read an object, once more if the first transfer broke or got no answer. Raises SdoFailed if the second one fails, too."""
+    """Read an object, once more if the first transfer broke or got no answer. Raises SdoFailed if the second one fails too."""
     try:
         return (yield from upload(node.sdo, index, subindex, block=block))
     except SdoFailed as failed:
@@ -223,22 +223,22 @@ def upload_again(node: RemoteNode, index: int, subindex: int, block: Block) -> P
 
 
 def _is_of_transfer(failed: SdoFailed) -> bool:
-    """Whether a failure is one of the transfer, and says nothing of the object or the device."""
+    """Return whether a failure concerns only the transfer, and says nothing about the object or the device."""
     if failed.origin is AbortOrigin.PEER:
         return failed.abort_code >> 24 == _SERVICE_ERROR
     return failed.abort_code != AbortCode.NO_SDO_CONNECTION
 
 
 def report(node: RemoteNode, reading: Reading, done: int, total: int) -> Procedure[None]:
-    """Tell of an object by an ObjectRead event."""
+    """Report an object by an ObjectRead event."""
     news = ObjectRead(node.node_id, reading.variable.index, reading.variable.subindex, reading.result, done, total)
     yield from act(lambda now: node.out.events.append(news))
 
 
 def same_value(variable: Variable, one: Value | None, other: Value | None) -> bool:
-    """Whether two values of an object have the same bytes, so that 0.1 is what a REAL32 makes of it.
+    """Return whether two values of an object have the same bytes. So 0.1 equals the REAL32 nearest to it.
 
-    None, a value that is not known, is equal to None only.
+    None, an unknown value, equals only None.
     """
     if one is None or other is None:
         return one is other

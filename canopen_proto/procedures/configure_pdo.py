@@ -1,9 +1,9 @@
-"""Setting a PDO of a device up anew: the manual's `definePDO`, which it marks as not implemented yet.
+"""Change the settings of a device's PDO: the manual's `definePDO`, which the manual marks as not implemented yet.
 
-The sequence is that of CiA 301 v4.2.0, 7.5.2.36: destroy the PDO, disable its mapping, write the entries, write their number, the
-transmission type, create the PDO. What the device had before is read first. Where a step is refused, or the procedure is
-cancelled, the old settings are put back by the same sequence, so that a device is never left half mapped; where even that fails,
-the error says so, and the PDO is then at worst destroyed, which is the safe state.
+The sequence is that of CiA 301 v4.2.0, 7.5.2.36: destroy the PDO, disable its mapping, write the entries, their number and the
+transmission type, create the PDO. The old settings are read first. If a step is refused, or the procedure is cancelled, the old
+settings are written back by the same sequence, so that no device is left half mapped. If that fails too, the error says so; the
+PDO is then at worst destroyed, which is the safe state.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError,
 from canopen_proto.remote_node import RemoteNode
 
 _FAILURES: Final = (SdoFailed, LocalProtocolError)
-"""How a step can fail: the transfer, or before that the client whose queue is full."""
+"""How a step can fail: the transfer fails, or the client refuses it because its queue is full."""
 
 
 class StrangePdo(ProcedureError):
-    """What a device says of a PDO cannot be: more entries than there are, objects that our dictionary of it lacks."""
+    """A device shows impossible settings of a PDO: more entries than allowed, or objects that its dictionary here lacks."""
 
 
 class PdoRefused(ProcedureError):
-    """A device did not take a PDO's settings, or not its old ones back. step: the one that failed, from 1 on, or that a cancel
-    met. restored: whether the device has its old settings."""
+    """A device refused new settings of a PDO, or its old ones. step: the number of the step that failed or was cancelled, from 1
+    on. restored: whether the device has its old settings."""
 
     def __init__(self, message: str, *, step: int, restored: bool) -> None:
         super().__init__(message)
@@ -39,16 +39,16 @@ class PdoRefused(ProcedureError):
 
 
 def read_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
-    """How a PDO of the device is set up now.
+    """Read the present settings of a PDO of the device.
 
-    Raises SdoFailed where the device has no such PDO, StrangePdo and UnexpectedLength for nonsense.
+    Raises SdoFailed if the device has no such PDO; StrangePdo or UnexpectedLength if its settings are impossible.
     """
     answers: dict[tuple[int, int], bytes] = {}
     fixed = objects_to_read(number, direction)
     sizes = dict(zip(fixed, (4, 1, 1), strict=True))  # COB-ID, transmission type, number of mapped objects
     for index, subindex in fixed:
         answers[index, subindex] = yield from _upload(node, index, subindex, sizes[index, subindex])
-    count = min(answers[fixed[-1]][0], MAX_ENTRIES + 1)  # from_read tells of too many
+    count = min(answers[fixed[-1]][0], MAX_ENTRIES + 1)  # from_read refuses too many
     if count <= MAX_ENTRIES:
         for index, subindex in objects_to_read(number, direction, count)[len(fixed) :]:
             answers[index, subindex] = yield from _upload(node, index, subindex, 4)
@@ -66,10 +66,10 @@ def _upload(node: RemoteNode, index: int, subindex: int, size: int) -> Procedure
 
 
 def configure_pdo(node: RemoteNode, settings: PdoSettings) -> Procedure[PdoSettings]:
-    """Set a PDO of the device up; its settings before that. The node must be pre-operational, as most devices ask.
+    """Write the settings of a PDO to the device; return its old settings. The node must be Pre-operational for most devices.
 
-    Raises PdoRefused, which names the step, the abort and what stands now; what `read_pdo` raises where the old settings could
-    not be read; then nothing was written.
+    Raises PdoRefused, which names the step, the abort and the settings in force now; or, as `read_pdo` does, an error while
+    reading the old settings: nothing was written then.
     """
     before = yield from read_pdo(node, settings.direction, settings.number)
     steps = settings.steps(before.cob_id)
@@ -100,8 +100,8 @@ def configure_pdo(node: RemoteNode, settings: PdoSettings) -> Procedure[PdoSetti
 
 
 def _put_back(node: RemoteNode, before: PdoSettings, settings: PdoSettings, done: int, count: int) -> Procedure[None]:
-    """Write the old settings. Whether the step behind the `done` ones was executed is not known: an answer may have been lost."""
-    standing = settings.cob_id if done == count - 1 else before.cob_id  # with which a strict device wants to be destroyed
+    """Write the old settings. The step after the `done` ones may have been executed: an answer may have been lost."""
+    standing = settings.cob_id if done == count - 1 else before.cob_id  # a strict device wants this COB-ID when it is destroyed
     for index, subindex, data in before.steps(standing):
         yield from download(node.sdo, index, subindex, data)
 
@@ -109,9 +109,9 @@ def _put_back(node: RemoteNode, before: PdoSettings, settings: PdoSettings, done
 def define_pdo(
     node: RemoteNode, description: PdoDescription, *, number: int | None = None, transmission_type: int = 1
 ) -> Procedure[PdoSettings]:
-    """Declare a PDO of PDOs.csv to the device and exchange it from then on (`RemoteNode.add_pdo`); the device's old settings.
+    """Write a PDO of PDOs.csv to the device, exchange it from then on (`RemoteNode.add_pdo`), and return its old settings.
 
-    An RPDO is not sent before `RemoteNode.enable_rpdo`. Raises as `configure_pdo`; then nothing has changed on our side.
+    An RPDO is not sent before `RemoteNode.enable_rpdo`. Raises as `configure_pdo`; nothing has changed on our side then.
     """
     settings = PdoSettings.from_description(description, node.node_id, transmission_type, number)
     before = yield from configure_pdo(node, settings)
@@ -122,9 +122,9 @@ def define_pdo(
 
 
 def use_device_pdo(node: RemoteNode, direction: Direction, number: int) -> Procedure[Mapping | None]:
-    """Exchange a PDO as the device has it set up: its mapping, or None where that PDO is not valid or carries nothing.
+    """Exchange a PDO with the device's own settings; return its mapping, or None if the PDO is not valid or carries nothing.
 
-    Raises SdoFailed, and StrangePdo where it makes no sense, or our dictionary of the device lacks what it maps.
+    Raises SdoFailed; StrangePdo if its settings are impossible, or if the node's dictionary lacks an object that it maps.
     """
     settings = yield from read_pdo(node, direction, number)
     if settings.cob_id & COB_ID_INVALID or not settings.entries:

@@ -1,15 +1,16 @@
-"""The PDOs that a device's own file describes: an EDS by its defaults, a DCF by what it configures.
+"""The PDOs that a device's own file describes: an EDS by its defaults, a DCF by its configured values.
 
 Theory of operation
 -------------------
-The PDO parameters of a dictionary (0x1400 to 0x1BFF) say how the device is set up, or is to be. `described_pdos` reads them
-there, without asking anybody. `exchange_described` makes them so: what the device has is read first; where it differs, the device
-is set up as the file says (`configure_pdo`), and then the PDO is exchanged. A device that was configured before is so only read.
+The PDO parameters of a dictionary (0x1400 to 0x1BFF) say which settings the device has, or shall have. `described_pdos` reads
+them from the dictionary and sends nothing. `exchange_described` first reads the device's settings. If they differ from the file,
+it writes the file's to the device (`configure_pdo`). Then it exchanges the PDO. So a device that was configured before is only
+read.
 
-Not all of them are exchanged, but those that serve: every TPDO that carries something we want to hear, and as few RPDOs as carry
-what we want to say. An RPDO also carries whatever else is mapped into it; two RPDOs with one object would contradict each other.
+Only useful PDOs are exchanged: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry our
+commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
 
-What stands in a file and cannot be (an object that is not there, more than 64 bits) is left out: lint tells of it.
+Impossible entries of a file (an object that does not exist, more than 64 bits) are left out: lint reports them.
 
 Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
@@ -33,7 +34,7 @@ CYCLIC_TYPES: Final = range(1, 241)
 
 
 def described_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
-    """The valid PDOs that the dictionary's own records describe for a device of that node-ID, RPDOs first."""
+    """Return the valid PDOs that the dictionary's records describe for a device with this node-ID, RPDOs first."""
     found = []
     for index in dictionary.objects:
         place = place_of(index)
@@ -52,7 +53,7 @@ def described_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettin
 def choose_pdos(
     pdos: Collection[PdoSettings], commands: Collection[int], feedback: Collection[int]
 ) -> tuple[list[PdoSettings], list[int]]:
-    """The PDOs that serve, and which of `commands` none of them carries. commands, feedback: muxes of what is said and heard."""
+    """Return the useful PDOs, and the `commands` that none of them carries. commands, feedback: muxes to send and to hear."""
     chosen = [pdo for pdo in pdos if pdo.direction is Direction.TPDO and _muxes(pdo) & set(feedback)]
     missing = list(commands)
     candidates = [pdo for pdo in pdos if pdo.direction is Direction.RPDO]
@@ -69,14 +70,14 @@ def choose_pdos(
 
 
 class Exchanged(NamedTuple):
-    """What `exchange_described` has done. missing: muxes of commands that no RPDO carries."""
+    """The result of `exchange_described`. missing: muxes of commands that no RPDO carries."""
 
     pdos: list[PdoSettings]
     missing: list[int]
 
     @property
     def cyclic(self) -> dict[int, int]:
-        """What the device sends at SYNCs, unasked: mux -> at every how many of them."""
+        """The objects that the device sends at SYNCs: mux -> n for "at every n-th SYNC"."""
         tpdos = (each for each in self.pdos if each.direction is Direction.TPDO and each.transmission_type in CYCLIC_TYPES)
         cyclic: dict[int, int] = {}
         for tpdo in tpdos:
@@ -86,12 +87,12 @@ class Exchanged(NamedTuple):
 
 
 def exchange_described(node: RemoteNode, commands: Collection[int], feedback: Collection[int]) -> Procedure[Exchanged]:
-    """Exchange the PDOs of the node's dictionary that serve; see `choose_pdos`.
+    """Exchange the useful PDOs of the node's dictionary; see `choose_pdos`.
 
-    The node should be pre-operational: most devices take new settings only then. An RPDO is not sent before
-    `RemoteNode.enable_rpdo`; one that acts at once when it comes (types 254 and 255) is sent at each SYNC all the same. Raises
-    SdoFailed, StrangePdo and UnexpectedLength where the device's settings cannot be read, PdoRefused where it does not take
-    the file's.
+    The node should be Pre-operational: most devices accept new settings only then. An RPDO is not sent before
+    `RemoteNode.enable_rpdo`. An event-driven RPDO (types 254 and 255), which acts as soon as it comes, is sent at each SYNC too.
+    Raises SdoFailed, StrangePdo or UnexpectedLength if the device's settings cannot be read; PdoRefused if the device refuses the
+    file's.
     """
     chosen, missing = choose_pdos(described_pdos(node.dictionary, node.node_id), commands, feedback)
     for settings in chosen:
@@ -104,7 +105,7 @@ def exchange_described(node: RemoteNode, commands: Collection[int], feedback: Co
 
 def _exchange(node: RemoteNode, settings: PdoSettings, now: int) -> None:
     mapping, key = _mapping_of(settings, node.dictionary), key_of_cob_id(settings.cob_id)
-    assert mapping is not None  # described_pdos has looked
+    assert mapping is not None  # described_pdos has checked it
     if settings.direction is Direction.TPDO:
         node.add_tpdo(settings.number, key, mapping, now)
     else:
@@ -120,7 +121,7 @@ def _mapping_of(settings: PdoSettings, dictionary: ObjectDictionary) -> Mapping 
 
 
 def _entries(dictionary: ObjectDictionary, index: int, node_id: int) -> tuple[int, ...]:
-    """The mapping; nothing where an entry is not there, or is none."""
+    """Return the mapping's entries; none at all if one is missing or 0."""
     count = _initial(dictionary, index, 0, node_id) or 0
     if not 0 < count <= MAX_ENTRIES:
         return ()

@@ -1,7 +1,7 @@
-"""The PDOs of a device as it has them set up, compared with what its dictionary describes.
+"""The PDOs with the device's own settings, compared with those that its dictionary describes.
 
-The bytes of a PDO mean what the device's mapping says. Where the file says something else, values would be wrong without anybody
-seeing it: so the device is asked, its own mapping is used, and each difference is told.
+The device's mapping decides what the bytes of a PDO mean. If the file says something else, values would be wrong and nobody would
+notice. So the device's own mapping is read and used, and each difference is reported.
 
 Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
@@ -26,7 +26,7 @@ from canopen_proto.remote_node import RemoteNode
 
 @dataclass(frozen=True, slots=True)
 class PdoDifference:
-    """A PDO that the device has set up otherwise than its dictionary describes. None: not valid, or not there."""
+    """A PDO whose settings in the device differ from its dictionary's. None: not valid, or not there."""
 
     direction: Direction
     number: int
@@ -38,12 +38,12 @@ class PdoDifference:
 
 
 def exchange_device_pdos(node: RemoteNode) -> Procedure[tuple[PdoDifference, ...]]:
-    """Exchange the PDOs that the dictionary has records for, as the device has them set up; how that differs from the dictionary.
+    """Exchange the PDOs that the dictionary has records for, with the device's settings; return where the dictionary differs.
 
-    A TPDO is received from now on. Of an RPDO, the present values of its objects are read first, so that enabling it
-    (`RemoteNode.enable_rpdo`) sends what stands; until then it is not sent. One that our dictionary cannot describe keeps its
-    place, with unsigned numbers for the objects that are missing there. MPDOs are left out. Raises SdoFailed where the device
-    does not answer, StrangePdo, UnexpectedLength.
+    A TPDO is received from now on. For an RPDO, the present values of its objects are read first, so that it sends these once it
+    is enabled (`RemoteNode.enable_rpdo`); until then it is not sent. A PDO that maps objects which the dictionary lacks is
+    exchanged too; they become unsigned numbers. MPDOs are left out. Raises SdoFailed if the device does not answer; StrangePdo,
+    UnexpectedLength.
     """
     described = {(pdo.direction, pdo.number): pdo for pdo in described_pdos(node.dictionary, node.node_id)}
     differences = []
@@ -55,7 +55,7 @@ def exchange_device_pdos(node: RemoteNode) -> Procedure[tuple[PdoDifference, ...
                 raise
             present = None
         except StrangePdo:
-            continue  # an MPDO, or nonsense: no mapping that we could go by
+            continue  # an MPDO, or impossible settings: there is no mapping to use
         wanted = described.get((direction, number))
         if _place_and_objects(present) != _place_and_objects(wanted):
             differences.append(PdoDifference(direction, number, wanted, present))
@@ -97,7 +97,7 @@ def _exchange(node: RemoteNode, settings: PdoSettings) -> Procedure[None]:
             yield from read_if_present(node, (entry.index, entry.subindex))
         except SdoFailed as failed:
             if failed.origin is not AbortOrigin.PEER:
-                raise  # else it cannot be read, such as a write-only command: then 0 stands there
+                raise  # else it cannot be read (a write-only command, say), and 0 is sent for it
     yield from act(lambda now: node.add_rpdo(settings.number, key, mapping, kind if kind in CYCLIC_TYPES else EACH_SYNC))
 
 

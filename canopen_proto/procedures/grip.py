@@ -1,26 +1,27 @@
-"""The dead man's grip, for one drive: the drive watches over its master, and stops by itself when the master falls silent.
+"""The dead man's grip for one drive: the drive watches its master, and stops by itself if the master falls silent.
 
 Theory of operation
 -------------------
-`take_hold` sets two things in a drive, before it is enabled. All of it goes by SDO to the objects of the standard, whatever the
-dictionary of the node says; each is read first, and read back after it was written.
+`take_hold` sets two things in a drive before it is enabled. It writes by SDO to the objects of the standard, whatever the node's
+dictionary says. Each object is read first, and read back after the write.
 
-    who is watched      0x1016: an entry with the master's node-ID and the time within which its heartbeat has to come. An entry
-                        of that ID is used again, else a free one; those of other nodes stay. A drive that has no 0x1016, or no
-                        room there, gets life guarding instead, if it has that: 0x1017 = 0, 0x100C and 0x100D, and from then on
-                        the master asks it by remote frames. It counts once the drive has answered.
-    what follows        0x6007, the abort connection option code: 3, quick stop
+    the watch           0x1016: an entry with the master's node-ID and the time within which its heartbeat must come. An entry
+                        with this node-ID is used again, else a free one; entries of other nodes stay. A drive without 0x1016,
+                        or without a free entry, gets life guarding instead, if it has it: 0x1017 = 0, 0x100C and 0x100D. From
+                        then on the master guards it by remote frames. Guarding counts once the drive has answered.
+    the reaction        0x6007, the abort connection option code: 3, quick stop
 
 The master's heartbeat has to run before that (`OwnHeartbeat`): a drive watches from the first heartbeat that it hears.
 
-`Hold.before` keeps the old values. `release` writes them back, when the drive stands. It frees an entry that `take_hold` found
-as it would write it: a master that died has left it. A drive that boots has its values of power-on, and is no longer held. Its
-boot-up may be lost. So `take_hold` runs each time that the drive is enabled, and writes only what the drive has lost.
+`Hold.before` keeps the old values. `release` writes them back, once the drive stands. If `take_hold` found an entry exactly as it
+would write it, a master that died has left it, and `release` frees it. A drive that boots has its power-on values, and is no
+longer held. Its boot-up may be lost. So `take_hold` runs each time that the drive is enabled, and writes only what the drive has
+lost.
 
-Guarding that runs already belongs to somebody else: the drive is told those times, and the guarding stays as it is.
+Guarding that already runs was started elsewhere: its times are written to the drive, and the guarding stays as it is.
 
-`Hold.gap` says why a drive will not stop by itself: it has none of these objects, or refuses what is written, or shows something
-else when it is read back. That is no failure here; `Grip.required` makes it one.
+`Hold.gap` says why a drive will not stop by itself: it lacks these objects, refuses a write, or shows another value when it is
+read back. This is no failure, unless `Grip.required` is set.
 
 Source: CiA 301 v4.2.0, 7.5.2.19 (0x1016), 7.5.2.11 and 7.5.2.12 (guarding), 7.2.8.3.2; IEC 61800-7-201 (0x6007).
 """
@@ -59,12 +60,12 @@ MAX_CONSUMER_TIME: Final = 0xFFFF * MILLISECOND
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """How drives notice that their master is gone.
+    """The settings by which drives notice that their master is gone.
 
-    node_id: 1..127, under which the master sends its heartbeat; no other node of the bus may have it. period: ns between two
-    heartbeats, whole ms. timeout: ns, whole ms, at least two periods, 65.535 s at most: a drive that hears none for so long
-    stops. abort_connection: what is written to 0x6007; 3 is the quick stop of CiA 402, some makers have it as 2. required: a
-    drive that will not stop by itself is not enabled. LocalProtocolError for other values.
+    node_id: 1..127, the master sends its heartbeat with it; no other node of the bus may have it. period: ns between two
+    heartbeats, whole ms. timeout: ns, whole ms, at least two periods, at most 65.535 s; a drive that hears no heartbeat for this
+    long stops. abort_connection: written to 0x6007; 3 is the quick stop of CiA 402, some makers use 2. required: do not enable a
+    drive that will not stop by itself. Raises LocalProtocolError for other values.
     """
 
     node_id: int = 127
@@ -84,7 +85,7 @@ class Grip:
 
     @property
     def entry(self) -> int:
-        """What 0x1016 has to hold: node-ID << 16 | ms."""
+        """The entry for 0x1016: node-ID << 16 | ms."""
         return self.node_id << 16 | self.timeout // MILLISECOND
 
 
@@ -92,12 +93,12 @@ DEFAULT_GRIP: Final = Grip()
 
 
 class NotHeldError(ProcedureError):
-    """A drive will not stop by itself when its master is gone, and `Grip.required` says that it must."""
+    """A drive will not stop by itself if its master is gone, although `Grip.required` demands it."""
 
 
 class Hold:
-    """What was done with one drive. before: the bytes of what was changed, by (index, subindex), in the order of the changes.
-    gap: why it will not stop by itself; "" if it will. is_taken: `take_hold` came to its end. guards: the guarding is ours."""
+    """The hold on one drive. before: the old bytes of changed objects, by (index, subindex), in the order of the changes.
+    gap: why the drive will not stop by itself; "" if it will. is_taken: `take_hold` has ended. guards: the guarding is ours."""
 
     __slots__ = ("before", "gap", "guards", "is_taken", "node")
 
@@ -109,27 +110,28 @@ class Hold:
         self.is_taken = False
 
     def forget(self) -> None:
-        """The drive has booted: nothing that was set is there any more."""
+        """Forget the old values: the drive has booted and lost what was set."""
         self.before.clear()
         self.gap = ""
         self.is_taken = False
         self.stop_guarding()
 
     def stop_guarding(self) -> None:
-        """End the guarding, if it is ours."""
+        """Stop the guarding, if it is ours."""
         if self.guards:
             self.guards = False
             self.node.stop_guarding()
 
 
 class _Gap(Exception):
-    """Why it cannot be done; never leaves this module."""
+    """The drive cannot be held, and why; never leaves this module."""
 
 
 def take_hold(hold: Hold, grip: Grip) -> Procedure[None]:
-    """Have the drive stop by itself when the master's heartbeat (or its guarding) stays away. See this module's text.
+    """Make the drive stop by itself if the master's heartbeat (or its guarding) stays away. See this module's text.
 
-    Where the drive cannot, `hold.gap` says why. Raises SdoFailed for a drive that does not answer, NotHeldError if required.
+    If the drive cannot, `hold.gap` says why. Raises SdoFailed if the drive does not answer; NotHeldError if it cannot, and
+    `grip.required` is set.
     """
     gaps = []
     for make in (_watch_master, _set_reaction):
@@ -144,25 +146,25 @@ def take_hold(hold: Hold, grip: Grip) -> Procedure[None]:
 
 
 def not_held(hold: Hold) -> NotHeldError:
-    """What to raise for a drive with a gap."""
+    """Return the error to raise for a drive with a gap."""
     return NotHeldError(f"drive {hold.node.node_id} would not stop by itself if this master fell silent: {hold.gap}")
 
 
 def release(hold: Hold) -> Procedure[None]:
-    """Put back what `take_hold` found, the last change first. The drive has to stand: nobody watches it any more.
+    """Write back the values that `take_hold` found, the last change first. The drive must stand: it no longer watches its master.
 
-    Raises SdoFailed where that cannot be written; the rest then stays in `hold.before`.
+    Raises SdoFailed if a write fails; the rest then stays in `hold.before`.
     """
     hold.is_taken = False
     yield from _put_back(hold)
     hold.forget()
 
 
-# ---- who is watched ----
+# ---- the watch ----
 
 
 def _watch_master(hold: Hold, grip: Grip) -> Procedure[None]:
-    """By its heartbeat, else by its guarding."""
+    """Make the drive watch the master by its heartbeat, else by its guarding."""
     try:
         yield from _consume_heartbeat(hold, grip)
     except _Gap as no_heartbeat:
@@ -193,7 +195,7 @@ def _consume_heartbeat(hold: Hold, grip: Grip) -> Procedure[None]:
 
 
 def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
-    """Life guarding: the drive watches over the master's requests. What was changed for it is put back where it fails."""
+    """Set up life guarding: the drive watches for the master's requests. If that fails, write back what was changed for it."""
     node, kept = hold.node, len(hold.before)
     factor = min(max(MIN_LIFE_TIME_FACTOR, -(-grip.timeout // grip.period)), MAX_LIFE_TIME_FACTOR)
     guard_time = max(1, grip.timeout // factor // MILLISECOND)
@@ -202,7 +204,7 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
         guard_time, factor = -(-node.guarding.guard_time // MILLISECOND), MIN_LIFE_TIME_FACTOR
     try:
         yield from _read(hold, LIFE_TIME_FACTOR, 0)
-        if (yield from _read_if_present(hold, PRODUCER_HEARTBEAT, 0)):  # else it has none, or none runs
+        if (yield from _read_if_present(hold, PRODUCER_HEARTBEAT, 0)):  # else it has no heartbeat, or does not send it
             yield from _set(hold, PRODUCER_HEARTBEAT, 0, 0, 2)
         yield from _set(hold, GUARD_TIME, 0, guard_time, 2)
         yield from _set(hold, LIFE_TIME_FACTOR, 0, factor, 1)
@@ -219,7 +221,7 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
         raise
 
 
-# ---- what follows ----
+# ---- the reaction ----
 
 
 def _set_reaction(hold: Hold, grip: Grip) -> Procedure[None]:
@@ -230,7 +232,7 @@ def _set_reaction(hold: Hold, grip: Grip) -> Procedure[None]:
 
 
 def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Procedure[None]:
-    """Write an object that has another value, read it back, and keep what was there."""
+    """Write an object if it has another value, read it back, and keep the old value."""
     key, label = (index, subindex), _label(index, subindex)
     wanted = value.to_bytes(size, "little", signed=value < 0)
     found = yield from _upload(hold, index, subindex)
@@ -240,7 +242,7 @@ def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Proced
         return
     is_first = key not in hold.before
     if is_first:
-        hold.before[key] = found  # before the write: one without an answer may have been executed
+        hold.before[key] = found  # before the write: a write without an answer may have been executed
     try:
         yield from download(hold.node.sdo, index, subindex, wanted)
     except SdoFailed as failed:
@@ -255,7 +257,7 @@ def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Proced
 
 
 def _put_back(hold: Hold, kept: int = 0) -> Procedure[None]:
-    """Write back all but the first `kept` of what was changed, the last change first."""
+    """Write back the old values, the last change first, except the first `kept` ones."""
     while len(hold.before) > kept:
         (index, subindex), data = next(reversed(hold.before.items()))
         yield from download(hold.node.sdo, index, subindex, data)
@@ -275,7 +277,7 @@ def _read_if_present(hold: Hold, index: int, subindex: int) -> Procedure[int | N
 
 
 def _upload(hold: Hold, index: int, subindex: int) -> Procedure[bytes | None]:
-    """The bytes of an object; None where the drive does not have it, or does not show it."""
+    """Read an object; return its bytes, None if the drive does not have it or does not show it."""
     try:
         return (yield from upload(hold.node.sdo, index, subindex))
     except SdoFailed as failed:

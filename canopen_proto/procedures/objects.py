@@ -1,4 +1,4 @@
-"""Procedures over the objects of one node, by name and value: what `steps.upload` and `steps.download` do with bytes."""
+"""Procedures that read and write the objects of one node by name and value; `steps.upload` and `steps.download` use bytes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
-"""What a device answers that does not have an object."""
+"""The abort codes of a device that does not have an object."""
 
 
 class UnexpectedLength(ProcedureError):
-    """A node sent an object with a length that is not that of its type."""
+    """A node sent an object whose length does not fit its type."""
 
 
 def read(node: RemoteNode, key: Key) -> Procedure[Value]:
-    """Read an object by SDO; its value, which `node.values` then holds too. Raises SdoFailed, UnexpectedLength."""
+    """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoFailed, UnexpectedLength."""
     variable = node.dictionary.variable(key)
     outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
     if isinstance(outcome, SdoUploaded):
@@ -39,14 +39,14 @@ def value_of(node: RemoteNode, variable: Variable, uploaded: SdoUploaded) -> Val
 
 
 def read_int(node: RemoteNode, key: Key) -> Procedure[int]:
-    """Read an object that holds an integer."""
+    """Read an object that holds an integer, and return it."""
     value = yield from read(node, key)
     assert isinstance(value, int)
     return value
 
 
 def read_if_present(node: RemoteNode, key: Key) -> Procedure[Value | None]:
-    """Read an object; None where the dictionary or the device does not have it. Raises SdoFailed for any other abort."""
+    """Read an object; return None if the dictionary or the device does not have it. Raises SdoFailed for any other abort."""
     if key not in node.dictionary:
         return None
     try:
@@ -60,7 +60,7 @@ def read_if_present(node: RemoteNode, key: Key) -> Procedure[Value | None]:
 def write(node: RemoteNode, key: Key, value: Value) -> Procedure[None]:
     """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoFailed.
 
-    Raises LocalProtocolError or ValueRangeError, with nothing sent, for what the dictionary forbids.
+    Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.
     """
     outcome: Outcome = yield Request(node, lambda now, urgent: node.write(key, value, now, urgent=urgent))
     if not isinstance(outcome, SdoDownloaded):

@@ -1,30 +1,30 @@
-"""Setting a node to given values: the restore of a backup, the download of a DCF.
+"""Set a node to given values: the restore of a backup, the download of a DCF.
 
 Theory of operation
 -------------------
-Two procedures. `plan_restore` only reads: it compares what the node has with what it is to have, and gives the writes that lead
-from the one to the other, in the order of download_order.py (services off, PDOs first; communication; application; services on
-again). `restore` carries a plan out:
+Two procedures. `plan_restore` only reads: it compares the node's values with the wanted ones, and returns the writes that change
+the one to the other, in the order of download_order.py (services off, PDOs first; communication; application; services on again).
+`restore` carries a plan out:
 
     1. find out in which NMT state the node is, by its heartbeat
-    2. to Pre-operational: no PDO lives while the settings change
-    3. the writes, one after the other, each read back if asked for
+    2. command Pre-operational: no PDO is active while the settings change
+    3. write one object after the other, each read back if asked for
     4. store (0x1010:01 = "save"), if asked for
-    5. back to the NMT state of 1., if all went well
+    5. command the NMT state of 1. again, if all went well
 
-**When something fails**, or the procedure is cancelled, it stops there. Nothing half-done comes alive: the node stays
-Pre-operational (it is told so once more: the first command may have been lost, or somebody else may have started it meanwhile),
-and the PDOs that were to be changed are still destroyed, since they are created last. `Restoration` tells what was written, what
-not, and which write is in doubt. A write that got no answer may have been executed; it is not sent again, whoever restores may
-look and begin anew: what is right already is not written then.
+**If a step fails**, or the procedure is cancelled, it stops there. Nothing half done becomes active: the node stays
+Pre-operational, and the PDOs that were to be changed are still destroyed, since they are created last. (Pre-operational is
+commanded once more: the first command may have been lost, or another master may have started the node meanwhile.) `Restoration`
+says what was written, what was not, and which write is in doubt. A write without an answer may have been executed; it is not sent
+again. The caller may plan and restore once more: values that are right by then are not written.
 
-Nobody confirms an NMT command but the node's heartbeat. Where the node has one, it is waited for, and a command that it does not
-follow is repeated. Where it has none, the state before is not known, and the node stays Pre-operational.
+Only the node's heartbeat confirms an NMT command. If the node has one, it is awaited, and a command that the node does not follow
+is repeated. If it has none, the state before is not known, and the node stays Pre-operational.
 
-Only what differs is written, unless asked otherwise: fewer writes, fewer refusals, and an object that a device does not take back
-although it reads as it was does no harm. Of a PDO's mapping all is written, or nothing. An object that is readable, but could not
-be read, is left alone, and so is all that depends on it (the records of a PDO whose COB-ID could not be read): a failed read says
-nothing of what the object holds.
+Only values that differ are written, unless asked otherwise: this means fewer writes and fewer refusals, and an object that a
+device refuses although it already has the value does no harm. The mapping of a PDO is written as a whole, or not at all. An
+object that is readable but could not be read is left alone, and so is all that depends on it (the records of a PDO whose COB-ID
+could not be read): a failed read says nothing about what the object holds.
 
 Source: CiA 302-3 (configuration of a device); CiA 301 v4.2.0, 7.5.2.13, 7.5.2.36, 7.3.2.2.
 """
@@ -61,11 +61,11 @@ from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
 from canopen_proto.sdo.client import Block
 
 STORE_TIMEOUT: Final = 10 * SECOND
-"""For the answer to "save": devices write flash memory before they give it, some for seconds."""
+"""For the answer to "save": devices write flash memory before they answer, some for seconds."""
 NMT_TRIES: Final = 3
-"""How often an NMT command is sent that the heartbeat does not show."""
+"""How often an NMT command is sent, at most, until the heartbeat shows the state."""
 HEARTBEAT_MARGIN: Final = 100 * MILLISECOND
-"""Beyond one and a half heartbeat times, until a heartbeat counts as missing."""
+"""A heartbeat counts as missing after one and a half heartbeat times plus this."""
 MAX_HEARTBEAT_WAIT: Final = 10 * SECOND
 """For one heartbeat; 0x1017 allows 65 s, which nobody uses."""
 
@@ -75,7 +75,7 @@ _PDO_COB_IDS: Final = frozenset(index << 8 | 1 for index in (*range(0x1400, 0x16
 _PDO_RECORDS: Final = range(0x1400, 0x1C00)
 _TO_MAPPING: Final = 0x200
 NOT_READ: Final = "could not be read"
-"""Why a plan leaves an object out: nobody knows what it holds."""
+"""Why a plan leaves an object out: its present value is not known."""
 _MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _COMMAND_TO: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
@@ -83,12 +83,12 @@ _COMMAND_TO: Final = {
     NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,
 }
 _FAILURES: Final = (ProcedureError, LocalProtocolError)
-"""How a step can fail: the transfer, or before that the client whose queue is full."""
+"""How a step can fail: the transfer fails, or the client refuses it because its queue is full."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedWrite:
-    """One write. data: its bytes; before: what the object holds then, as far as that is known. The same object may be written
+    """One write. data: the bytes to write; before: the object's bytes just before it, None if not known. An object may be written
     twice: a COB-ID first invalid, later valid."""
 
     variable: Variable
@@ -101,14 +101,14 @@ class PlannedWrite:
 
     @property
     def value_before(self) -> Value | None:
-        """None: not known."""
+        """The value before the write; None if it is not known."""
         return None if self.before is None else self.variable.decode(self.before)
 
 
 @dataclass(frozen=True, slots=True)
 class RestorePlan:
-    """What is to be written to a node, in this order. left_out: why a value is not written, by mux. equal: how many objects have
-    their value already. standing: what the node had, by mux. unread: what could not be read although it should, by mux."""
+    """The writes for a node, in order. left_out: why a value is not written, by mux. equal: the number of objects that have their
+    value already. standing: the node's values before, by mux. unread: muxes that should have been read and could not be."""
 
     node_id: int
     writes: tuple[PlannedWrite, ...]
@@ -120,11 +120,11 @@ class RestorePlan:
 
 @dataclass(slots=True)
 class Restoration:
-    """How far a restore has come. It may be looked at meanwhile, and after a failure or a cancel.
+    """The progress of a restore. It may be read while the restore runs, and after a failure or a cancel.
 
-    written: how many writes of the plan were confirmed. in_doubt: the one that was under way and got no answer, or None: it may
-    have been executed. state_before: the node's NMT state at the start, None where it was not known. state: the one that it was
-    put into last (None: none yet). stored: whether "save" was confirmed. is_done: all went well.
+    written: the number of writes that were confirmed. in_doubt: the write that got no answer and may have been executed, or None.
+    state_before: the node's NMT state at the start, None if it was not known. state: the state that was commanded last (None:
+    none yet). stored: whether "save" was confirmed. is_done: all went well.
     """
 
     plan: RestorePlan
@@ -147,13 +147,13 @@ class Restoration:
 
     @property
     def pdos_off(self) -> tuple[Variable, ...]:
-        """The COB-IDs of the PDOs that were to live again, and do not."""
+        """The COB-IDs of the PDOs that should be valid again, and are not."""
         off = {each.variable.mux for each in self.done if each.variable.mux in _PDO_COB_IDS}
         return tuple(each.variable for each in self.open if each.variable.mux in off)
 
 
 class RestoreFailed(ProcedureError):
-    """A restore ended before its end. restoration: how far it came; the reason is its __cause__, where a step failed."""
+    """A restore did not come to its end. restoration: its progress. If a step failed, __cause__ is that error."""
 
     def __init__(self, message: str, restoration: Restoration) -> None:
         super().__init__(message)
@@ -161,7 +161,7 @@ class RestoreFailed(ProcedureError):
 
 
 class VerifyMismatch(ProcedureError):
-    """What was written reads back as something else."""
+    """An object reads back as something else than was written."""
 
     def __init__(self, node_id: int, write: PlannedWrite, shown: bytes) -> None:
         super().__init__(f"node {node_id} took {write.data.hex()} for {write.variable.label}, but shows {shown.hex()}")
@@ -196,12 +196,12 @@ def plan_restore(
     process_data: bool = False,
     skip: Collection[int] = (),
 ) -> Procedure[RestorePlan]:
-    """What has to be written to the node so that it has these values, by mux of the dictionary. Nothing is written.
+    """Read the node and return the writes that give it these values, by mux of the dictionary. Nothing is written.
 
-    everything: also what it has already, but not what could not be read. process_data: also set-points and outputs (see
-    dictionary/roles.py). skip: muxes that are left out. Sends reads only; an ObjectRead event follows for each. Raises SdoFailed
-    where the device is gone, and before anything is sent ObjectNotFound and ValueRangeError where a value is none of the
-    dictionary.
+    everything: also write values that it has already, but not objects that could not be read. process_data: also write set-points
+    and outputs (see dictionary/roles.py). skip: muxes to leave out. An ObjectRead event follows for each read. Raises
+    ObjectNotFound or ValueRangeError, with nothing sent, for an object or a value that the dictionary does not allow; SdoFailed
+    if the device is gone.
     """
     roles = roles_in(dictionary, values)
     left_out = dict(download_order(dictionary, values, node.node_id).left_out)
@@ -240,7 +240,7 @@ def plan_restore(
 
 
 def _concerned(dictionary: ObjectDictionary, wanted: Mapping[int, Value]) -> list[Variable]:
-    """What has to be known: the objects themselves, and what must be off when they are written."""
+    """Return the objects to read: the wanted ones, and those that must be off while these are written."""
     muxes = set(wanted)
     for key in wanted:
         muxes.update(switches_of(key))
@@ -256,13 +256,13 @@ def _absent(backup: Backup, wanted: Mapping[int, Value]) -> list[int]:
 
 
 def _says_nothing(reading: Reading) -> bool:
-    """Whether an object could not be read. Bytes that are no value of its type, but as many, show that it holds another one."""
+    """Return whether an object could not be read. Bytes of the right length that are no value of its type count as read."""
     size = reading.variable.size
     return reading.result.is_missing and (reading.data is None or (size is not None and len(reading.data) != size))
 
 
 def _blind(wanted: Mapping[int, Value], unread: Collection[int]) -> list[int]:
-    """What would be written without knowing what stands there now, or what has to be off meanwhile. A PDO is one thing: its two
+    """Return the wanted muxes whose present value is not known, or that depend on an unknown one. A PDO is one unit: its two
     records depend on each other."""
 
     def unit(key: int) -> int:
@@ -285,12 +285,12 @@ def restore(
     verify: bool = False,
     store: bool = False,
 ) -> Procedure[Restoration]:
-    """Carry a plan out. A plan without writes is nothing to do, unless to store.
+    """Carry a plan out. A plan without writes does nothing, unless `store` is set.
 
-    nmt: the NMT master of the node's network. restoration: where to note how far it has come; a caller that may cancel keeps it.
-    verify: read each object back (write-only ones cannot be). store: have the device keep its parameters, at the end.
+    nmt: the NMT master of the node's network. restoration: takes the progress; a caller that may cancel keeps it. verify: read
+    each object back (except write-only ones). store: make the device store its parameters at the end.
 
-    An ObjectRestored event follows for each write. Raises RestoreFailed; see this module's text for what then stands.
+    An ObjectRestored event follows for each write. Raises RestoreFailed; this module's text says which state the node is in then.
     """
     so_far = Restoration(plan) if restoration is None else restoration
     if not plan.writes and not store:
@@ -340,7 +340,7 @@ def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restorat
 
 
 def _shows(variable: Variable, shown: bytes, written: bytes) -> bool:
-    """Whether a device shows what was written to it. It may fill a text up to the length that its memory has."""
+    """Return whether a device shows what was written. It may fill a text up to the length of its memory."""
     if shown == written:
         return True
     if variable.data_type is DataType.VISIBLE_STRING:
@@ -352,7 +352,7 @@ def _shows(variable: Variable, shown: bytes, written: bytes) -> bool:
 
 
 def _check_store(node: RemoteNode) -> Procedure[None]:
-    """Before anything is written: whether it could be stored."""
+    """Check, before anything is written, that the device can store. Raises ProcedureError if it cannot."""
     try:
         capability = int.from_bytes((yield from upload_again(node, STORE, 1, False)), "little")
     except SdoFailed as failed:
@@ -376,18 +376,18 @@ def _store(node: RemoteNode, so_far: Restoration) -> Procedure[None]:
 
 
 def _find_state(node: RemoteNode) -> Procedure[tuple[NmtState | None, Time]]:
-    """The node's NMT state by its heartbeat, and after how many ns that is missing; None and 0 where the node sends none.
+    """Return the node's NMT state by its heartbeat, and after how many ns that counts as missing; None and 0 if it sends none.
 
-    What we only commanded does not count: nobody has confirmed it."""
+    A state that we commanded does not count: the node has not confirmed it."""
     if node.nmt_state is NmtState.STOPPED:
-        return NmtState.STOPPED, 0  # it has no SDO to be asked by
+        return NmtState.STOPPED, 0  # it has no SDO in this state, so 0x1017 cannot be read
     limit = yield from _heartbeat_limit(node)
     if not limit:
         return None, 0
     try:
         heard = yield from wait_for_event(node, HeartbeatReceived, limit, "a heartbeat", _is_of(node))
     except StepTimeout:
-        return None, 0  # 0x1017 promises what the device does not do
+        return None, 0  # the device does not keep to its 0x1017
     return heard.state, limit
 
 
@@ -396,7 +396,7 @@ def _is_of(node: RemoteNode, state: NmtState | None = None) -> _Match:
 
 
 def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
-    """After how many ns a heartbeat is missing; 0 where the node sends none."""
+    """Return after how many ns a heartbeat counts as missing; 0 if the node sends none."""
     try:
         period = int.from_bytes((yield from upload_again(node, _HEARTBEAT, 0, False)), "little") * MILLISECOND
     except SdoFailed as failed:
@@ -407,7 +407,7 @@ def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
 
 
 def _to_state(node: RemoteNode, nmt: NmtMaster, state: NmtState, limit: Time, so_far: Restoration) -> Procedure[None]:
-    """Command a state, and see by the heartbeat that it is there. limit: after how many ns one is missing, 0: there is none."""
+    """Command a state and await a heartbeat that shows it. limit: ns until a heartbeat counts as missing; 0: it sends none."""
     so_far.state = state
     for _ in range(NMT_TRIES):
         yield from act(lambda now: nmt.send(_COMMAND_TO[state], node.node_id, now))
@@ -424,7 +424,7 @@ def _to_state(node: RemoteNode, nmt: NmtMaster, state: NmtState, limit: Time, so
 
 
 def _stay(node: RemoteNode, nmt: NmtMaster, so_far: Restoration) -> Procedure[None]:
-    """What is half done does not come alive."""
+    """Command Pre-operational again, so that nothing half done becomes active."""
     if so_far.state is not None:
         so_far.state = NmtState.PRE_OPERATIONAL
         yield from act(lambda now: nmt.enter_pre_operational(node.node_id, now))

@@ -1,16 +1,16 @@
 """`Runner`: runs procedures over one or more Networks.
 
 A running procedure is a task: a generator and the one step that it waits for. `all_of` makes child tasks. A task that was started
-by `start` ends in one event, sent through the outbox of the Runner: ProcedureFinished, ProcedureFailed, ProcedureCancelled.
+by `start` ends in one event, sent through the outbox of the Runner: ProcedureFinished, ProcedureFailed or ProcedureCancelled.
 
-Cancelling a task (`cancel`, or a failure beside it under `all_of`): its children are cancelled first and waited for; or its step
-is taken back (a queued request is dropped, one under way is aborted on the wire); then `Cancelled` is thrown into the generator.
-Steps that it yields after that, and those of the procedures that it runs then, are urgent (before all queued requests of their
-node), and the whole clean-up of a task has CLEAN_UP_TIME, or more if it asks for more (`ask_for_time`). A task that is cancelled
-by its own code or step gets Cancelled at the yield that it is at or comes to. A second cancel does nothing.
+A task is cancelled by `cancel`, or by the failure of a sibling under `all_of`. First its children are cancelled and awaited, or
+its step is cancelled (a queued request is dropped, one under way is aborted on the wire). Then `Cancelled` is thrown into the
+generator. The steps that follow, also those of procedures that the clean-up runs, are urgent: they go before all queued requests
+of their node. The whole clean-up of a task has CLEAN_UP_TIME, or more if it asks for more (`ask_for_time`). A task that is
+cancelled by its own code or step gets Cancelled at its present or next yield. A second cancel does nothing.
 
-When the time is over, a task is closed where it stands. One that still waited for its children to clean up gets Cancelled first:
-what it can do at once (a halt by PDO) still goes out.
+When the time is over, the task is closed at its present yield. If it still waits for its children to clean up, it gets Cancelled
+first: so a command that needs no wait (a halt by PDO) still goes out.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from canopen_proto.sdo.events import SdoProgress
 T = TypeVar("T")
 
 CLEAN_UP_TIME: Final = 1 * SECOND
-"""What a cancelled procedure's clean-up may take if it asks for no more: a dead node must not hold up a shutdown."""
+"""How long the clean-up of a cancelled procedure may take, unless it asks for more: a dead node must not delay a shutdown."""
 
 
 class ProcedureFinished(Outcome):
-    """A procedure came to its end; `result` is what it returned."""
+    """A procedure came to its end. result: its return value."""
 
     __slots__ = ("result",)
     __match_args__ = ("node_id", "request_id", "result")
@@ -41,7 +41,7 @@ class ProcedureFinished(Outcome):
 
 
 class ProcedureFailed(Outcome):
-    """A procedure raised: a ProcedureError with a message for people, or whatever else its code raised (a bug in it)."""
+    """A procedure raised. error: a ProcedureError with a message for people, or any other exception (a bug in the procedure)."""
 
     __slots__ = ("error",)
     __match_args__ = ("node_id", "request_id", "error")
@@ -53,7 +53,7 @@ class ProcedureFailed(Outcome):
 
 
 class ProcedureCancelled(Outcome):
-    """A procedure was cancelled and has cleaned up. clean_up_error: what went wrong in that, or None."""
+    """A procedure was cancelled and has cleaned up. clean_up_error: an error of the clean-up, or None."""
 
     __slots__ = ("clean_up_error",)
     __match_args__ = ("node_id", "request_id", "clean_up_error")
@@ -65,7 +65,7 @@ class ProcedureCancelled(Outcome):
 
 
 class CleanUpTimeout(ProcedureError):
-    """The clean-up of a cancelled procedure did not end within the time that it had (CLEAN_UP_TIME) and was given up."""
+    """The clean-up of a cancelled procedure did not end in time (CLEAN_UP_TIME) and was given up."""
 
 
 class _State(enum.Enum):
@@ -85,30 +85,30 @@ class _Task:
         self.request_id = request_id
         self.parent = parent
         self.state = _State.RUNNING
-        self.active = False  # its code runs, or begins a step: whoever cancels it leaves the rest to _resume
+        self.active = False  # its code runs, or begins a step: a cancel meanwhile leaves the rest to _resume
         self.thrown = False  # Cancelled was thrown into it
         self.urgent: bool = parent is not None and parent.urgent  # it cleans up, or belongs to a clean-up
-        self.step: Step | None = None  # what it waits for
+        self.step: Step | None = None  # the step that it waits for
         self.token: tuple[object, RequestId] | None = None  # of a Request under way
         self.wake: Time = NEVER
         self.cancelled_at: Time = NEVER
         self.clean_up_by: Time = NEVER
-        self.needs_until: Time = -NEVER  # what it, or a child of it, asked for by AskForTime
+        self.needs_until: Time = -NEVER  # the time that it, or a child of it, asked for by AskForTime
         self.children: list[_Task] = []  # of the AllOf under way
         self.open_children = 0
         self.failure: Exception | None = None  # of the child that failed, if one did
-        self.clean_up_error: Exception | None = None  # the first that went wrong in the clean-up of cancelled children
+        self.clean_up_error: Exception | None = None  # the first error in the clean-up of cancelled children
         self.result: object = None
         self.error: Exception | None = None
 
     @property
     def must_throw(self) -> bool:
-        """It is cancelled, and does not know yet."""
+        """Whether it is cancelled, and Cancelled is still to be thrown into it."""
         return self.state is _State.CANCELLING and not self.thrown
 
 
 class Runner(Machine):
-    """Runs procedures. Attach it to the Network whose outbox it was made with; that and others feed it by `observe`."""
+    """Runs procedures. Attach it to the Network whose outbox it was made with; this and other Networks feed it by `observe`."""
 
     __slots__ = ("_requests", "tasks")
 
@@ -124,26 +124,26 @@ class Runner(Machine):
 
     @property
     def needs_until(self) -> Time:
-        """Until when the running procedures have asked for time, whoever may end them before; -NEVER if none has."""
+        """Until when the running procedures have asked for time, even if they end before; -NEVER if none has asked."""
         return max((task.needs_until for task in self.tasks.values()), default=-NEVER)
 
     def start(self, procedure: Procedure[T], now: Time) -> RequestId:
-        """Start a procedure: its first steps are taken at once. One Outcome event with the id that is returned follows."""
+        """Start a procedure; it runs at once to its first wait. One Outcome event with the returned id follows."""
         task = self._add(procedure, None)
         self._resume(task, None, now)
         self._rearm()
         return task.request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> None:
-        """Cancel a procedure that was started; an unknown or ended one, or one that is being cancelled, is left alone."""
+        """Cancel a procedure. Does nothing if the id is unknown, or if the procedure has ended or is being cancelled."""
         task = self.tasks.get(request_id)
         if task is not None and task.parent is None:
             self._cancel(task, now)
             self._rearm()
 
     def observe(self, root: object, report: Event, now: Time) -> None:
-        """Take an event of the network whose `out.root` is given: the outcome or the news that a task waits for."""
-        # Who begins to wait because of this very event is not told of it.
+        """Hand an event of the network with this `out.root` to the tasks that wait for it."""
+        # A task that begins to wait because of this event does not get it.
         waiting = [(task, task.step) for task in self.tasks.values() if type(task.step) is Wait and task.step.match is not None]
         if isinstance(report, Outcome):
             task = self._requests.pop((root, report.request_id), None)
@@ -176,14 +176,14 @@ class Runner(Machine):
         self._arm(deadline)
 
     def _inform(self, task: _Task, report: SdoProgress, now: Time) -> None:
-        """Hand news of a stream to the step that runs it."""
+        """Hand the progress of a stream to the step that runs it."""
         step = task.step
         if not isinstance(step, Request) or step.news is None:
             return
         try:
             step.news(report, now)
         except Exception as error:  # noqa: BLE001 - a procedure's code too
-            if task.step is step:  # else it has cancelled itself
+            if task.step is step:  # else the task has cancelled itself
                 self._drop_step(task, now)
                 self._resume(task, None, now, error)
 
@@ -203,7 +203,7 @@ class Runner(Machine):
         return task
 
     def _resume(self, task: _Task, value: object, now: Time, error: BaseException | None = None) -> None:
-        """Go on with a task until it waits for something or ends."""
+        """Run a task until it waits for a step or ends."""
         task.step, task.wake, task.active = None, NEVER, True
         result: object = None
         failure: Exception | None = None
@@ -217,7 +217,7 @@ class Runner(Machine):
                 if task.state is _State.RUNNING:
                     failure = ProcedureError("the procedure raised Cancelled, but nobody cancelled it")
                 break
-            except Exception as raised:  # noqa: BLE001 - a procedure's code is our caller's: what it raises is its outcome
+            except Exception as raised:  # noqa: BLE001 - the procedure is the caller's code: any exception is its outcome
                 failure = raised
                 break
             if not task.must_throw:
@@ -225,14 +225,14 @@ class Runner(Machine):
                     value, error = self._take(task, step, now), None
                 except Exception as refused:  # noqa: BLE001 - a refused step (LocalProtocolError) is the procedure's to handle
                     value, error = None, refused
-            if task.must_throw:  # it was cancelled by what it did itself
+            if task.must_throw:  # it has cancelled itself
                 self._drop_step(task, now)
                 if not task.open_children:
                     value, error = None, self._cancelled(task)
             if task.step is not None or task.open_children:
                 task.active = False
                 return
-        # Not in the except clauses: what the parent raises in turn would bear our error as its context.
+        # Not in the except clauses: an error that the parent raises would get ours as its context.
         self._end(task, result, failure, now)
 
     def _take(self, task: _Task, step: Step, now: Time) -> object:
@@ -262,7 +262,7 @@ class Runner(Machine):
         return None
 
     def _grant(self, task: _Task | None, until: Time) -> None:
-        """Give a task more time for its clean-up, and those that wait for it."""
+        """Give a task, and those that wait for it, more time for its clean-up."""
         while task is not None:
             task.needs_until = max(task.needs_until, until)
             if task.state is _State.CANCELLING:
@@ -274,7 +274,7 @@ class Runner(Machine):
         task.children = [self._add(procedure, task) for procedure in tuple(step.procedures)]
         task.open_children = len(task.children)
         for child in task.children:
-            if child.state is _State.RUNNING:  # a child that fails at once cancels its siblings, also those that have not begun
+            if child.state is _State.RUNNING:  # a child that fails at once also cancels siblings that have not begun
                 self._resume(child, None, now)
 
     def _cancel(self, task: _Task, now: Time) -> None:
@@ -294,7 +294,7 @@ class Runner(Machine):
         return Cancelled()
 
     def _drop_step(self, task: _Task, now: Time) -> None:
-        """Take back what the task waits for. Children are not touched."""
+        """Cancel the step that the task waits for, but not its children."""
         step, task.step, task.wake = task.step, None, NEVER
         if isinstance(step, Request) and task.token is not None:
             del self._requests[task.token]
@@ -302,13 +302,13 @@ class Runner(Machine):
             task.token = None
 
     def _give_up(self, task: _Task, now: Time) -> None:
-        """The clean-up took too long: end the generator where it stands, and all that it runs."""
+        """End a clean-up that took too long: close the generator at its present yield, and all tasks that it runs."""
         if task.must_throw:
             self._give_up_children(task, now)  # the last one throws Cancelled into this one
         if task.state is _State.DONE:
             return
         self._drop_step(task, now)
-        task.active = True  # whatever its children's end would tell it
+        task.active = True  # so that the end of its children does not resume it
         self._give_up_children(task, now)
         error: Exception = CleanUpTimeout(
             f"the clean-up did not end within {(now - task.cancelled_at) / 1e9:g} s and was given up"
@@ -316,7 +316,7 @@ class Runner(Machine):
         try:
             task.generator.close()
         except Cancelled:
-            pass  # its answer to being closed; it has ended
+            pass  # the generator has ended, as it should when it is closed
         except Exception as raised:  # noqa: BLE001 - as in _resume; e.g. RuntimeError for a generator that yields in `finally`
             error = raised
         self._end(task, None, error, now)
@@ -348,12 +348,12 @@ class Runner(Machine):
             if was_cancelled:
                 parent.clean_up_error = parent.clean_up_error or child.error
             else:
-                parent.failure = child.error  # the only one: whoever fails from now on was cancelled
+                parent.failure = child.error  # the only one: a child that fails from now on was cancelled
                 for sibling in parent.children:
                     self._cancel(sibling, now)
         parent.open_children -= 1
         if parent.open_children or parent.active:
-            return  # others are to end, or the parent's own _resume sees to the rest
+            return  # other children have not ended, or the parent's own _resume does the rest
         if parent.must_throw:
             self._resume(parent, None, now, self._cancelled(parent))
             return
@@ -361,7 +361,7 @@ class Runner(Machine):
         self._resume(parent, results, now, failure)
 
     def _results(self, parent: _Task) -> tuple[list[object], Exception | None]:
-        """What an AllOf gives whose children have all ended: their results, or the failure of the first that failed."""
+        """Return the result of an AllOf whose children have all ended: their results, or the first failure."""
         children, parent.children = parent.children, []
         failure = parent.failure
         if failure is not None and parent.clean_up_error is not None:

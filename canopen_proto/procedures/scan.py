@@ -1,18 +1,18 @@
-"""Who is on the bus? First by listening, then by asking.
+"""Find the nodes of a bus: first listen, then ask.
 
 Theory of operation
 -------------------
 1. Listen for `listen` ns: a heartbeat or a boot-up frame names its node and its NMT state (CiA 301 v4.2.0, 7.2.8.3.2.2). This
-   sends nothing, and goes on during the rest.
-2. Ask each of `node_ids`, by SDO, for what every device has: device type (0x1000), identity (0x1018), and for its name (0x1008,
-   optional). A node that does not answer the first question in time is not there, unless it was heard.
+   sends nothing, and goes on during step 2.
+2. Read, by SDO, from each of `node_ids`: device type (0x1000), identity (0x1018) and name (0x1008, optional). A node that does
+   not answer the first request in time is not there, unless it was heard.
 
-A scan never floods: AT_ONCE nodes are asked side by side, each one question at a time, with PACE between one node and the next.
-So 127 node-IDs on an empty bus take about 3.5 s, and at no time are there more than AT_ONCE requests on the way.
+A scan does not flood the bus: it asks AT_ONCE nodes side by side, each by one request at a time, and waits PACE between one node
+and the next. So 127 node-IDs on an empty bus take about 3.5 s, and there are never more than AT_ONCE requests under way.
 
-A node that was heard gets the full SDO timeout, and one that is Stopped is not asked, since it has no SDO (7.3.2.2.5).
+A node that was heard gets the full SDO timeout. A Stopped node is not asked: it has no SDO (7.3.2.2.5).
 
-What is left out: nodes whose first SDO server has other CAN-IDs, and nodes without a node-ID (LSS). Two nodes of the same node-ID
+Left out: nodes whose first SDO server has other CAN-IDs, and nodes without a node-ID (LSS). Two nodes with the same node-ID
 show as one, mostly by garbled answers.
 """
 
@@ -37,13 +37,13 @@ LISTEN: Final = 1500 * MILLISECOND
 PROBE_TIMEOUT: Final = 100 * MILLISECOND
 """For the first answer of a node that was not heard. Devices answer 0x1000 from memory, within a few ms."""
 ANSWER_TIMEOUT: Final = 500 * MILLISECOND
-"""For answers of a node that is known to be there."""
+"""For the answers of a node that is known to be there."""
 AT_ONCE: Final = 4
 """Nodes that are asked side by side: a tenth of what a 125 kbit/s bus could carry."""
 PACE: Final = 5 * MILLISECOND
-"""Between the end of one node's questions and the first one to the next."""
+"""Between the last request to one node and the first to the next."""
 MAX_NAME: Final = 256
-"""Bytes of a device name that are accepted."""
+"""The longest device name that is accepted, in bytes."""
 
 DEVICE_TYPE: Final = 0x1000
 DEVICE_NAME: Final = 0x1008
@@ -52,10 +52,10 @@ _IDENTITY_FIELDS: Final = 4
 
 
 class NodeFound(Event):
-    """A node is there. state: what its last heartbeat said, None if none was heard.
+    """A node was found. state: as in its last heartbeat, None if none was heard.
 
-    device_type: 0x1000; identity: 0x1018:01 to :04 (vendor-ID, product code, revision, serial number), each None where it was not
-    answered; name: 0x1008 or "". remark: why something is missing, for people.
+    device_type: 0x1000; identity: 0x1018:01 to :04 (vendor-ID, product code, revision, serial number); each None if the node did
+    not answer. name: 0x1008 or "". remark: why something is missing, for people.
     """
 
     __slots__ = ("device_type", "identity", "name", "remark", "state")
@@ -79,7 +79,7 @@ class NodeFound(Event):
 
 
 class Scanner(Group):
-    """Ears for all nodes, and an SDO client for each one that `scan` asks. Attach it to a Network, and detach it afterwards.
+    """Listens to all nodes, and has an SDO client for each node that `scan` asks. Attach it to a Network; detach it afterwards.
 
     heard: the NMT state of each node that was heard. While a scan runs, nothing else should use the SDO channels of its nodes.
     """
@@ -98,7 +98,7 @@ class Scanner(Group):
         return self._ears.heard
 
     def client(self, node_id: int) -> SdoClient:
-        """The SDO client for a node."""
+        """Return the SDO client for a node."""
         client = self._clients.get(node_id)
         if client is None:
             client = SdoClient(self.inner, node_id, max_upload=MAX_NAME)
@@ -108,7 +108,7 @@ class Scanner(Group):
 
 
 class _Ears(Machine):
-    """Hears every node's heartbeats and boot-ups, and reports nothing: others on this network may report them."""
+    """Hears every node's heartbeats and boot-ups. It makes no events: other machines on this network may report them."""
 
     __slots__ = ("heard",)
 
@@ -122,7 +122,7 @@ class _Ears(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         state = STATE_OF_BYTE[frame.data[0]] if len(frame.data) == 1 else None
         if state is not None:
-            # After its boot-up frame, which bears the byte 0, a node is pre-operational (7.2.8.3.3).
+            # After its boot-up frame, which carries the byte 0, a node is Pre-operational (7.2.8.3.3).
             self.heard[frame.can_id - ERROR_CONTROL] = state or NmtState.PRE_OPERATIONAL
 
 
@@ -134,16 +134,16 @@ def scan(
     probe_timeout: Time = PROBE_TIMEOUT,
     answer_timeout: Time = ANSWER_TIMEOUT,
 ) -> Procedure[list[NodeFound]]:
-    """Find the nodes of a bus; them, by node-ID.
+    """Find the nodes of a bus; return them by node-ID.
 
-    node_ids: whom to ask; empty listens only. Nodes that are heard are found whether asked or not. listen, probe_timeout,
-    answer_timeout: ns. Each node is also reported by NodeFound as soon as it is known: an answer comes at once, a node that was
-    only heard at the end. Raises LocalProtocolError for a node-ID outside 1..127, before anything is sent.
+    node_ids: the nodes to ask; empty: only listen. Nodes that are heard are found whether asked or not. listen, probe_timeout,
+    answer_timeout: ns. Each node is also reported by NodeFound: at once if it answers, at the end if it was only heard. Raises
+    LocalProtocolError for a node-ID outside 1..127, before anything is sent.
     """
     asked = sorted({check_node_id(node_id) for node_id in node_ids})
     yield from sleep(listen)
     found: dict[int, NodeFound] = {}
-    # Those that were heard go first: their rows come soon.
+    # Nodes that were heard go first: they answer soon.
     queue = iter(sorted(asked, key=lambda node_id: node_id not in scanner.heard))
     workers = (_ask_each(scanner, queue, found, probe_timeout, answer_timeout) for _ in range(AT_ONCE))
     yield from all_of(*workers)
@@ -169,7 +169,7 @@ def _report(scanner: Scanner, found: dict[int, NodeFound], node: NodeFound) -> P
 def _ask_each(
     scanner: Scanner, queue: Iterator[int], found: dict[int, NodeFound], probe_timeout: Time, answer_timeout: Time
 ) -> Procedure[None]:
-    """One of several that take the next node-ID from a common queue."""
+    """Ask one node after the other, each taken from a queue that several of these share."""
     for node_id in queue:
         state = scanner.heard.get(node_id)
         if state is not None and Service.SDO not in SERVICES[state]:
@@ -183,7 +183,7 @@ def _ask_each(
 
 
 def _ask(scanner: Scanner, client: SdoClient, answer_timeout: Time) -> Procedure[NodeFound | None]:
-    """One node's row; None where nothing answered."""
+    """Ask one node; return what was found, None if it did not answer."""
     node_id, remark = client.node_id, ""
     device_type: int | None = None
     try:
@@ -209,7 +209,7 @@ def _ask(scanner: Scanner, client: SdoClient, answer_timeout: Time) -> Procedure
 
 
 def _optional(client: SdoClient, index: int, subindex: int) -> Procedure[bytes | None]:
-    """An object that a device need not have."""
+    """Read an object that a device need not have; return None if it does not give it."""
     try:
         return (yield from upload(client, index, subindex))
     except SdoFailed:
@@ -217,5 +217,5 @@ def _optional(client: SdoClient, index: int, subindex: int) -> Procedure[bytes |
 
 
 def duration_of(count: int, *, listen: Time = LISTEN, probe_timeout: Time = PROBE_TIMEOUT) -> Time:
-    """How long it takes, in ns, to ask `count` node-IDs that are not there: for progress and time limits."""
+    """Return how long a scan of `count` absent node-IDs takes, in ns: for progress and time limits."""
     return listen + -(-count // AT_ONCE) * (probe_timeout + PACE)

@@ -1,18 +1,17 @@
-"""What a procedure is made of.
+"""The steps of procedures.
 
 A procedure is a sequence of requests without I/O: homing, PDO remapping, a scan. It is a generator that yields `Step`s to a
-`Runner` and gets their results; typed helpers hide the yields, so that it reads like blocking code and stays honest under
-`mypy --strict`:
+`Runner` and gets their results. Typed helpers hide the yields, so that it reads like blocking code and passes `mypy --strict`:
 
     def identify(node: RemoteNode) -> Procedure[int]:
         data = yield from upload(node.sdo, 0x1018, 1)
         yield from sleep(100 * MILLISECOND)
         return int.from_bytes(data, "little")
 
-`yield from` composes in sequence, `all_of` side by side. A step that fails raises a `ProcedureError` at the `yield from`. A
-procedure that is cancelled gets `Cancelled` there: a BaseException, so that no `except Exception` swallows it. Clean-up stands in
-`except Cancelled:` and may use steps again (they go before all queued requests, and share CLEAN_UP_TIME, unless they ask for more
-by `ask_for_time`); never in `finally`, since a generator that is collected may not yield.
+`yield from` runs procedures in sequence, `all_of` side by side. A step that fails raises a `ProcedureError` at the `yield from`.
+A procedure that is cancelled gets `Cancelled` there: a BaseException, so that no `except Exception` swallows it. Clean-up belongs
+in `except Cancelled:` and may use steps again. These go before all queued requests, and share CLEAN_UP_TIME, unless they ask for
+more by `ask_for_time`. Do not clean up in `finally`: a generator that is collected may not yield.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ T = TypeVar("T")
 E = TypeVar("E", bound=Event)
 
 NOT_CONFIRMED: Final = " (not confirmed: it may have been executed)"
-"""Behind the message about a write that ended without an answer."""
+"""The end of a message about a write that got no answer."""
 
 
 class Cancelled(BaseException):
@@ -40,17 +39,17 @@ class Cancelled(BaseException):
 
 
 class ProcedureError(Exception):
-    """A procedure could not do what it is for. The message says what failed, what was seen, and what to try."""
+    """A procedure failed. The message says what failed, what was seen, and what to try."""
 
 
 class StepTimeout(ProcedureError):
-    """What was waited for did not come in time."""
+    """An awaited event or state did not come in time."""
 
 
 class SdoFailed(ProcedureError):
     """An SDO transfer of the procedure ended with an abort, ours or the node's. Fields: those of SdoAborted.
 
-    not_confirmed: a write that may have been executed; nobody sends it again by itself.
+    not_confirmed: a write that may have been executed; it is never sent again automatically.
     """
 
     def __init__(self, aborted: SdoAborted, attempt: str) -> None:
@@ -71,16 +70,16 @@ class SdoFailed(ProcedureError):
 
 
 class Requester(Protocol):
-    """A machine whose commands have outcomes and can be taken back."""
+    """A machine whose commands have outcomes and can be cancelled."""
 
     out: Outbox
 
     def cancel(self, request_id: RequestId, now: Time) -> object:
-        """Take back a command."""
+        """Cancel a command."""
 
 
 class Step:
-    """What a procedure yields. The five subclasses are all there are."""
+    """A step, as a procedure yields it. There are only the five subclasses."""
 
     __slots__ = ()
 
@@ -97,7 +96,7 @@ class Act(Step):
 class Request(Step):
     """Give a command with an outcome: `submit(now, urgent)` returns its RequestId; the step's result is the Outcome event.
 
-    news: called with what is told of it meanwhile, if it is a stream. What it raises takes the request back, and is raised here.
+    news: for a stream, called with each SdoProgress event. If it raises, the request is cancelled, and the error is raised here.
     """
 
     __slots__ = ("news", "requester", "submit")
@@ -125,7 +124,7 @@ class Wait(Step):
 
 
 class AllOf(Step):
-    """Run procedures side by side; the result is the list of theirs. The first failure cancels the rest, then is raised here."""
+    """Run procedures side by side; the result is a list of theirs. The first failure cancels the rest, then is raised here."""
 
     __slots__ = ("procedures",)
 
@@ -134,7 +133,7 @@ class AllOf(Step):
 
 
 class AskForTime(Step):
-    """Go on at once. A clean-up under way may take until `duration` ns from now, if that is later than it may otherwise."""
+    """Go on at once. A clean-up under way may take until `duration` ns from now, if that extends its time."""
 
     __slots__ = ("duration",)
 
@@ -152,7 +151,7 @@ def act(function: Callable[[Time], T]) -> Procedure[T]:
 
 
 def current_time() -> Procedure[Time]:
-    """The driver's time now, in ns."""
+    """Return the driver's present time, in ns."""
     return (yield from act(lambda now: now))
 
 
@@ -164,7 +163,7 @@ def sleep(duration: Time) -> Procedure[None]:
 def ask_for_time(duration: Time) -> Procedure[None]:
     """Let the clean-up under way, if this is one, take `duration` ns from now.
 
-    For one that has just seen that it gets on: a drive that answers and brakes is waited for, a silent one is not.
+    Call it when the clean-up has just made progress: so a drive that answers and brakes is awaited, a silent one is not.
     """
     yield AskForTime(duration)
 
@@ -172,7 +171,7 @@ def ask_for_time(duration: Time) -> Procedure[None]:
 def wait_for_event(
     source: Machine, kind: type[E], timeout: Time, what: str, match: Callable[[E], bool] | None = None
 ) -> Procedure[E]:
-    """Wait for an event of a kind from source's network, at most `timeout` ns, else StepTimeout that names `what`."""
+    """Wait for an event of this kind from source's network; return it. After `timeout` ns, StepTimeout names `what`."""
     result = yield Wait(timeout, source, lambda report: isinstance(report, kind) and (match is None or match(report)))
     if not isinstance(result, kind):
         raise StepTimeout(f"{what} did not come within {timeout / 1e9:g} s")
@@ -180,13 +179,14 @@ def wait_for_event(
 
 
 def all_of(*procedures: Procedure[T]) -> Procedure[list[T]]:
-    """Run procedures side by side; their results in order. The first failure cancels the rest (they clean up), then is raised."""
+    """Run procedures side by side; return their results in order. The first failure cancels the rest, which clean up; then it is
+    raised."""
     results: list[T] = yield AllOf(procedures)
     return results
 
 
 def upload(client: SdoClient, index: int, subindex: int = 0, *, block: Block = False) -> Procedure[bytes]:
-    """Read an object by SDO: its bytes, or SdoFailed. block: see `Block`. (streams.py reads what is too long to be held.)"""
+    """Read an object by SDO; return its bytes. Raises SdoFailed. block: see `Block`. For very large objects use streams.py."""
     outcome: Outcome = yield Request(client, lambda now, urgent: client.upload(index, subindex, now, urgent=urgent, block=block))
     if isinstance(outcome, SdoUploaded):
         return outcome.data
@@ -195,7 +195,7 @@ def upload(client: SdoClient, index: int, subindex: int = 0, *, block: Block = F
 
 
 def download(client: SdoClient, index: int, subindex: int, data: Buffer, *, block: Block = False) -> Procedure[None]:
-    """Write an object by SDO; returns when the node has confirmed it, else SdoFailed. block: see `Block`."""
+    """Write an object by SDO; return when the node has confirmed it. Raises SdoFailed. block: see `Block`."""
     outcome: Outcome = yield Request(
         client, lambda now, urgent: client.download(index, subindex, data, now, urgent=urgent, block=block)
     )

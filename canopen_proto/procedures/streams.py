@@ -1,11 +1,11 @@
-"""Objects that nobody holds whole (firmware images, recordings), read and written piece by piece by procedures.
+"""Procedures that read and write large objects (firmware images, recordings) piece by piece, without holding them whole.
 
-`upload_stream` hands each piece to a function, `download_stream` takes pieces of any size from an iterable, when there is room
-for them: what is held is at most MAX_FED bytes (64 KiB) and the piece at hand. Both go by SDO block transfer. With
-block = "auto", the default, they fall back on a normal transfer where the server has no blocks; that one holds the whole object
-(reading: up to the client's `max_upload`). block = True never falls back, block = False does not try blocks.
+`upload_stream` hands each piece to a function. `download_stream` takes pieces of any size from an iterable, when there is room
+for them: at most MAX_FED bytes (64 KiB) and the present piece are held. Both use SDO block transfer. With block = "auto", the
+default, they fall back on a normal transfer if the server has no block transfer; a normal transfer holds the whole object
+(reading: up to the client's `max_upload`). block = True never falls back, block = False does not try block transfer.
 
-What `take` or the iterable raises aborts the transfer on the wire, and is raised as it is.
+An exception of `take` or of the iterable aborts the transfer on the wire, and is raised as it is.
 
 Source: CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16.
 """
@@ -25,9 +25,9 @@ from canopen_proto.sdo.request import Buffer
 def upload_stream(
     client: SdoClient, index: int, subindex: int, take: Callable[[bytes], object], *, block: Block = "auto"
 ) -> Procedure[int]:
-    """Read an object by pieces: `take(piece)` for each, in order. Returns their size together.
+    """Read an object piece by piece: call `take(piece)` for each, in order. Return their total size in bytes.
 
-    The pieces count only once it has returned: the checksum stands at the end. Raises SdoFailed. block: see this module's text.
+    Do not trust the pieces before it has returned: the checksum comes last. Raises SdoFailed. block: see this module's text.
     """
     pieces = 0
 
@@ -61,10 +61,10 @@ def download_stream(
     *,
     block: Block = "auto",
 ) -> Procedure[None]:
-    """Write an object by pieces of any size; returns when the node has confirmed the whole.
+    """Write an object from pieces of any size; return when the node has confirmed the whole.
 
-    size: in bytes, if it is known; servers may insist on it. Raises SdoFailed; LocalProtocolError where the pieces are more or
-    less than that. block: see this module's text.
+    size: of the whole in bytes, if known; servers may insist on it. Raises SdoFailed; LocalProtocolError if the pieces have more
+    or fewer bytes. block: see this module's text.
     """
     feeder = Feeder(client, pieces, size)
     goes_in_blocks = client.serves_blocks and (size is None or size > AUTO_BLOCK) if block == "auto" else block
@@ -90,13 +90,13 @@ class Feeder:
         self._client = client
         self._pieces: Iterator[Buffer] = iter((pieces,) if isinstance(pieces, bytes | bytearray | memoryview) else pieces)
         self._size = size
-        self._rest = memoryview(b"")  # of the piece at hand
+        self._rest = memoryview(b"")  # of the present piece
         self._fed = 0
 
     def supply(self, wanted: SdoDataWanted, now: Time) -> None:
-        """Feed what there is room for."""
+        """Feed as many bytes as there is room for."""
         self.has_begun = True
-        while (room := self._client.room(wanted.request_id)) or self._fed == self._size:  # then nothing more may come
+        while (room := self._client.room(wanted.request_id)) or self._fed == self._size:  # all is fed: no piece may follow
             if not self._rest:
                 piece = next(self._pieces, None)
                 if piece is None:
@@ -109,7 +109,7 @@ class Feeder:
             self._fed += len(part)
 
     def whole(self) -> bytes:
-        """All of it."""
+        """Return all pieces, joined."""
         data = b"".join(self._pieces)
         if self._size is not None and len(data) != self._size:
             raise LocalProtocolError(f"{len(data)} bytes to write, {self._size} announced")

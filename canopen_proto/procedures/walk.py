@@ -1,18 +1,17 @@
-"""Reading a node of which nobody knows what objects it has.
+"""Read a node whose objects are not known.
 
 Theory of operation
 -------------------
-`walk` asks for subindex 0 of every index of some ranges. Where there is an object, it asks for subindex 1; where that is too, it
-is an ARRAY or a RECORD, whose subindex 0 tells the highest subindex (CiA 301 v4.2.0, 7.4.4), and all up to that are asked for.
-(Of a PDO mapping it tells how many entries count; the others say nothing.) What an object is called, and its type, come from the
-standards' tables where its length agrees with them; else its length decides: up to 8 bytes are an unsigned number, all else is
-octets.
+`walk` reads subindex 0 of every index of some ranges. If there is an object, it reads subindex 1. If there is one too, the object
+is an ARRAY or a RECORD: its subindex 0 holds the highest subindex (CiA 301 v4.2.0, 7.4.4), and all up to that are read. (In a PDO
+mapping, subindex 0 holds the number of valid entries; the others mean nothing.) An object's name and type come from the
+standards' tables if its length agrees with them. Else its length decides: up to 8 bytes are an unsigned number, more are octets.
 
-A walk is bounded: each index is asked for once, each object for at most 254 subindices, and it gives MAX_OBJECTS objects at most,
-since a device that answers everything has 16 million. DEFAULT_RANGES are where objects usually are: about 7000 indices, 5 s at
-500 kbit/s; PROGRESS_STEP says how often progress is told.
+A walk is bounded: it tries each index once, at most 254 subindices of each object, and returns at most MAX_OBJECTS objects; a
+device that answers everything would have 16 million. DEFAULT_RANGES are the usual places of objects: about 7000 indices, 5 s at
+500 kbit/s. PROGRESS_STEP says how often progress is reported.
 
-What it cannot see: access rights (all count as `rw` where no table says otherwise), objects that can only be written, limits.
+A walk cannot see access rights (an object counts as `rw` unless a table says otherwise), write-only objects and limits.
 """
 
 from __future__ import annotations
@@ -32,18 +31,18 @@ from canopen_proto.remote_node import RemoteNode
 COMMUNICATION: Final = range(0x1000, 0x2000)
 """The communication profile area; CiA 301 v4.2.0, table 41."""
 DEFAULT_RANGES: Final = (COMMUNICATION, range(0x2000, 0x2400), range(0x6000, 0x6800))
-"""Communication objects, the first of the manufacturer's, the first device of the standardised profile area."""
+"""Communication objects, the first manufacturer-specific objects, the first device of the standardised profile area."""
 MAX_OBJECTS: Final = 20_000
-"""Variables that a walk gives: ten times what the largest files in the field describe."""
+"""The most variables that a walk returns: ten times as many as the largest files in the field describe."""
 MAX_SUBINDEX: Final = 0xFE
-"""0xFF tells the structure of an object; CiA 301 v4.2.0, 7.4.4."""
+"""0xFF holds the structure of an object; CiA 301 v4.2.0, 7.4.4."""
 PROGRESS_STEP: Final = 64
 """Indices between two WalkProgress events."""
 _INTEGER_SIZES: Final = range(1, 9)
 
 
 class WalkProgress(Event):
-    """A walk has come to an index. done, total: indices; found: objects that have answered."""
+    """A walk has reached an index. done, total: numbers of indices; found: the number of objects found so far."""
 
     __slots__ = ("done", "found", "index", "total")
     __match_args__ = ("node_id", "index", "done", "total", "found")
@@ -63,11 +62,11 @@ def walk(
     names: ObjectDictionary | None = None,
     domains: bool = True,
 ) -> Procedure[Backup]:
-    """Read what a node has at these indices; `dictionary` of the result describes it as far as that can be seen.
+    """Read all objects of a node at these indices. The result's `dictionary` describes them, as well as a walk can see them.
 
-    ranges: of indices 1..0xFFFF, else LocalProtocolError. names: objects that are called and typed as this dictionary says, if
-    their length agrees; all others go by the standards' tables. domains: read DOMAINs that are known as such, too. Raises
-    SdoFailed where the device is gone, as `back_up` does. Stops with MAX_OBJECTS variables.
+    ranges: of indices 1..0xFFFF, else LocalProtocolError. names: gives names and types to objects whose length agrees; all others
+    get them from the standards' tables. domains: also read objects that are known to be DOMAINs. Raises SdoFailed if the device
+    is gone, as `back_up` does. Stops at MAX_OBJECTS variables.
     """
     indices = sorted({index for each in ranges for index in each})
     if indices and not 1 <= indices[0] <= indices[-1] <= 0xFFFF:
@@ -84,10 +83,10 @@ def walk(
 
 
 def back_up_by_names(node: RemoteNode, names: ObjectDictionary, *, domains: bool = False) -> Procedure[Backup]:
-    """Read all of a node that has no file of its own.
+    """Read all objects of a node that has no file of its own.
 
-    The whole communication profile area is walked: which PDOs and services a device has, no general list of names can tell. Of
-    all else, what `names` has is read, as by `back_up`. WalkProgress events come first, then ObjectRead events.
+    The whole communication profile area is walked: no general list of names can tell which PDOs and services a device has. Of the
+    other areas, the objects in `names` are read, as by `back_up`. WalkProgress events come first, then ObjectRead events.
     """
     walked = yield from walk(node, [COMMUNICATION], names=names, domains=domains)
     rest = yield from back_up(node, names, only=[each for each in names if each.index not in COMMUNICATION], domains=domains)
@@ -105,10 +104,10 @@ class _Walk:
         self._patience = Patience()
 
     def walk_index(self, index: int) -> Procedure[None]:
-        """Ask for all that stands at an index."""
+        """Read all objects at an index."""
         first = yield from self._ask(index, 0)
         if first is None or (isinstance(first, bytes) and len(first) != 1):
-            return  # the highest subindex has one byte: what has not is a VAR
+            return  # the highest subindex has one byte: an object of another length is a VAR
         if (yield from self._ask(index, 1)) is None:
             return
         highest = min(first[0], MAX_SUBINDEX) if isinstance(first, bytes) else 1
@@ -116,7 +115,7 @@ class _Walk:
             yield from self._ask(index, subindex)
 
     def _ask(self, index: int, subindex: int) -> Procedure[bytes | SdoFailed | None]:
-        """The answer, noted as a reading; None where the device does not have the object."""
+        """Read an object and note its reading; return the answer, None if the device does not have the object."""
         known = self._known(index, subindex)
         if known is not None and known.data_type is DataType.DOMAIN and not self._domains:
             self.readings.append(Reading(known, ReadResult.DOMAIN))
