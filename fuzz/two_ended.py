@@ -179,7 +179,7 @@ class WithoutBlocks(SdoServer):
             super().receive(frame, now)
         else:
             mux = (0, 0) if self.names_no_object else (index, subindex)
-            self._send(INITIATE.pack(0x80, *mux, AbortCode.INVALID_COMMAND))
+            self.send(INITIATE.pack(0x80, *mux, AbortCode.INVALID_COMMAND))
 
 
 class Scene:
@@ -204,7 +204,7 @@ class Scene:
             self.link.detach(pair.server)
             pair.server = self.link.attach(WithoutBlocks(Outbox(), 12, self.store, **server))
             pair.server.names_no_object = plan.names_no_object
-        pair.server._store = self.store
+        pair.server._door.store = self.store
         self.link.on_event = self._on_event
         self.marks: list[int] = []  # how often the object had been read when each outcome came
         self.first_end = 0  # how many frames had been sent when the first outcome came

@@ -25,7 +25,7 @@ from canopen_proto.sdo.events import SdoAborted, SdoDownloaded, SdoProgress, Sdo
 
 if TYPE_CHECKING:  # a device that runs procedures of its own need not load the client
     from canopen_proto.sdo.client import Block, SdoClient
-    from canopen_proto.sdo.request import Buffer
+    from canopen_proto.sdo.transfer import Buffer
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)

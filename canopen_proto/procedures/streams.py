@@ -19,7 +19,7 @@ from canopen_proto.procedures.steps import Procedure, Request, SdoFailed, downlo
 from canopen_proto.sdo.block_client import lacks_blocks
 from canopen_proto.sdo.client import AUTO_BLOCK, Block, SdoClient
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoProgress, SdoStreamUploaded
-from canopen_proto.sdo.request import Buffer
+from canopen_proto.sdo.transfer import Buffer
 
 
 def upload_stream(

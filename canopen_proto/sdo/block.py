@@ -20,9 +20,8 @@ CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16.
     initiate: byte 4 is the block size where the receiver sends it, bytes 4..7 are the size where the sender does; an upload's
     request has the protocol switch threshold (pst) in byte 5. Each side says what it can; there is a CRC if both can.
 
-After the initiation both directions are alike, so there are two machines and not four: `BlockSender` (block_sender.py) for the
-side that has the data, `BlockReceiver` (block_receiver.py) for the other; block_client.py and block_server.py begin and end
-them. Each belongs to a `Party`, the SdoClient or SdoServer whose channel it uses.
+After the initiation both directions are alike: `BlockSender` (block_sender.py) is the side that has the data, `BlockReceiver`
+(block_receiver.py) the other. block_client.py and block_server.py say how each role begins and ends them.
 
 Loss. The receiver takes segments in order only. Where one is missing it acknowledges those before the gap at the end of the
 sub-block, and the sender goes on behind them. What is repeated is numbered from 1 again.
@@ -49,11 +48,9 @@ The CRC is that of CCITT: polynomial 0x1021, initial value 0, over the data with
 from __future__ import annotations
 
 import struct
-from typing import Final, Protocol
+from typing import Final
 
-from canopen_proto.abort import AbortOrigin
-from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, SECOND, Outbox, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.sdo.codec import (
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,
@@ -114,33 +111,6 @@ HEADS: Final = tuple(bytes((sequence,)) for sequence in range(128))
 def silence_limit(timeout: Time) -> Time:
     """The longest pause that a party with this time-out survives inside a block transfer, in ns."""
     return max(timeout, LEAST_SILENCE)
-
-
-class Party(Protocol):
-    """Whose channel a block transfer uses: an SdoClient or SdoServer. Limits are in ns, segments and bytes."""
-
-    out: Outbox
-    deadline: Time
-    _wake: Time
-    timeout: Time
-    copy_guard: Time
-    max_burst: int
-    burst_interval: Time
-    block_size: int
-    _send_can_id: int
-    _send_flags: int
-    _last: bytes
-
-    @property
-    def stream_timeout(self) -> Time: ...
-
-    def _arm(self, deadline: Time) -> None: ...
-
-    def _send(self, payload: bytes) -> None: ...
-
-    def _fail(self, abort_code: int, origin: AbortOrigin, now: Time) -> None: ...
-
-    def _ignore(self, frame: Frame, reason: str) -> None: ...
 
 
 def is_initiate(command: int) -> bool:

@@ -1,4 +1,4 @@
-"""How an SDO server begins and ends block transfers.
+"""What a server does at the beginning and at the end of block transfers.
 
 block.py tells how a block transfer goes. In an upload the server announces the size; an object of no bytes is one segment without
 data. It answers with a normal upload instead if the client's protocol switch threshold (pst, in bytes) allows that. In a download
@@ -12,7 +12,7 @@ Source: CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
@@ -28,106 +28,91 @@ from canopen_proto.sdo.block import (
     is_initiate,
     receiver_initiate,
     sender_initiate,
+    silence_limit,
 )
 from canopen_proto.sdo.block_receiver import BlockReceiver
-from canopen_proto.sdo.block_sender import STARTING, BlockSender
+from canopen_proto.sdo.block_sender import BlockSender
 from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, SIZE
-
-if TYPE_CHECKING:
-    from canopen_proto.sdo.server import SdoServer
+from canopen_proto.sdo.host import Door
+from canopen_proto.sdo.transfer import ChannelEnd
 
 _END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 
 
-class BlockServerUpload(BlockSender):
-    """An upload that is under way."""
+class ServerBlockUpload(BlockSender):
+    """Let the client read an object by block transfer."""
 
-    __slots__ = ("_server", "_wanted_block_size")
+    __slots__ = ("_door",)
 
-    def __init__(self, server: SdoServer, request: bytes, content: bytes, more: bool, size: int | None, now: Time) -> None:
-        """Answers the initiate request. size: of the whole, if the host gives it in pieces and knows."""
-        super().__init__(server, bytearray(content) if more else content, not more, server.crc and bool(request[0] & CRC_BIT))
-        self._server = server
-        self._wanted_block_size = request[4]
-        announced = size if more else len(content)
-        server._send(sender_initiate(BLOCK_DOWNLOAD, server._index, server._subindex, announced, server.crc))
-        server._arm(now + self._patience)
+    def __init__(
+        self, end: ChannelEnd, index: int, subindex: int, first: bytes, door: Door, content: bytes, more: bool, now: Time
+    ) -> None:
+        """Answers the initiate request. more: content is the first piece that the host gives."""
+        with_crc = end.crc and bool(first[0] & CRC_BIT)
+        super().__init__(end, index, subindex, first, bytearray(content) if more else content, not more, with_crc)
+        self._door = door
+        announced = door.size if more else len(content)
+        end.send(sender_initiate(BLOCK_DOWNLOAD, index, subindex, announced, end.crc))
+        self.deadline = now + 2 * silence_limit(end.timeout)
 
-    def _wants_more(self) -> None:
-        self._server._ask_for_piece()
-
-    def _ended(self, now: Time) -> None:
-        self._server._become_idle()
-
-    def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        server = self._server
-        if self._state == STARTING:
-            kind = command & KIND
-            if kind == START_UPLOAD:
-                server._last = data
-                self._start(self._wanted_block_size, now)
-                return
-            if kind == ACKNOWLEDGEMENT and data[1] == 0:  # the start was lost, and the client asks for the first sub-block
-                server._last = data
-                self._start(data[2], now)
-                return
-        server._on_other(command, data, frame, now)
-
-
-class BlockServerDownload(BlockReceiver):
-    """A download that is under way."""
-
-    __slots__ = ("_server",)
-
-    def __init__(self, server: SdoServer, request: bytes, size: int | None, in_pieces: bool, now: Time) -> None:
-        """Answers the initiate request, which the store has agreed to."""
-        super().__init__(server, in_pieces)
-        self._server = server
-        self.with_crc = server.crc and bool(request[0] & CRC_BIT)
-        self._size = size
-        server._send(receiver_initiate(server._index, server._subindex, self._choose_block_size(), server.crc))
-        self._start(size, MAX_SIZE if in_pieces else server.max_download, self.with_crc, now)
-
-    def taken(self, now: Time) -> None:
-        """The host has taken the piece."""
-        self._go_on(now)
-
-    def _piece(self, piece: bytes, offset: int, now: Time) -> None:
-        self._server._hand_over_piece(piece, offset)
-
-    def _complete(self, now: Time) -> None:
-        server = self._server
-        server._transfer = None  # behind its end nothing is on the way
-        answer = Frame(server._send_can_id, _END_RESPONSE_PAYLOAD, server._send_flags, 8)
-        content = bytes(self._buffer)
-        if self._is_stream:
-            server._await_host(content, answer, now, self.offset)
+    def _on_answer(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        kind = command & KIND
+        if kind == START_UPLOAD:
+            block_size = self.first[4]
+        elif kind == ACKNOWLEDGEMENT and data[1] == 0:  # the start was lost, and the client asks for the first sub-block
+            block_size = data[2]
         else:
-            server._write(content, answer, now)
+            return False
+        self.end.last = data
+        self._start(block_size, now)
+        return True
 
-    def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> None:
-        """A client whose request was answered in vain (the answer was lost, or the request was a late copy) begins again.
+    def _ask_for_more(self) -> None:
+        self._door.ask(self)
+
+
+class ServerBlockDownload(BlockReceiver):
+    """Let the client write an object by block transfer."""
+
+    __slots__ = ("_door",)
+
+    def __init__(
+        self, end: ChannelEnd, index: int, subindex: int, first: bytes, door: Door, size: int | None, most: int, now: Time
+    ) -> None:
+        """Answers the initiate request, which the store has agreed to. size: as announced. most: bytes of what is held whole."""
+        super().__init__(end, index, subindex, first, door.takes_pieces)
+        self._door = door
+        end.send(receiver_initiate(index, subindex, self._choose_block_size(), end.crc))
+        limit = MAX_SIZE if door.takes_pieces else most
+        self._start(size, limit, end.crc and bool(first[0] & CRC_BIT), now)
+
+    def _hand_over(self, piece: bytes, offset: int) -> None:
+        self._door.hand_over(self, piece, offset, more=True)
+
+    def _complete(self, content: bytes, now: Time) -> None:
+        self.finish()  # behind its end nothing is on the way
+        end = self.end
+        answer = Frame(end.can_id, _END_RESPONSE_PAYLOAD, end.flags, 8)
+        self._door.write(self, content, self.offset, answer, now)
+
+    def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> bool:
+        """A client that has not got our answer (it was lost, or the request was a late copy) begins again.
 
         An initiate request has a number from 32 on. Before the first segment 31 or more would have to be lost for it to be one.
         """
-        server = self._server
         has_heard = self._last_said or self._received or self._heard
-        is_copy = data == server._last and now < server.deadline - self._silence + COPY_TIME
+        is_copy = data == self.end.last and now < self.deadline - self._silence + COPY_TIME
         if has_heard or is_copy or not is_initiate(command):
-            super()._on_gap(command, sequence, data, frame, now)
-        else:
-            server._on_other(command, data, frame, now)
-
-    def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        self._server._on_other(command, data, frame, now)
+            return super()._on_gap(command, sequence, data, frame, now)
+        return False
 
 
 def announced_size(request: bytes) -> int | None:
-    """What a block download's initiate request says of its size."""
+    """Return the size that a block download's initiate request announces; None if it announces none."""
     size: int = SIZE.unpack_from(request, 4)[0]
     return size if request[0] & BLOCK_SIZE_BIT else None
 
 
 def may_switch(request: bytes, size: int) -> bool:
-    """Whether a block upload's initiate request allows a normal upload of so many bytes."""
+    """Return whether a block upload's initiate request allows a normal upload of so many bytes."""
     return 0 < request[5] >= size

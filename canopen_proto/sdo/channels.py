@@ -39,7 +39,6 @@ from canopen_proto.frame import (
     MAX_NODE_ID,
     SDO_CLIENT_TO_SERVER,
     SDO_SERVER_TO_CLIENT,
-    Frame,
     key_of_cob_id,
 )
 from canopen_proto.group import Members
@@ -47,8 +46,8 @@ from canopen_proto.machine import LocalProtocolError, Outbox, RequestId, Time
 from canopen_proto.owner import Owner
 from canopen_proto.sdo.access import ObjectStore
 from canopen_proto.sdo.client import SdoClient
-from canopen_proto.sdo.request import Request
 from canopen_proto.sdo.server import SdoServer
+from canopen_proto.sdo.transfer import Transfer
 
 FIRST_SERVER: Final = 0x1200
 FIRST_CLIENT: Final = 0x1280
@@ -132,12 +131,7 @@ class ChannelClient(SdoClient):
         self.abort_all(AbortCode.DEVICE_STATE, now)
         self._channel = channel
         if channel is not None:
-            request_key, self._response_key = channel
-            self._send_can_id = request_key & 0x1FFF_FFFF
-            self._send_flags = request_key >> 29
-            self._segment_requests = {
-                toggle: Frame(self._send_can_id, frame.data, self._send_flags) for toggle, frame in self._segment_requests.items()
-            }
+            self._use(*channel)
         self._reroute()
 
     def set_enabled(self, lives: bool, now: Time) -> None:
@@ -145,22 +139,22 @@ class ChannelClient(SdoClient):
         if lives != self._lives:
             self._lives = lives
             if not lives:
-                self.abort_all(AbortCode.DEVICE_STATE, now)  # `_send` keeps it off the bus
+                self.abort_all(AbortCode.DEVICE_STATE, now)  # `send` keeps it off the bus
             self._reroute()
 
     def can_ids(self) -> tuple[int, ...]:
         return super().can_ids() if self.is_open else ()
 
-    def _submit(self, request: Request, urgent: bool, now: Time) -> RequestId:
+    def _submit(self, transfer: Transfer, urgent: bool, now: Time) -> RequestId:
         if self._channel is None:
-            raise LocalProtocolError(f"{request}: 0x{self.index:04X} holds no channel: not both of its COB-IDs are valid")
+            raise LocalProtocolError(f"{transfer}: 0x{self.index:04X} holds no channel: not both of its COB-IDs are valid")
         if not self._lives:
-            raise LocalProtocolError(f"{request}: SDO does not live in the NMT state of this device")
-        return super()._submit(request, urgent, now)
+            raise LocalProtocolError(f"{transfer}: SDO does not live in the NMT state of this device")
+        return super()._submit(transfer, urgent, now)
 
-    def _send(self, payload: bytes) -> None:
+    def send(self, payload: bytes) -> None:
         if self._lives:
-            super()._send(payload)
+            super().send(payload)
 
 
 class SdoChannels(Owner):

@@ -2,8 +2,10 @@
 
 Theory of operation
 -------------------
-A server has one channel, a pair of COB-IDs, and at most one transfer under way on it. What the objects are and hold is the
-business of an `ObjectStore`, which is asked
+A server has one channel, a pair of COB-IDs, and at most one transfer under way on it: a `Transfer` (transfer.py) of
+segmented_server.py, block_server.py or host.py, which gets the client's frames first. SdoServer begins and ends transfers.
+
+What the objects are and hold is the business of an `ObjectStore`, which is asked
 
 - at an initiate upload for the value: up to 4 bytes go expedited, more (and none at all) in segments out of that one copy;
 - at an initiate download in segments whether the object may be written, with the size if it is announced; and to write once
@@ -14,19 +16,19 @@ ObjectAccessPending goes out, the answer is held, and the host says `complete(ac
 `access_timeout` costs the transfer.
 
 So that a large object (a DOMAIN: firmware, a log) never has to be held whole, it may go in pieces, by block and by segmented
-transfer. Where `check_write` says PENDING, the host gets what is downloaded piece by piece (about 890 bytes, each in an
+transfer. If `check_write` says PENDING, the host gets what is downloaded piece by piece (about 890 bytes, each in an
 ObjectAccessPending, the last one with more = False), and the client waits until it has taken each. A read goes in pieces if the
 host gives the first one with `more=True`; it is then asked for the others in turn.
 
 A new initiate request takes the place of a running transfer; an abort ends it, whatever object it names (field clients send
 0x0000:00). A segment request without a transfer is answered by an abort for 0x0000:00. Block transfer: see block.py.
-Where a block download ends before its time (our abort, an NMT reset), segments may still be in the client's queue, and come much
-later. The one with number 0x23 would be taken for an expedited download of whatever object its data name. So segments that go on
-where the last one stopped are ignored until something else comes.
+If a block download ends before its time (our abort, an NMT reset), segments may still be in the client's queue, and come much
+later. The one with number 0x23 would be taken for an expedited download of whatever object its data name. So segments that follow
+the last one are not acted on until something else comes.
 
-CAN can deliver a frame twice. The second copy of a segment is told by its toggle and ignored, once; any other wrong toggle, or a
-third, is an abort. The second copy of an initiate is served once more (a client that repeats its request after a lost answer
-looks just the same), unless its answer is with the host: two copies of "store parameters" store once.
+CAN can deliver a frame twice. The second copy of a segment is known by its toggle and not acted on, once; any other wrong toggle,
+or a third copy, is an abort. The second copy of an initiate is served again (a client that repeats its request after a lost
+answer looks just the same), unless the host is serving it: two copies of "store parameters" store once.
 
 SDO lives in the NMT states pre-operational and operational only (CiA 301 v4.2.0, 7.3.2.3): `disable` and `enable` it.
 """
@@ -37,62 +39,46 @@ from collections.abc import Callable
 from typing import Final, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import Frame
-from canopen_proto.machine import NEVER, Outbox, Time
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
+from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, SUB_BLOCK_SIZE, is_initiate
-from canopen_proto.sdo.block_server import (
-    BlockServerDownload,
-    BlockServerUpload,
-    announced_size,
-    may_switch,
-)
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_initiate, is_next, next_number
+from canopen_proto.sdo.block_server import ServerBlockDownload, announced_size
 from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
-    DOWNLOAD_SEGMENT,
-    EXPEDITED,
+    DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED_BIT,
-    EXPEDITED_BITS,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
-    INITIATE_UPLOAD_RESPONSE,
-    LAST,
     LEAST_REQUEST,
-    MAX_EXPEDITED,
     MULTIPLEXER,
     SIZE,
     SIZE_BIT,
     SPECIFIER,
-    TOGGLE,
-    UPLOAD_SEGMENT,
     complete,
-    segment,
 )
 from canopen_proto.sdo.events import ObjectAccessPending, ObjectWritten, SdoServerAborted
-from canopen_proto.sdo.server_base import ACCESS_TIMEOUT, MAX_DOWNLOAD, TIMEOUT, ServerBase
-from canopen_proto.sdo.server_base import IDLE as _IDLE
+from canopen_proto.sdo.host import Door
+from canopen_proto.sdo.segmented_server import ReadAccess, ServerDownload, answer_upload
+from canopen_proto.sdo.transfer import OVER, ChannelEnd, Transfer
 
 __all__ = [
     "ACCESS_TIMEOUT", "MAX_DOWNLOAD", "PENDING", "TIMEOUT", "ObjectAccessPending", "ObjectStore", "ObjectWritten", "Pending",
     "SdoServer", "SdoServerAborted",
 ]  # fmt: skip
 
-# States; 0 is IDLE
-_UPLOADING: Final = 1
-_DOWNLOADING: Final = 2
-_AWAITING_HOST: Final = 3
-_AWAITING_PIECE: Final = 4  # the host, in the middle of a segmented transfer
-_BLOCK: Final = 5
-
-_UNKNOWN_SIZE: Final = -1
+TIMEOUT: Final = 1 * SECOND
+"""How long a client may take for each segment. Longer than clients usually wait, who give up first and say so."""
+ACCESS_TIMEOUT: Final = 5 * SECOND
+"""How long the host may take for an access: storing parameters in flash takes seconds."""
+MAX_DOWNLOAD: Final = 16 << 20
+"""Largest value that is accepted: a firmware image fits, and a client gone mad does not fill the memory."""
 
 
-class SdoServer(ServerBase):
+class SdoServer(ChannelEnd):
     """The server of one SDO channel; see this module's text."""
 
-    __slots__ = (
-        "_announced", "_block_request", "_buffer", "_command", "_content", "_limit", "_offset", "_transfer",
-    )  # fmt: skip
+    __slots__ = ("_channel", "_door", "_straggler", "_transfer", "enabled", "max_download")
 
     def __init__(
         self,
@@ -116,26 +102,113 @@ class SdoServer(ServerBase):
 
         For block transfer: crc, if the client has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; copy_guard: ns between an
-        acknowledgement and the next sub-block (see block.py). All may be changed later.
+        acknowledgement and the next sub-block (see block.py). All may be changed later (access_timeout as
+        `stream_timeout`), and count for the transfers that begin from then on.
         """
-        super().__init__(out, node_id, store, request_key, response_key)
-        self.timeout = timeout
-        self.access_timeout = access_timeout
-        self.max_download = max_download
+        super().__init__(out, node_id, DOWNLOAD_SEGMENT_RESPONSE, timeout)
+        self.stream_timeout = access_timeout
         self.copy_guard = copy_guard
         self.crc = crc
         self.block_size = block_size
         self.max_burst = max_burst
         self.burst_interval = burst_interval
-        # The transfer under way
-        self._command = 0  # the command byte of a plain segment with the toggle that is due
-        self._content = b""  # to upload
-        self._offset = 0  # uploaded so far
-        self._buffer = bytearray()  # downloaded so far
-        self._announced = _UNKNOWN_SIZE
-        self._limit = 0  # of _buffer
-        self._transfer: BlockServerUpload | BlockServerDownload | None = None
-        self._block_request = b""  # the initiate request of a block upload; empty: it is a normal one
+        self.max_download = max_download
+        self.enabled = True
+        self._door = Door(store)
+        self._transfer: Transfer | None = None
+        self._straggler = 0  # the number of a segment that may come though its block download has ended; 0: none
+        request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
+        response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
+        self._channel: tuple[int, int] | None = (request_key, response_key)
+        self._use(response_key, request_key)
+
+    # ---- commands ----
+
+    def complete(
+        self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
+    ) -> bool:
+        """Answer an ObjectAccessPending: bytes if it was a read, None if it was a write and is done, an abort code to refuse it.
+
+        more: the bytes are a piece, others follow, and will be asked for. size: with the first piece, that of the whole, if it
+        is known. Sends the response that was held. Returns False if nobody waits for it any longer (timeout, abort, a new
+        request), which is no fault of the host. Raises LocalProtocolError if the result is not of the access's kind.
+        """
+        door, transfer = self._door, self._transfer
+        if transfer is None or not access_id or access_id != door.access_id:
+            return False
+        if isinstance(result, AbortCode):
+            transfer.abort(result)
+        elif isinstance(result, bytes) and door.is_reading:
+            door.access_id = 0
+            door.handed += len(result)
+            door.size = size
+            transfer.feed(result, not more, now)
+        elif result is None and not door.is_reading:
+            door.access_id = 0
+            transfer.proceed(now)
+        else:
+            expected = "bytes" if door.is_reading else "None"
+            where = f"access {access_id} to 0x{transfer.index:04X}:{transfer.subindex:02X}, node {self.node_id}"
+            raise LocalProtocolError(f"completion of {where}: {expected} or an AbortCode expected, not {result!r}")
+        self._follow(transfer)
+        return True
+
+    def enable(self) -> None:
+        """Answer requests (NMT states pre-operational and operational)."""
+        if not self.enabled:
+            self.enabled = True
+            self._reroute()
+
+    def disable(self) -> None:
+        """Be silent (NMT states initialising and stopped). A running transfer is forgotten without a frame, as by `reset`."""
+        self.reset()
+        if self.enabled:
+            self.enabled = False
+            self._reroute()
+
+    def reset(self) -> None:
+        """Forget a running transfer without a frame: SdoServerAborted with origin CANCELLED says so."""
+        if self._transfer is not None:
+            self.report_abort(self._transfer, AbortCode.DEVICE_STATE, AbortOrigin.CANCELLED, False)
+            self._become_idle()
+
+    def set_channel(self, channel: tuple[int, int] | None) -> None:
+        """Be the server of another channel: client to server, server to client, as `Frame.key`. None: of no channel.
+
+        Does nothing if it is the same one. Else a running transfer ends, still on the old channel, with an abort (0x08000022), so
+        that its client need not wait in vain.
+        """
+        if channel != self._channel:
+            if self._transfer is not None:
+                self._transfer.abort(AbortCode.DEVICE_STATE)
+                self._become_idle()
+            self._channel = channel
+            if channel is not None:
+                self._use(channel[1], channel[0])
+            self._reroute()
+
+    # ---- getters ----
+
+    @property
+    def channel(self) -> tuple[int, int] | None:
+        """Client to server, server to client, as `Frame.key`; None if it has none."""
+        return self._channel
+
+    @property
+    def object_for_host(self) -> int | None:
+        """The mux of the object that is downloaded to the host: it has been asked to take it, or takes it in pieces."""
+        door, transfer = self._door, self._transfer
+        if transfer is not None and (door.takes_pieces or (door.access_id and not door.is_reading)):
+            return transfer.index << 8 | transfer.subindex
+        return None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a transfer is under way."""
+        return self._transfer is not None
+
+    def can_ids(self) -> tuple[int, ...]:
+        return (self._hears,) if self._channel is not None and self.enabled else ()
 
     # ---- inputs ----
 
@@ -146,325 +219,164 @@ class SdoServer(ServerBase):
         if len(data) != 8:
             completed = complete(data, LEAST_REQUEST)
             if completed is None:
-                self._ignore(frame, "too short for an SDO request")
+                self.ignore(frame, "too short for an SDO request")
                 return
             data = completed
         command = data[0]
-        state = self._state
-        if state == _IDLE:
+        transfer = self._transfer
+        if transfer is None:
             if self._straggler and self._is_straggler(command, frame):
                 return
-        elif state == _UPLOADING:
-            if command & ~0x0F == self._command:
-                self._on_upload_segment(command, data, now)
+        elif transfer.receive(command, data, frame, now):
+            if transfer.state is OVER:
+                self._follow(transfer)
                 return
-        elif state == _DOWNLOADING:
-            if command & ~0x0F == self._command:
-                self._on_download_segment(command, data, now)
-                return
-        elif state == _BLOCK:
-            assert self._transfer is not None
-            self._transfer.receive(command, data, frame, now)
+            self.deadline = deadline = transfer.deadline
+            if deadline < self._wake:
+                self._arm(deadline)
             return
         _HANDLERS[command >> 5](self, command, data, frame, now)
 
     def handle_timeout(self, now: Time) -> None:
-        if now < self.deadline:
-            return
-        if self._transfer is not None:
-            self._transfer.handle_timeout(now)
-        elif self._state in (_AWAITING_HOST, _AWAITING_PIECE):
-            self._abort(AbortCode.CANNOT_TRANSFER, AbortOrigin.TIMEOUT)
-        elif not self._last:  # what we took for a copy was all that came: the client does not alternate its toggle
-            self._abort(AbortCode.TOGGLE_NOT_ALTERNATED, AbortOrigin.TIMEOUT)
-        else:
-            self._abort(AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT)
+        transfer = self._transfer
+        if transfer is not None and now >= self.deadline:
+            transfer.handle_timeout(now)
+            self._follow(transfer)
 
-    # ---- upload ----
+    # ---- requests that begin a transfer ----
 
     def _on_initiate_upload(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.6; and of a block upload: 7.2.4.3.13"""
-        if self._state != _IDLE and not self._replace(data, frame):
+        if self._transfer is not None and not self._make_way(data, frame):
             return
-        self._index, self._subindex = MULTIPLEXER.unpack(data)
-        self._last = data
-        if command < BLOCK_UPLOAD:
-            self._block_request = b""
-        elif 1 <= data[4] <= MAX_BLOCK_SIZE:
-            self._block_request = data
-        else:
-            self._abort(AbortCode.INVALID_BLOCK_SIZE)
+        index, subindex = MULTIPLEXER.unpack(data)
+        self.last = data
+        if command >= BLOCK_UPLOAD and not 1 <= data[4] <= MAX_BLOCK_SIZE:
+            Transfer(self, index, subindex, data).abort(AbortCode.INVALID_BLOCK_SIZE)
             return
-        content = self._store.read(self._index, self._subindex, now)
+        content = self._door.store.read(index, subindex, now)
         if isinstance(content, bytes):
-            self._respond_upload(content, now)
+            transfer = answer_upload(self, index, subindex, data, self._door, content, False, now)
+            if transfer is not None:
+                self._follow(transfer)
         elif isinstance(content, Pending):
-            self._state = _AWAITING_HOST
-            self._handed = 0
-            self._ask_for_piece()
-            self._arm(now + self.access_timeout)
+            self._follow(ReadAccess(self, index, subindex, data, self._door, now))
         else:
-            self._abort(content)
-
-    def _on_given(self, piece: bytes, more: bool, size: int | None, now: Time) -> None:
-        """The host's answer."""
-        self._handed += len(piece)
-        if isinstance(self._transfer, BlockServerUpload):
-            self._transfer.extend(piece, not more, now)
-        elif self._state == _AWAITING_HOST:
-            self._state = _IDLE
-            self._respond_upload(piece, now, more, size)
-        else:
-            self._content = self._content[self._offset :] + piece
-            self._offset = 0
-            self._more = more
-            self._state = _UPLOADING
-            self._on_upload_segment(self._command, bytes((self._command,)).ljust(8, b"\x00"), now)
-
-    def _respond_upload(self, content: bytes, now: Time, more: bool = False, whole: int | None = None) -> None:
-        """With the whole object, or with the first piece of it."""
-        size = len(content)
-        request = self._block_request
-        if request and (more or not may_switch(request, size)):
-            self._state = _BLOCK
-            self._transfer = BlockServerUpload(self, request, content, more, whole, now)
-            return
-        if 0 < size <= MAX_EXPEDITED and not more:
-            command = INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size]
-            payload = EXPEDITED.pack(command, self._index, self._subindex, content)
-            self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
-            self.deadline = NEVER
-            return
-        announced = whole if more else size
-        command = INITIATE_UPLOAD_RESPONSE if announced is None else INITIATE_UPLOAD_RESPONSE | SIZE_BIT
-        self._send(INITIATE.pack(command, self._index, self._subindex, announced or 0))
-        self._state = _UPLOADING
-        self._more = more
-        self._command = UPLOAD_SEGMENT
-        self._content = content
-        self._offset = 0
-        self._arm(now + self.timeout)
-
-    def _on_upload_segment(self, command: int, data: bytes, now: Time) -> None:
-        """A request with the right toggle; CiA 301 v4.2.0, 7.2.4.3.7"""
-        content = self._content
-        offset = self._offset
-        if self._more and len(content) - offset <= 7:  # the segment may be the last one, or not
-            self._last = data
-            self._state = _AWAITING_PIECE
-            self._ask_for_piece()
-            self._arm(now + self.access_timeout)
-            return
-        payload = segment(command & TOGGLE, content, offset)
-        self.out.frames.append(Frame(self._send_can_id, payload, self._send_flags, 8))
-        self._offset = offset = offset + 7
-        if offset >= len(content):
-            self._become_idle()
-            return
-        self._last = data
-        self._command ^= TOGGLE
-        self.deadline = deadline = now + self.timeout
-        if deadline < self._wake:
-            self._arm(deadline)
-
-    # ---- download ----
+            Transfer(self, index, subindex, data).abort(content)
 
     def _on_initiate_download(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.3"""
-        if self._state != _IDLE and not self._replace(data, frame):
+        if self._transfer is not None and not self._make_way(data, frame):
             return
         _, index, subindex, announced = INITIATE.unpack(data)
-        self._index = index
-        self._subindex = subindex
-        self._last = data
+        self.last = data
+        transfer = Transfer(self, index, subindex, data)
         if command & EXPEDITED_BIT:
             unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
             payload = INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
-            answer = Frame(self._send_can_id, payload, self._send_flags, 8)
-            self._write(data[4 : 8 - unused], answer, now)
+            self._door.write(transfer, data[4 : 8 - unused], 0, Frame(self.can_id, payload, self.flags, 8), now)
+            self._follow(transfer)
             return
         size = announced if command & SIZE_BIT else None
-        if not self._may_download(size):
-            return
-        self._send(INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0))
-        self._announced = _UNKNOWN_SIZE if size is None else size
-        self._limit = size if size is not None else MAX_SIZE if self._in_pieces else self.max_download
-        self._state = _DOWNLOADING
-        self._command = DOWNLOAD_SEGMENT
-        self._arm(now + self.timeout)
+        if self._door.may_download(transfer, size, self.max_download):
+            self._follow(ServerDownload(self, index, subindex, data, self._door, size, self.max_download, now))
 
     def _on_initiate_block_download(self, data: bytes, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.9"""
-        self._index, self._subindex = MULTIPLEXER.unpack(data)
-        self._last = data
+        index, subindex = MULTIPLEXER.unpack(data)
+        self.last = data
         size = announced_size(data)
-        if self._may_download(size):
-            self._state = _BLOCK
-            self._transfer = BlockServerDownload(self, data, size, self._in_pieces, now)
-
-    def _may_download(self, size: int | None) -> bool:
-        """Ask the store, and abort if it refuses. size: None if it is not announced."""
-        refusal = self._store.check_write(self._index, self._subindex, size)
-        self._in_pieces = isinstance(refusal, Pending)
-        self._handed = 0
-        if isinstance(refusal, AbortCode):
-            self._abort(refusal)
-            return False
-        if size is not None and size > self.max_download and not self._in_pieces:
-            self._abort(AbortCode.OUT_OF_MEMORY)
-            return False
-        return True
+        if self._door.may_download(Transfer(self, index, subindex, data), size, self.max_download):
+            self._follow(ServerBlockDownload(self, index, subindex, data, self._door, size, self.max_download, now))
 
     def _surplus(self, index: int, subindex: int) -> int:
-        """How many of four bytes of unspecified size are too many for the object."""
+        """Return how many of four bytes of unspecified size are too many for the object."""
         for unused in (0, 1, 2, 3):
-            if not isinstance(self._store.check_write(index, subindex, 4 - unused), AbortCode):
+            if not isinstance(self._door.store.check_write(index, subindex, 4 - unused), AbortCode):
                 return unused
         return 0
 
-    def _on_download_segment(self, command: int, data: bytes, now: Time) -> None:
-        """A segment with the right toggle; CiA 301 v4.2.0, 7.2.4.3.4"""
-        buffer = self._buffer
-        if command == self._command:
-            buffer += data[1:]
-        else:
-            unused = command >> 1 & 7
-            buffer += data[1 : 8 - unused]
-        acknowledgement = self._acknowledgements[command & TOGGLE]
-        if len(buffer) > self._limit:
-            known = self._announced != _UNKNOWN_SIZE
-            self._abort(AbortCode.LENGTH_TOO_HIGH if known else AbortCode.OUT_OF_MEMORY)
-        elif not command & LAST:
-            if command & 0x0E == 0x0E:  # no data and yet not the last: without this a transfer might never end
-                self._abort(AbortCode.INVALID_COMMAND)
-                return
-            self._last = data
-            self._command ^= TOGGLE
-            if self._in_pieces and len(buffer) >= SUB_BLOCK_SIZE:
-                self._await_piece(acknowledgement, now)
-                return
-            self.out.frames.append(acknowledgement)
-            self.deadline = deadline = now + self.timeout
-            if deadline < self._wake:
-                self._arm(deadline)
-        elif len(buffer) < self._announced:
-            self._abort(AbortCode.LENGTH_TOO_LOW)
-        else:
-            self._last = data
-            if self._in_pieces:
-                self._await_host(bytes(buffer), acknowledgement, now, self._handed)
-            else:
-                self._write(bytes(buffer), acknowledgement, now)
-
-    def _await_piece(self, acknowledgement: Frame, now: Time) -> None:
-        """The host gets what came so far of a segmented download; the segment is acknowledged once it has taken that."""
-        piece, self._buffer = bytes(self._buffer), bytearray()
-        self._limit -= len(piece)
-        if self._announced != _UNKNOWN_SIZE:
-            self._announced -= len(piece)
-        self._hand_over_piece(piece, self._handed)
-        self._handed += len(piece)
-        self._answer = acknowledgement
-        self._state = _AWAITING_PIECE
-        self._arm(now + self.access_timeout)
-
-    def _on_taken(self, now: Time) -> None:
-        """The host has taken what was downloaded."""
-        if isinstance(self._transfer, BlockServerDownload):
-            self._transfer.taken(now)
-        elif self._state == _AWAITING_PIECE:
-            self._state = _DOWNLOADING
-            self.out.frames.append(self._answer)
-            self._arm(now + self.timeout)
-        else:
-            self._confirm(self._answer)
-
-    def _write(self, content: bytes, answer: Frame, now: Time) -> None:
-        result = self._store.write(self._index, self._subindex, content, now)
-        if result is None:
-            self._confirm(answer)
-        elif isinstance(result, Pending):
-            self._await_host(content, answer, now, 0)
-        else:
-            self._abort(result)
-
-    def _confirm(self, answer: Frame) -> None:
-        self.out.events.append(ObjectWritten(self.node_id, self._index, self._subindex))
-        self.out.frames.append(answer)
-        if self._state != _IDLE:
-            self._become_idle()
+    def _make_way(self, data: bytes, frame: Frame) -> bool:
+        """End the running transfer for a new one. False if it is only a copy of the request that the host is serving."""
+        transfer = self._transfer
+        assert transfer is not None
+        if data != self.last:
+            self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.REPLACED, False)
+        elif transfer.is_with_host:
+            self.ignore(frame, "second copy of a request that the host is serving")
+            return False
+        self._become_idle()
+        self._straggler = 0  # a request comes behind all segments
+        return True
 
     # ---- everything else ----
 
     def _on_other_segment(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        """A segment, or a request for one, that is not due."""
-        if data == self._last and self._state != _IDLE:
-            self._last = b""  # once
-            self._ignore(frame, "second copy of the last segment")
-        elif self._state in (_UPLOADING, _DOWNLOADING) and command & SPECIFIER == self._command & SPECIFIER:
-            self._abort(AbortCode.TOGGLE_NOT_ALTERNATED)
+        """Take a segment, or a request for one, that is not due."""
+        if data == self.last and self._transfer is not None:
+            self.last = b""  # once
+            self.ignore(frame, "second copy of the last segment")
         else:
             self._on_unknown(command, data, frame, now)
 
     def _on_abort(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.17. Without a transfer there is nothing to do: the client saw its end later than we did."""
-        if self._state != _IDLE:
-            self._report(SIZE.unpack_from(data, 4)[0], AbortOrigin.PEER)
+        if self._transfer is not None:
+            self.report_abort(self._transfer, SIZE.unpack_from(data, 4)[0], AbortOrigin.PEER, False)
             self._become_idle()
         self._straggler = 0  # the client sends nothing behind its abort
 
     def _on_block(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13: an initiate ends a running transfer like any other."""
         if not is_initiate(command):
-            if data == self._last:
-                self._last = b""  # once
-                self._ignore(frame, "second copy of the last frame")
+            if data == self.last:
+                self.last = b""  # once
+                self.ignore(frame, "second copy of the last frame")
             else:
                 self._on_unknown(command, data, frame, now)
         elif command & SPECIFIER == BLOCK_UPLOAD:
             self._on_initiate_upload(command, data, frame, now)
-        elif self._state == _IDLE or self._replace(data, frame):
+        elif self._transfer is None or self._make_way(data, frame):
             self._on_initiate_block_download(data, now)
 
-    def _on_other(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        """What is not of the block transfer that is under way."""
-        _HANDLERS[command >> 5](self, command, data, frame, now)
-
     def _on_unknown(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        if self._state == _IDLE:
-            self._index = self._subindex = 0  # there is no transfer to name
-        self._abort(AbortCode.INVALID_COMMAND)
+        transfer = self._transfer or Transfer(self, 0, 0, data)  # without a transfer there is none to name
+        transfer.abort(transfer.fault_of(command))
+        self._follow(transfer)
+
+    def _is_straggler(self, command: int, frame: Frame) -> bool:
+        """Return whether it is a segment of a block download that has ended: the next one, or of the beginning of a sub-block.
+
+        The sender may have all of it in a queue that stands still, so time tells nothing. Its order does: a request comes behind
+        all segments. A request that looks like the next segment is lost, and heard when it comes again.
+        """
+        if is_next(command, self._straggler):
+            self._straggler = next_number(command)
+            self.ignore(frame, "segment of a block download that has ended")
+            return True
+        self._straggler = 0
+        return False
 
     # ---- inside ----
 
-    def _replace(self, data: bytes, frame: Frame) -> bool:
-        """Make way for a new initiate. False if it is but a copy of the request that the host is serving."""
-        if data != self._last:
-            self._report(AbortCode.GENERAL_ERROR, AbortOrigin.REPLACED)
-        elif self._state == _AWAITING_HOST:
-            self._ignore(frame, "second copy of a request that the host is serving")
-            return False
-        self._become_idle()
-        self._straggler = 0  # a request comes behind all segments
-        return True
+    def report_abort(self, transfer: Transfer, abort_code: int, origin: AbortOrigin, not_confirmed: bool) -> None:
+        self._straggler = transfer.straggler
+        self.out.events.append(SdoServerAborted(self.node_id, transfer.index, transfer.subindex, abort_code, origin))
 
-    def _await_host(self, content: bytes, answer: Frame, now: Time, offset: int) -> None:
-        """The host gets what was downloaded, all of it or the last piece; `answer` once it has taken that."""
-        self._transfer = None
-        self._answer = answer
-        self._state = _AWAITING_HOST
-        self._report_access(content, False, offset)
-        self._is_reading = False
-        self._arm(now + self.access_timeout)
+    def _follow(self, transfer: Transfer) -> None:
+        """Do what the transfer wants now: wait for its deadline, go on with another one, or wait for the next request."""
+        if transfer.state is not OVER:
+            self._transfer = transfer
+            self._arm(transfer.deadline)
+        elif transfer.instead is not None:
+            self._follow(transfer.instead)
+        else:
+            self._become_idle()
 
     def _become_idle(self) -> None:
-        if isinstance(self._transfer, BlockServerDownload):
-            self._straggler = self._transfer.straggler
-        super()._become_idle()
         self._transfer = None
-        self._content = b""
-        if self._buffer:
-            self._buffer = bytearray()
+        self._door.close()
+        self.deadline = NEVER
 
 
 _Handler: TypeAlias = Callable[[SdoServer, int, bytes, Frame, Time], None]

@@ -29,7 +29,7 @@ from canopen_proto.machine import LocalProtocolError, Outcome
 from canopen_proto.sdo.block_client import lacks_blocks
 from canopen_proto.sdo.client import AUTO_BLOCK, MAX_UPLOAD, Block
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDownloaded, SdoStreamUploaded, SdoUploaded
-from canopen_proto.sdo.request import Buffer
+from canopen_proto.sdo.transfer import Buffer
 
 MAX_WHOLE: Final = MAX_UPLOAD
 """Bytes that are held at most for a server without block transfer: as many as the SDO client takes in one upload."""

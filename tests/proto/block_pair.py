@@ -75,7 +75,7 @@ class BlockPair:
 
     def on_event(self, report: Event) -> None:
         now = self.bus.now
-        bound = LARGEST + SUB_BLOCK_SIZE + 7
+        bound = max(self.client.max_upload, self.server.max_download) + SUB_BLOCK_SIZE + 7
         for transfer in (self.client._transfer, self.server._transfer):
             assert transfer is None or len(getattr(transfer, "_buffer", b"")) <= bound
         if isinstance(report, Outcome):

@@ -208,7 +208,7 @@ def test_memory_is_bounded_though_nobody_takes_what_is_reported(kind: type[AnySu
 def test_the_measure_sees_what_grows() -> None:
     subject = LocalSubject()
     before = held(subject.network)
-    subject.node.sdo._buffer += bytes(1000)
+    subject.node.sdo.last += bytes(1000)
     assert held(subject.network) == before + 1000
     subject.network.out.frames += [Frame(1), Frame(2, b"12345678")]
     assert held(subject.network) == before + 1000 + 2 + 8

@@ -184,7 +184,7 @@ def test_what_may_be_fed_is_bounded_and_a_fault_changes_nothing() -> None:
     bench = ClientBench()
     request_id = bench.client.download_stream(0x2000, 0, 0, size=MAX_FED + 10)
     assert bench.client.feed(request_id, bytes(MAX_FED - 1), 0)  # before the server has answered
-    with pytest.raises(LocalProtocolError, match="download 0x2000:00: 65535 bytes wait"):
+    with pytest.raises(LocalProtocolError, match="download 0x2000:00: 65535 bytes are waiting"):
         bench.client.feed(request_id, b"12", 0)
     with pytest.raises(LocalProtocolError, match="65536 bytes fed, 65546 announced"):
         bench.client.feed(request_id, b"1", 0, last=True)
@@ -296,7 +296,9 @@ def test_a_megabyte_in_streams_is_never_held() -> None:
             pair.server.complete(report.access_id, None, pair.bus.now)
         elif isinstance(report, SdoDownloaded):
             pair.outcomes.append(report)
-        most = max(most, len(pair.client._request.content), len(getattr(pair.server._transfer, "_buffer", b"")))
+        most = max(
+            most, len(getattr(pair.client._transfer, "_content", b"")), len(getattr(pair.server._transfer, "_buffer", b""))
+        )
 
     pair.bus.on_event = on_event
     pair.client.download_stream(BY_HOST, 0, 0, size=len(content))

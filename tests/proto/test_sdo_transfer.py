@@ -90,8 +90,11 @@ class Pair:
         return request_id
 
     def on_event(self, report: Event) -> None:
-        assert len(self.client._buffer) <= self.client.max_upload + 7
-        assert len(self.server._buffer) <= self.server.max_download + 7
+        for transfer, limit in (
+            (self.client._transfer, self.client.max_upload),
+            (self.server._transfer, self.server.max_download),
+        ):
+            assert len(getattr(transfer, "_buffer", b"")) <= limit + 7
         if isinstance(report, Outcome):
             self.jobs[report.request_id].outcomes.append((self.bus.now, report))
             self.finished.append(report)
@@ -108,8 +111,8 @@ class Pair:
         assert not self.client.busy
         assert not self.server.busy
         assert self.client.deadline == self.server.deadline == NEVER
-        assert not self.client._buffer
-        assert not self.server._buffer
+        assert self.client._transfer is None
+        assert self.server._transfer is None
 
     def check_bytes(self) -> None:
         """What was reported as read was there, what was reported as written was written, and nothing else was."""

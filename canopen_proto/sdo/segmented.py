@@ -1,0 +1,96 @@
+"""Segmented transfer: what is the same in a client and in a server.
+
+Each segment is asked for or acknowledged before the next one goes. A toggle bit, 0 in the first segment, alternates in the
+segments and in what is said to them. `due` is the command byte of a plain segment, request or acknowledgement that comes next:
+what differs from it in the toggle is a copy or a fault.
+
+    download    client   segment ------------------>  <------------- acknowledgement, same toggle    server
+    upload      client   request ------------------>  <--------------------- segment, same toggle    server
+
+Source: CiA 301 v4.2.0, 7.2.4.3.4 and 7.2.4.3.7.
+"""
+
+from __future__ import annotations
+
+from canopen_proto.abort import AbortCode
+from canopen_proto.frame import Frame
+from canopen_proto.machine import Time
+from canopen_proto.sdo.codec import LAST, SPECIFIER, TOGGLE
+from canopen_proto.sdo.transfer import SEGMENTS, UNKNOWN_SIZE, Transfer
+
+
+class SegmentedTransfer(Transfer):
+    """A transfer whose frames alternate their toggle."""
+
+    __slots__ = ("due",)
+
+    due: int  # while the state is SEGMENTS or HELD
+
+    def fault_of(self, command: int) -> AbortCode:
+        is_like_it = self.state is SEGMENTS and (command ^ self.due) & SPECIFIER == 0
+        return AbortCode.TOGGLE_NOT_ALTERNATED if is_like_it else AbortCode.INVALID_COMMAND
+
+
+class SegmentReceiver(SegmentedTransfer):
+    """The side that gets the data: the client in an upload, the server in a download. Subclasses say what is done with them."""
+
+    __slots__ = ("_announced", "_buffer", "_limit", "_piece_size")
+
+    # From `_start` on
+    _announced: int  # bytes that are still to come, or UNKNOWN_SIZE
+    _buffer: bytearray
+    _limit: int  # of _buffer
+    _piece_size: int  # of _buffer, from which on it is handed over
+
+    def _start(self, specifier: int, size: int, limit: int, piece_size: int, reply: Frame, now: Time) -> None:
+        """Send `reply`, and wait for the first segment. size: as announced, or UNKNOWN_SIZE; then `limit` counts."""
+        self._buffer = bytearray()
+        self._announced = size
+        self._limit = limit if size == UNKNOWN_SIZE else size
+        self._piece_size = piece_size
+        self.due = specifier
+        self._go_on(reply, now)
+
+    def _go_on(self, reply: Frame, now: Time) -> None:
+        """Send `reply`, and wait for the next segment."""
+        end = self.end
+        end.out.frames.append(reply)
+        self.state = SEGMENTS
+        self.deadline = now + end.timeout
+
+    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        if command & ~0x0F != self.due or self.state is not SEGMENTS:
+            return False
+        end = self.end
+        buffer = self._buffer
+        buffer += data[1:] if command == self.due else data[1 : 8 - (command >> 1 & 7)]
+        size = len(buffer)
+        if size > self._limit:
+            self.abort(AbortCode.OUT_OF_MEMORY if self._announced == UNKNOWN_SIZE else AbortCode.LENGTH_TOO_HIGH)
+        elif command & LAST:
+            if size < self._announced:
+                self.abort(AbortCode.LENGTH_TOO_LOW)
+            else:
+                end.last = data
+                self._complete(bytes(buffer), end.replies[command & TOGGLE], now)
+        elif command & 0x0E == 0x0E:  # no data and yet not the last: without this a transfer might never end
+            self.abort(AbortCode.INVALID_COMMAND)
+        else:
+            end.last = data
+            self.due ^= TOGGLE
+            if size >= self._piece_size:
+                self._hand_over(bytes(buffer), end.replies[command & TOGGLE], now)
+            else:
+                end.out.frames.append(end.replies[command & TOGGLE])
+                self.deadline = now + end.timeout
+        return True
+
+    # ---- what subclasses say ----
+
+    def _complete(self, content: bytes, reply: Frame, now: Time) -> None:
+        """All of it is there, or the last piece. reply: what acknowledges the last segment."""
+        raise NotImplementedError
+
+    def _hand_over(self, piece: bytes, reply: Frame, now: Time) -> None:
+        """Give a piece to the user; `reply` once it has taken that."""
+        raise NotImplementedError

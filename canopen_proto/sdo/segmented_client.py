@@ -1,0 +1,162 @@
+"""What a client does in expedited and segmented transfers. CiA 301 v4.2.0, 7.2.4.3.2 to 7.2.4.3.7.
+
+Upload     INITIATED   response 010x nn1s: the value      -> OVER       010x xx0s: ask for the first segment -> SEGMENTS
+           SEGMENTS    a segment: ask for the next one    -> SEGMENTS   the last one                         -> OVER
+Download   INITIATED   response 011x: it was expedited    -> OVER       else: send the first segment         -> SEGMENTS
+           SEGMENTS    acknowledgement: send the next one -> SEGMENTS   of the last one                      -> OVER
+"""
+
+from __future__ import annotations
+
+import struct
+
+from canopen_proto.abort import AbortCode
+from canopen_proto.frame import Frame
+from canopen_proto.machine import LocalProtocolError, Time
+from canopen_proto.sdo.block import MAX_SIZE
+from canopen_proto.sdo.codec import (
+    DOWNLOAD_SEGMENT,
+    DOWNLOAD_SEGMENT_RESPONSE,
+    EXPEDITED,
+    EXPEDITED_BIT,
+    EXPEDITED_BITS,
+    INITIATE,
+    INITIATE_DOWNLOAD,
+    INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD,
+    INITIATE_UPLOAD_RESPONSE,
+    MAX_EXPEDITED,
+    SIZE,
+    SIZE_BIT,
+    SPECIFIER,
+    TOGGLE,
+    UPLOAD_SEGMENT_RESPONSE,
+    segment,
+)
+from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.segmented import SegmentedTransfer, SegmentReceiver
+from canopen_proto.sdo.transfer import INITIATED, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd
+
+
+class Upload(SegmentReceiver):
+    """Read an object, expedited or in segments, as the server chooses."""
+
+    __slots__ = ("_most",)
+
+    def __init__(self, end: ChannelEnd, index: int, subindex: int, most: int) -> None:
+        """index 0..0xFFFF, subindex 0..0xFF; else LocalProtocolError. most: bytes that are accepted."""
+        try:
+            first = INITIATE.pack(INITIATE_UPLOAD, index, subindex, 0)
+        except struct.error:
+            raise impossible("upload", index, subindex) from None
+        super().__init__(end, index, subindex, first)
+        self._most = most
+
+    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        if self.state is not INITIATED:
+            return super().receive(command, data, frame, now)
+        if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.first[1:4]:
+            return False
+        self.on_initiated(command, data, now)
+        return True
+
+    def on_initiated(self, command: int, data: bytes, now: Time) -> None:
+        """The server answers with the value, or with its size and segments to come. 7.2.4.3.6"""
+        end = self.end
+        end.last = data
+        self.is_answered = True
+        if command & EXPEDITED_BIT:
+            unused = command >> 2 & 3 if command & SIZE_BIT else 0
+            end.out.events.append(SdoUploaded(end.node_id, self.request_id, self.index, self.subindex, data[4 : 8 - unused]))
+            self.finish()
+            return
+        size: int = SIZE.unpack_from(data, 4)[0] if command & SIZE_BIT else UNKNOWN_SIZE
+        if size > self._most:
+            self.abort(AbortCode.OUT_OF_MEMORY)
+            return
+        self._start(UPLOAD_SEGMENT_RESPONSE, size, self._most, MAX_SIZE, end.replies[TOGGLE], now)
+
+    def _complete(self, content: bytes, reply: Frame, now: Time) -> None:
+        end = self.end
+        end.out.events.append(SdoUploaded(end.node_id, self.request_id, self.index, self.subindex, content))
+        self.finish()
+
+    @property
+    def is_answer_ambiguous(self) -> bool:
+        return self.state is INITIATED
+
+
+class Download(SegmentedTransfer):
+    """Write an object: expedited if it has 1 to 4 bytes, else in segments (no bytes at all have no expedited form)."""
+
+    __slots__ = ("_content", "_offset")
+
+    def __init__(self, end: ChannelEnd, index: int, subindex: int, content: Buffer) -> None:
+        """index 0..0xFFFF, subindex 0..0xFF; else LocalProtocolError."""
+        if not isinstance(content, bytes):
+            content = own(content, index, subindex)
+        size = len(content)
+        try:
+            if 0 < size <= MAX_EXPEDITED:
+                first = EXPEDITED.pack(INITIATE_DOWNLOAD | EXPEDITED_BITS[size], index, subindex, content)
+            else:
+                first = INITIATE.pack(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size)
+        except struct.error:
+            raise impossible("download", index, subindex) from None
+        super().__init__(end, index, subindex, first)
+        self._content = content
+        self._offset = 0  # what has been sent
+
+    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        end = self.end
+        if self.state is SEGMENTS:  # an acknowledgement, 7.2.4.3.4
+            if command & ~0x0F != self.due:
+                return False
+            end.last = data
+            if self._offset < len(self._content):
+                self._send_segment(now)
+                return True
+        else:  # 7.2.4.3.3
+            if command & SPECIFIER != INITIATE_DOWNLOAD_RESPONSE or data[1:4] != self.first[1:4]:
+                return False
+            end.last = data
+            self.is_answered = True
+            if not self.first[0] & EXPEDITED_BIT:
+                self.state = SEGMENTS
+                self.due = DOWNLOAD_SEGMENT_RESPONSE | TOGGLE
+                self._send_segment(now)
+                return True
+        end.out.events.append(SdoDownloaded(end.node_id, self.request_id, self.index, self.subindex))
+        self.finish()
+        return True
+
+    def _send_segment(self, now: Time) -> None:
+        """Send the next one, with the other toggle than the last response. 7.2.4.3.4"""
+        end = self.end
+        self.due = due = self.due ^ TOGGLE
+        payload = segment(DOWNLOAD_SEGMENT | due & TOGGLE, self._content, self._offset)
+        self._offset += 7
+        end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
+        self.deadline = now + end.timeout
+
+    @property
+    def is_all_sent(self) -> bool:
+        if self.state is INITIATED:
+            return bool(self.first[0] & EXPEDITED_BIT)
+        return self._offset >= len(self._content)
+
+    @property
+    def is_answer_ambiguous(self) -> bool:
+        return self.state is INITIATED and self.is_all_sent
+
+
+def own(content: Buffer, index: int, subindex: int) -> bytes:
+    """Return the content as bytes, which nobody changes while the request waits; else raise LocalProtocolError."""
+    if not isinstance(content, bytes | bytearray | memoryview):  # bytes(6) would be six zeros
+        raise LocalProtocolError(f"download {index!r}:{subindex!r}: bytes expected, not {content!r}")
+    return bytes(content)  # the same object if it is bytes already
+
+
+def impossible(what: str, index: object, subindex: object) -> LocalProtocolError:
+    """Return the error for an index or subindex that no frame can carry."""
+    return LocalProtocolError(f"{what} {index!r}:{subindex!r}: index 0..0xFFFF and subindex 0..0xFF expected")

@@ -1,0 +1,218 @@
+"""What every SDO transfer is, in a client and in a server: its states, its inputs, and the end of the channel that it uses.
+
+Theory of operation
+-------------------
+A `ChannelEnd` is one end of a channel: an SdoClient or an SdoServer. It knows the COB-IDs and the limits, and sends frames. A
+`Transfer` is one transfer, as that end sees it; there is a class for each kind, direction and role:
+
+                    client                  server                  the side that gets the data, the side that has it
+    segmented (*)   segmented_client.py     segmented_server.py     segmented.py
+    block           block_client.py         block_server.py         block_receiver.py, block_sender.py
+    by the host                             host.py
+
+    (*) and expedited: it is the server that chooses how an upload goes
+
+The end routes frames to the transfer under way, and looks at it after each input: at its `deadline`, at `state` (OVER?) and at
+`instead`. A transfer never looks at the end's queue or at other transfers.
+
+    state       what is awaited                                             when that does not come in time
+    INITIATED   the other side's answer to the initiate frame               0x05040000
+    SEGMENTS    the next segment, or the request or acknowledgement of one  0x05040000; 0x05030000 if only a copy came
+    SENT        the acknowledgement of a sub-block (block sender)           0x05040000
+    HELD        our own user: a piece of a stream, an answer of the host    0x08000020
+    ENDING      the end of a block transfer, or the response to it          0x05040000
+    OVER        nothing
+
+    INITIATED -> SEGMENTS <-> SENT, HELD -> ENDING (block transfer only) -> OVER; and OVER from anywhere, by an abort.
+
+Source: CiA 301 v4.2.0, 7.2.4.3.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import ClassVar, Final, TypeAlias
+
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, FrameIgnored, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
+from canopen_proto.sdo.codec import ABORT, BLOCK_UPLOAD, INITIATE, INITIATE_UPLOAD, SPECIFIER, TOGGLE
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
+
+UNKNOWN_SIZE: Final = -1
+"""The other side has not announced how many bytes it sends."""
+
+
+class State(Enum):
+    """The states of a transfer; see this module's text."""
+
+    INITIATED = "initiated"
+    SEGMENTS = "segments"
+    SENT = "sent"
+    HELD = "held"
+    ENDING = "ending"
+    OVER = "over"
+
+
+INITIATED: Final = State.INITIATED
+SEGMENTS: Final = State.SEGMENTS
+SENT: Final = State.SENT
+HELD: Final = State.HELD
+ENDING: Final = State.ENDING
+OVER: Final = State.OVER
+
+
+class ChannelEnd(Machine):
+    """One end of an SDO channel; see this module's text. Limits are in ns, segments and bytes, and may be changed at any time.
+
+    last: the last frame that was accepted from the other side; empty once its second copy was seen. replies: by the toggle of
+    a segment that came, what is sent for it: the request of the next one, or the acknowledgement.
+    """
+
+    __slots__ = (
+        "_hears", "_reply", "block_size", "burst_interval", "can_id", "copy_guard", "crc", "flags", "last", "max_burst",
+        "node_id", "replies", "stream_timeout", "timeout",
+    )  # fmt: skip
+
+    def __init__(self, out: Outbox, node_id: int, reply: int, timeout: Time) -> None:
+        """reply: the command byte that is sent for a segment whose toggle is 0."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self.timeout = timeout
+        self.stream_timeout = STREAM_TIMEOUT
+        self.copy_guard: Time = 0
+        self.crc = True
+        self.block_size = MAX_BLOCK_SIZE
+        self.max_burst = MAX_BURST
+        self.burst_interval: Time = 0
+        self.last = b""
+        self._reply = reply
+
+    def send(self, payload: bytes) -> None:
+        """Send eight bytes to the other end."""
+        self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
+
+    def ignore(self, frame: Frame, reason: str) -> None:
+        """Report that a frame was not acted on."""
+        self.out.events.append(FrameIgnored(self.node_id, frame, reason))
+
+    def report_abort(self, transfer: Transfer, abort_code: int, origin: AbortOrigin, not_confirmed: bool) -> None:
+        """Report that a transfer ended by an abort. not_confirmed: a download that may have been executed nevertheless."""
+        raise NotImplementedError
+
+    def _use(self, sends: int, hears: int) -> None:
+        """Use this channel from now on; both as `Frame.key`."""
+        self._hears = hears
+        self.can_id = can_id = sends & 0x1FFF_FFFF
+        self.flags = flags = sends >> 29
+        self.replies = {toggle: Frame(can_id, bytes((self._reply ^ toggle,)).ljust(8, b"\x00"), flags) for toggle in (0, TOGGLE)}
+
+
+class Transfer:
+    """One transfer, under way or waiting; see this module's text.
+
+    first: the data of the initiate request. request_id: that of a client's request. is_answered: the other side has answered
+    the initiate frame, so it has nothing more to say about transfers before. is_given_up: it ended, and an answer may still come.
+    instead: the transfer that takes the place of this one, if it is set.
+    """
+
+    __slots__ = ("deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "request_id", "state", "subindex")
+
+    is_with_host: ClassVar[bool] = False
+    """Whether the host has the whole request, and our answer depends on it alone."""
+
+    def __init__(self, end: ChannelEnd, index: int, subindex: int, first: bytes) -> None:
+        self.end = end
+        self.index = index
+        self.subindex = subindex
+        self.first = first
+        self.request_id: RequestId = 0
+        self.state = INITIATED
+        self.deadline: Time = NEVER
+        self.is_answered = False
+        self.is_given_up = False
+        self.instead: Transfer | None = None
+
+    def __str__(self) -> str:
+        is_upload = self.first[0] & SPECIFIER in (INITIATE_UPLOAD, BLOCK_UPLOAD)
+        return f"{'upload' if is_upload else 'download'} 0x{self.index:04X}:{self.subindex:02X}"
+
+    # ---- inputs ----
+
+    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        """Take a frame: command is its first byte, data its eight. False, and nothing has changed, if it is none that is due."""
+        return False
+
+    def handle_timeout(self, now: Time) -> None:
+        """`deadline` has come."""
+        abort_code = AbortCode.CANNOT_TRANSFER if self.state is HELD else AbortCode.TIMED_OUT
+        if self.state is SEGMENTS and not self.end.last:
+            # What we took for a copy of the last frame was all that came: the other side does not alternate its toggle
+            abort_code = AbortCode.TOGGLE_NOT_ALTERNATED
+        self.abort(abort_code, AbortOrigin.TIMEOUT)  # this also brings a server out of its state: some need a reset otherwise
+
+    # ---- commands of the user: the caller of a stream, or the host ----
+
+    def feed(self, piece: Buffer, last: bool, now: Time) -> None:
+        """Send these bytes too; last: no more follow."""
+        raise LocalProtocolError(f"{self}: it is no stream")
+
+    @property
+    def room(self) -> int:
+        """How many more bytes may be fed now."""
+        return 0
+
+    def proceed(self, now: Time) -> bool:
+        """The user has taken what it was given. False if this transfer gives nothing."""
+        return False
+
+    def abort(self, abort_code: int, origin: AbortOrigin = AbortOrigin.LOCAL) -> None:
+        """End the transfer by an abort frame. CiA 301 v4.2.0, 7.2.4.3.17"""
+        end = self.end
+        end.send(INITIATE.pack(ABORT, self.index, self.subindex, abort_code))
+        self.is_given_up = True
+        end.report_abort(self, abort_code, origin, self.is_all_sent)
+        self.finish()
+
+    def finish(self) -> None:
+        """Nothing more is awaited."""
+        self.state = OVER
+        self.deadline = NEVER
+
+    # ---- getters ----
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the initiation is over: the frames that come now do not name the object."""
+        return self.state is not INITIATED
+
+    @property
+    def is_all_sent(self) -> bool:
+        """Whether it is a download of which everything has been sent: the server may execute it."""
+        return False
+
+    @property
+    def is_answer_ambiguous(self) -> bool:
+        """Whether the answer that is due may be a whole one: if it comes late, it looks like that to the next such request."""
+        return False
+
+    @property
+    def patience(self) -> Time:
+        """How long the other side may be silent, in ns."""
+        return self.end.timeout
+
+    @property
+    def plain(self) -> Transfer | None:
+        """What a client falls back on if the server refuses block transfer; None if on nothing."""
+        return None
+
+    @property
+    def straggler(self) -> int:
+        """If the transfer ends now: the number of the block segment that the other side may still send; 0 if none."""
+        return 0
+
+    def fault_of(self, command: int) -> AbortCode:
+        """What is wrong with a frame that is not due."""
+        return AbortCode.INVALID_COMMAND
