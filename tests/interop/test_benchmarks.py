@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 RUN = Path(__file__).resolve().parents[2] / "benchmarks" / "run.py"
 
@@ -29,3 +32,27 @@ def test_a_word_that_is_in_no_title_is_an_error() -> None:
     finished = subprocess.run([sys.executable, str(RUN), "nosuchcase"], capture_output=True, text=True, timeout=100, check=False)
     assert finished.returncode == 2
     assert "no case has one of these words" in finished.stderr
+
+
+def test_each_goal_names_cases_that_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(RUN.parent))
+    goals, measure, run, imports = (importlib.import_module(name) for name in ("goals", "measure", "run", "imports"))
+    monkeypatch.setattr(imports, "over_bare", lambda program: 42.0)
+    results = [measure.Result(case.title, [2.0], [4.6]) for module in run.MODULES for case in module.cases()]
+    text = run.report(results, 1, 0.1, with_goals=True)
+    rows = [line for line in text.splitlines() if any(goal.work in line for goal in goals.GOALS)]
+    assert len(rows) == len(goals.GOALS)
+    assert "| read by name, decoded, RemoteNode | 2.3 " in rows[0]
+    assert "| 42 ms (missed) | 20 ms | 10 ms |" in text
+    page = (RUN.parents[1] / "docs" / "speed.md").read_text(encoding="utf-8")
+    assert text in run.paste(page, text)
+    assert run.paste(run.paste(page, "old"), text) == run.paste(page, text)
+    with pytest.raises(SystemExit, match="0 places"):
+        run.paste("no marks", text)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="asks POSIX for the CPU time of a child")
+def test_what_a_start_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(RUN.parent))
+    imports = importlib.import_module("imports")
+    assert imports.over_bare("import can", rounds=1) > 0

@@ -1,0 +1,93 @@
+"""What users feel, in one table: how it is now, what it must be at least, and where we want to be.
+
+A ratio says how many times less CPU time ours takes than `canopen` does for the same; of several cases the worst counts. Shares,
+costs and milliseconds are smaller where they are better.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import imports
+from measure import Result
+
+import canopen_proto
+
+COMPILED: bool = getattr(canopen_proto, "COMPILED", False)
+
+Results = Mapping[str, Result]
+"""What was measured, by the titles of the cases."""
+
+
+class Goal(NamedTuple):
+    """pure, compiled: the least of each build. unit: "" for a ratio to canopen, where more is better."""
+
+    work: str
+    now: Callable[[Results], float]
+    pure: float
+    compiled: float
+    wanted: float
+    unit: str = ""
+
+    def row(self, results: Results) -> str:
+        """Its line of the table."""
+        now, least = self.now(results), self.compiled if COMPILED else self.pure
+        better = operator.le if self.unit else operator.ge
+        mark = "" if better(now, least) else " (missed)"
+        cells = (self._text(now) + mark, self._text(least), self._text(self.wanted))
+        return f"| {self.work} | {' | '.join(cells)} |"
+
+    def _text(self, value: float) -> str:
+        digits = max(0, 1 - math.floor(math.log10(value))) if value > 0 else 0
+        return f"{value:.{min(digits, 2)}f}{self.unit}"
+
+
+def worst(*titles: str) -> Callable[[Results], float]:
+    """The least ratio of these cases: medians against medians."""
+    return lambda results: min(results[title].ratio for title in titles)
+
+
+def among_many(results: Results) -> float:
+    """What a frame costs among 127 nodes, where it costs 1 among 6."""
+    few, many = (results[f"a frame among {nodes} nodes (RemoteNode)"] for nodes in (6, 127))
+    return min(many.ours) / min(few.ours)
+
+
+def starting(program: str) -> Callable[[Results], float]:
+    """ms over bare Python."""
+    return lambda _: imports.over_bare(program)
+
+
+GOALS = (
+    Goal(
+        "read by name, decoded, RemoteNode",
+        worst("read by name, object (RemoteNode)", "read by name, field of a record (RemoteNode)"),
+        1.5, 3, 5,
+    ),
+    Goal("expedited upload, Networks", worst("SDO expedited upload (Networks)"), 1.8, 4, 5),
+    Goal(
+        "segmented 64 KiB, RemoteNode, both ways",
+        worst("SDO upload of 64 KiB (RemoteNode)", "SDO download of 64 KiB (RemoteNode)"),
+        2.5, 7, 10,
+    ),
+    Goal(
+        "block 1 MiB, Networks, both ways",
+        worst("SDO block upload of 1 MiB (Networks)", "SDO block download of 1 MiB (Networks)"),
+        2.8, 6, 10,
+    ),
+    Goal("PDO in, four values, RemoteNode", worst("PDO decode, 4 objects (RemoteNode)"), 4.2, 8, 10),
+    Goal("heartbeat, RemoteNode, one by one", worst("heartbeat, frame to state (RemoteNode, one by one)"), 0.8, 1.5, 2),
+    Goal("cost for a frame, 127 nodes / 6 nodes", among_many, 1.1, 1.1, 1.0, " times"),
+    Goal(f"`{imports.NETWORK}`, over bare Python", starting(imports.NETWORK), 20, 20, 10, " ms"),
+    Goal("`canopen --help`, over bare Python", starting(imports.HELP), 120, 120, 80, " ms"),
+)  # fmt: skip
+
+
+def table(results: Results) -> str:
+    """All goals as a Markdown table."""
+    build = "compiled" if COMPILED else "pure Python"
+    head = f"| work (ratio to canopen unless it has a unit) | now, {build} | least | wanted |\n|---|---:|---:|---:|"
+    return "\n".join([head, *(goal.row(results) for goal in GOALS)])
