@@ -2,21 +2,21 @@
 
 Theory of operation
 -------------------
-The drive is the application of a `LocalNode`. Objects reach it by `written`, after the node stored them (by SDO or PDO alike); it
-answers by writing its own objects into the same store: statusword, actual values, mode display. It calls nobody: what the node
-should turn into an EMCY comes as `DriveFault` and `DriveFaultCleared`.
+The drive is the application of a `LocalNode`. The node stores an object (written by SDO or PDO alike), then calls `written`. The
+drive answers by writing its own objects into the same store: statusword, actual values, mode display. It reports faults by the
+events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.
 
-- The state machine is the table in `states.py`. A command acts when its controlword is written, not because it stands; edges
-  (fault reset, new set-point) are those against the word written before, so one PDO repeated for ever makes one edge.
-- Leaving Operation enabled goes by the option codes: 605Ah quick stop, 605Bh shutdown, 605Ch disable operation, 605Eh fault
-  reaction; while a ramp of 605Bh or 605Ch runs, the state stays Operation enabled, and the transition follows at its end.
-- What moves is closed form (`servo.py`), so time costs little: while something moves or is watched the drive wakes every STEP,
-  and at the end of a motion that something waits for; else never. `refresh(now)` brings the store up to date before a TPDO is
-  built or an SDO reads.
+- The state machine is the table in `states.py`. A command acts when its controlword is written, not as long as it is stored. An
+  edge (fault reset, new set-point) is a difference from the word written before: a PDO repeated for ever makes one edge.
+- The option codes decide how the drive leaves Operation enabled: 605Ah quick stop, 605Bh shutdown, 605Ch disable operation, 605Eh
+  fault reaction. While a ramp of 605Bh or 605Ch runs, the state stays Operation enabled; the transition follows at its end.
+- Motion is closed form (`servo.py`), so time costs little. The drive wakes every STEP while something moves or is watched, and at
+  the end of a motion that something waits for; else never. `refresh(now)` brings the store up to date before a TPDO is built or
+  an SDO reads.
 - Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
-  3; this is how CiA 402 has it.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
+  3; this follows CiA 402.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
 
-Left out: torque modes, csv, limit switches outside of homing, jerk.
+Left out: torque modes, csv, limit switches except for homing, jerk.
 
 Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option codes.
 """
@@ -41,7 +41,7 @@ from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
 
 STEP: Final = 10 * MILLISECOND
-"""How often a drive looks at itself while it moves: following error, switches, target window. Positions do not depend on it."""
+"""Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
 
 FOLLOWING_ERROR: Final = 0x8611
 HEARTBEAT_ERROR: Final = 0x8130
@@ -59,7 +59,7 @@ _STATE_BITS: Final[dict[State, int]] = {
     State.FAULT_REACTION_ACTIVE: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x0F,
     State.FAULT: StatusBit.REMOTE | 0x08,
 }
-"""State -> what the statusword shows of it; the voltage is on from Switched on."""
+"""State -> its bits in the statusword; the voltage is on from Switched on."""
 
 _NO_STATES: Final = (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)
 _ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
@@ -71,8 +71,8 @@ _INT32: Final = 1 << 31
 class Drive(Machine):
     """A simulated drive. Nothing happens before `reset`, which is its power-on.
 
-    values: of a dictionary such as `drive_dictionary` makes; objects that it lacks are as in servo.FALLBACKS. state, mode: what
-    statusword and 6061h show.
+    values: of a dictionary such as `drive_dictionary` makes; objects that it lacks have the values of servo.FALLBACKS. state,
+    mode: as statusword and 6061h show them.
     """
 
     __slots__ = (
@@ -114,7 +114,7 @@ class Drive(Machine):
         }
         self._mode = self._modes[Mode.NO_MODE]
         self._controlword = 0
-        self._after_stop: Command | Occurrence | None = None  # what follows when the ramp under way has ended
+        self._after_stop: Command | Occurrence | None = None  # to execute when the present ramp has ended
         self._ready_at: Time = NEVER
         self._deviates_since: Time | None = None
         self._faults: list[int] = []
@@ -123,9 +123,9 @@ class Drive(Machine):
     # ---- commands of the node that hosts it ----
 
     def reset(self, now: Time) -> None:
-        """Power-on: transitions 0 and, after `settings.self_test`, 1. The node has put the values back before.
+        """Power on: transition 0 and, after `settings.self_test`, 1. The node has restored the values before.
 
-        The axis stays where it is, but no longer knows where that is: position 0 is that of the track, and homing is to be done.
+        The axis stays where it is, but has lost its reference: position 0 is that of the track, and it must be homed.
         """
         servo = self._servo
         servo.advance(now)
@@ -147,13 +147,14 @@ class Drive(Machine):
         self._schedule()
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Whether the drive takes that value now; asked after the checks of type and limits and before it is stored."""
+        """Return the abort code if the drive refuses this value now, else None. Called after the checks of type and limits,
+        before the value is stored."""
         key = index << 8 | subindex
         if not isinstance(value, int):
             return None
         is_mode = key == objects.MODES_OF_OPERATION
         has_value = self._has_mode(value) if is_mode else value in ALLOWED_VALUES.get(key, (value,))
-        if not has_value and value != self._servo.parameter(key):  # what a file gave it may be written back
+        if not has_value and value != self._servo.parameter(key):  # the value that a file gave it may be written back
             return AbortCode.INVALID_VALUE
         mode = self._mode
         if key == objects.INTERPOLATION_SET_POINT and isinstance(mode, InterpolatedPosition) and mode.is_full:
@@ -161,7 +162,7 @@ class Drive(Machine):
         return None
 
     def written(self, index: int, subindex: int, now: Time) -> None:
-        """An object has a new value (or the same again), by SDO or PDO: a command takes effect at once."""
+        """Act on an object that was written by SDO or PDO, with a new value or the same: a command takes effect at once."""
         key = index << 8 | subindex
         if self.state in _NO_STATES:
             return
@@ -169,7 +170,7 @@ class Drive(Machine):
             word = self._servo.parameter(key)
             command = command_of(word, self._controlword)
             if word == self._controlword and (command is None or (self.state, command) not in TRANSITIONS):
-                return  # the same again, as each cycle brings it
+                return  # the same value again, as in each cycle
             self._advance(now)
             self._control(word, command)
         elif key == objects.MODES_OF_OPERATION:
@@ -184,23 +185,23 @@ class Drive(Machine):
         self._schedule()
 
     def on_sync(self, now: Time) -> None:
-        """A SYNC arrived, and the synchronous RPDOs that came before it are stored and told by `written`."""
+        """Act on a SYNC. The node has stored the synchronous RPDOs that came before it, and called `written` for them."""
         self._advance(now)
         if self._acts:
             self._mode.on_sync()
         self._publish()
-        self._schedule(2 * STEP)  # the next SYNC will most likely be earlier, and looks itself
+        self._schedule(2 * STEP)  # the next SYNC most likely comes earlier and checks, too
 
     def refresh(self, now: Time) -> None:
-        """Bring statusword and actual values in the store up to `now`: before a TPDO is built, or an SDO reads."""
+        """Bring statusword and actual values in the store up to `now`. Called before a TPDO is built, or an SDO reads."""
         if now > self._servo.time and self.deadline != NEVER:
             self._advance(now)
             self._publish()
             self._schedule()
 
     def connection_lost(self, now: Time, error_code: int) -> None:
-        """The master fell silent, or took the node out of Operational: act by 6007h. error_code: of the fault, where that says
-        fault; a lost heartbeat that leads out of Operational is one fault, not two."""
+        """Act by 6007h: the master fell silent, or took the node out of Operational. error_code: of the fault, if 6007h asks for
+        one. A lost heartbeat that also ends Operational makes one fault, not two."""
         self._advance(now)
         match self._servo.parameter(objects.ABORT_CONNECTION_OPTION_CODE):
             case 1:
@@ -214,7 +215,7 @@ class Drive(Machine):
         self._schedule()
 
     def rpdo_overdue(self, now: Time) -> None:
-        """An RPDO did not come within its event time: ip and csp stop following and brake."""
+        """Stop following and brake, in ip and csp: an RPDO did not come within its event time."""
         self._advance(now)
         if self._acts:
             self._mode.rpdo_lost()
@@ -222,9 +223,9 @@ class Drive(Machine):
         self._schedule()
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
-        """Something is wrong in the drive (what a test or demo wants to see): transition 13, DriveFault.
+        """Make a fault in the drive, for a test or demo: transition 13, and a DriveFault event.
 
-        error_code: 1..0xFFFF, as in CiA 402. lasting: its cause stays, and no fault reset helps, until `end_fault`.
+        error_code: 1..0xFFFF, as in CiA 402. lasting: the cause stays, and no fault reset helps, until `end_fault`.
         """
         self._advance(now)
         if lasting:
@@ -234,11 +235,11 @@ class Drive(Machine):
         self._schedule()
 
     def end_fault(self, error_code: int) -> None:
-        """The cause of a lasting fault is gone: a fault reset will clear it."""
+        """End the cause of a lasting fault: a fault reset clears it then."""
         self._lasting_faults.discard(error_code)
 
     def block(self, blocked: bool, now: Time) -> None:
-        """Hold the axis mechanically, or let it go: a drive that wants to move gets a following error."""
+        """Block the axis mechanically, or free it: a blocked drive that is to move gets a following error."""
         self._advance(now)
         self._servo.block(blocked)
         self._publish()
@@ -248,7 +249,7 @@ class Drive(Machine):
         if now < self.deadline:
             return
         self._advance(now)
-        if self._acts and now >= self._mode.due:  # here only: a SYNC that waited while our own process slept is in time
+        if self._acts and now >= self._mode.due:  # only here: a SYNC that waited while our process slept is in time
             self._mode.sync_lost()
         self._publish()
         self._schedule()
@@ -266,8 +267,8 @@ class Drive(Machine):
         """Walk the arcs of a command: one, or two for "switch on and enable operation"."""
         if self._after_stop is not None and self.state is State.OPERATION_ENABLED:
             if command is self._after_stop:
-                return  # it is being done
-            if command is Command.ENABLE_OPERATION:  # the master thought better of it: the axis stops, but the drive stays on
+                return  # it is under way already
+            if command is Command.ENABLE_OPERATION:  # the master changed its mind: the axis stops, but the drive stays enabled
                 self._after_stop = None
                 self._mode.enter()
                 return
@@ -277,7 +278,7 @@ class Drive(Machine):
             self._enter(arc)
 
     def _permits(self, command: Command) -> bool:
-        """Conditions that the table of transitions leaves to the drive."""
+        """Return whether the drive permits a command, by conditions that are not in the table of transitions."""
         if self.state is State.FAULT:
             return not self._lasting_faults
         if self.state is State.QUICK_STOP_ACTIVE and command is Command.ENABLE_OPERATION:
@@ -285,7 +286,7 @@ class Drive(Machine):
         return True
 
     def _stops_first(self, command: Command) -> bool:
-        """Whether the axis goes down a ramp before that command's transition (605Bh, 605Ch); it has begun to."""
+        """Start the ramp that comes before this command's transition (605Bh, 605Ch), if any; return whether there is one."""
         options = {
             Command.SHUTDOWN: objects.SHUTDOWN_OPTION_CODE,
             Command.DISABLE_OPERATION: objects.DISABLE_OPERATION_OPTION_CODE,
@@ -301,7 +302,7 @@ class Drive(Machine):
         self._enter(TRANSITIONS[self.state, occurrence])
 
     def _enter(self, arc: Arc) -> None:
-        """Go over an arc: the one place where the state changes."""
+        """Take a transition: the only place where the state changes."""
         previous = self.state
         self.state, transition = arc
         self.out.events.append(DriveStateChanged(self.node_id, previous, self.state, transition))
@@ -329,7 +330,7 @@ class Drive(Machine):
                 servo.release()
 
     def _stop_by(self, option: int, then: Occurrence | None) -> None:
-        """Stop by an option code (0: take the power off), and then go on."""
+        """Stop by an option code (0: take the power off); `then` follows."""
         if option == 0:
             self._servo.release()
         else:
@@ -338,7 +339,7 @@ class Drive(Machine):
         self._end_stop()
 
     def _end_stop(self) -> None:
-        """Where the axis has stopped and something was to follow: that."""
+        """Once the axis has stopped, do what was to follow."""
         following = self._after_stop
         if following is not None and self._servo.at_rest:
             self._enter(TRANSITIONS[self.state, following])
@@ -356,18 +357,18 @@ class Drive(Machine):
 
     @property
     def _acts(self) -> bool:
-        """Whether the mode has the axis: operation is enabled, and not about to end."""
+        """Whether the mode controls the axis: operation is enabled, and not about to end."""
         return self.state is State.OPERATION_ENABLED and self._after_stop is None
 
     def _has_mode(self, mode: int) -> bool:
-        """Whether a mode can be chosen: "no mode" always; without 6502h, each; the Schunk homes, whatever its 6502h says."""
+        """Return whether a mode can be selected: "no mode" always; without 6502h any; on a Schunk homing, whatever 6502h says."""
         if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
             return True
         known = self._servo.store.get(objects.SUPPORTED_DRIVE_MODES)
         return mode in self._modes and (not isinstance(known, int) or supported(known, mode))
 
     def _select_mode(self) -> None:
-        """Take the mode of 6060h. One that it lacks (an RPDO can bring it) changes nothing: 6061h shows what is active."""
+        """Select the mode of 6060h. A mode that the drive lacks (an RPDO can write it) changes nothing, as 6061h shows."""
         mode = self._servo.parameter(objects.MODES_OF_OPERATION)
         if mode != self.mode and self._has_mode(mode):
             if self._acts:
@@ -380,14 +381,14 @@ class Drive(Machine):
                 self._mode.control(self._controlword, self._controlword)
         self._put(objects.MODES_OF_OPERATION_DISPLAY, self.mode)
 
-    # ---- time and what the store shows ----
+    # ---- time, and the values in the store ----
 
     def _advance(self, now: Time) -> None:
         self._servo.advance(now)
         self._look()
 
     def _look(self) -> None:
-        """See what time has brought."""
+        """Act on what has happened since the last check."""
         servo = self._servo
         if self.state is State.NOT_READY_TO_SWITCH_ON and servo.time >= self._ready_at:
             self._occur(Occurrence.SELF_TEST_PASSED)
@@ -401,7 +402,7 @@ class Drive(Machine):
             self._watch_following_error()
 
     def _watch_following_error(self) -> None:
-        """A fault once the axis is further from its demand than 6065h for longer than 6066h."""
+        """Make a fault if the axis was further from its demand than 6065h for longer than 6066h."""
         servo = self._servo
         window = servo.parameter(objects.FOLLOWING_ERROR_WINDOW)
         if abs(servo.following_error) <= window or window == UNLIMITED:
@@ -460,10 +461,10 @@ class Drive(Machine):
 
 
 def _wrapped(position: float) -> int:
-    """A position as INTEGER32; an axis that turns for ever starts again at the other end."""
+    """Return a position as INTEGER32; an endless axis starts again at the other end."""
     return (round(position) + _INT32) % (2 * _INT32) - _INT32
 
 
 def _limited(value: float) -> int:
-    """A speed or distance as INTEGER32, as far as it can be shown."""
+    """Return a speed or distance as INTEGER32, clipped to its range."""
     return round(max(-_INT32, min(_INT32 - 1, value)))

@@ -1,4 +1,4 @@
-"""The object dictionaries of the simulated drives: what a `LocalNode` needs to be one of them.
+"""The object dictionaries of the simulated drives.
 
 Two shapes, see `servo.Shape`. Both have the communication objects of CiA 301 with four RPDOs and four TPDOs, whose COB-IDs follow
 the predefined connection set.
@@ -13,8 +13,8 @@ the predefined connection set.
     TPDO3    6041, 6064                                            off
     TPDO4    6064, 606C, type 1                                    off
 
-By which a drive notices that its master is gone they differ as the real ones' files do. Standard: SYNC period, four heartbeat
-consumers, event times of RPDOs, 6007. Powerball: three heartbeat consumers, guarding, no 6007.
+As in the files of real drives, the shapes differ in how a drive notices that its master is gone. Standard: SYNC period, four
+heartbeat consumers, event times of RPDOs, 6007. Powerball: three heartbeat consumers, guarding, no 6007.
 
 The defaults of speeds and ramps are those of servo.FALLBACKS: an arm's joint in millidegrees.
 
@@ -44,7 +44,7 @@ _DEVICE_TYPE: Final = 0x0002_0192  # servo drive by CiA 402
 
 
 class _Pdo(NamedTuple):
-    """How a PDO is set up after power-on."""
+    """The settings of a PDO after power-on."""
 
     entries: tuple[int, ...] = ()  # muxes
     transmission_type: int = _EVENT_DRIVEN
@@ -93,12 +93,12 @@ _ONLY: Final = {
     ),
     Shape.SCHUNK_POWERBALL: (0x6042, 0x6098, 0x60B2),
 }  # fmt: skip
-"""The CiA 402 objects of each shape. (The real Powerball has some more, which say nothing to a simulation.)"""
+"""The CiA 402 objects of each shape. (The real Powerball has some more, which mean nothing to a simulation.)"""
 
 _ONLY_COMMUNICATION: Final = {Shape.STANDARD: (0x1006, 0x1019), Shape.SCHUNK_POWERBALL: (0x100C, 0x100D)}
 _HEARTBEAT_CONSUMERS: Final = {Shape.STANDARD: 4, Shape.SCHUNK_POWERBALL: 3}
 _RPDO_SUBINDICES: Final = {Shape.STANDARD: (1, 2, 3, 5), Shape.SCHUNK_POWERBALL: (1, 2)}
-"""With 5, the event time, a drive notices that its RPDO stays away."""
+"""Subindex 5, the event time, lets a drive notice that its RPDO stays away."""
 _TPDO_SUBINDICES: Final = (1, 2, 3, 5, 6)
 _SUPPORTED_MODES: Final = {Shape.STANDARD: 0xE5, Shape.SCHUNK_POWERBALL: 0x43}  # pp pv hm ip csp; pp vl ip
 _VENDOR_IDS: Final = {Shape.STANDARD: 0, Shape.SCHUNK_POWERBALL: objects.SCHUNK_VENDOR_ID}
@@ -122,17 +122,17 @@ ALLOWED_VALUES: Final[dict[int, Collection[int]]] = {
     objects.BUFFER_CLEAR: range(2),
     objects.POSITIONING_OPTION_CODE: range(3),
 }
-"""What may be written to objects of which the drive has not every value; else the write is refused with 06090030h."""
+"""The values that may be written to these objects; all others are refused with 06090030h."""
 
 
 @cache
 def drive_dictionary(shape: Shape = Shape.STANDARD) -> ObjectDictionary:
-    """The dictionary of a simulated drive, one for all of them: COB-IDs are added up in each one's `Values`."""
+    """Return the dictionary of a simulated drive. All share one: the node-ID is added to COB-IDs in each drive's `Values`."""
     return ObjectDictionary([*_communication(shape), *_profile(shape)], source=f"the simulated drive {shape.value!r}")
 
 
 def _communication(shape: Shape) -> list[Object]:
-    """What CiA 301 asks for, and what a master of these drives uses."""
+    """Return the objects that CiA 301 asks for, and those that a master of these drives uses."""
     single: dict[int, Value | None] = {
         0x1000: _DEVICE_TYPE,
         0x1001: None,
@@ -160,7 +160,7 @@ def _communication(shape: Shape) -> list[Object]:
 
 
 def _pdo(index: int, cob_id: int, subindices: tuple[int, ...], pdo: _Pdo) -> list[Object]:
-    """Communication and mapping record of one PDO."""
+    """Return the communication and the mapping record of one PDO."""
     cob_id |= 0 if pdo.is_valid else COB_ID_INVALID
     fields = [standard_variable(index, subindex) for subindex in subindices]
     fields[0] = replace(fields[0], default=cob_id, adds_node_id=True)
@@ -184,7 +184,7 @@ def _bit_length(key: int) -> int:
 
 
 def _profile(shape: Shape) -> list[Object]:
-    """The CiA 402 objects."""
+    """Return the CiA 402 objects of a shape."""
     defaults: dict[int, Value] = {
         **FALLBACKS,
         objects.SUPPORTED_DRIVE_MODES: _SUPPORTED_MODES[shape],
@@ -198,7 +198,7 @@ def _profile(shape: Shape) -> list[Object]:
         described[index] = standard_object(
             index, highest=highest, defaults={key & 0xFF: value for key, value in defaults.items() if key >> 8 == index}
         )
-    if shape is Shape.SCHUNK_POWERBALL:  # it homes as it will: 6098h is there, but constant 0
+    if shape is Shape.SCHUNK_POWERBALL:  # it homes by its own method: 6098h is there, but constant 0
         constant = standard_variable(0x6098, access=Access.CONST, default=0, pdo_mappable=False)
         described[0x6098] = Object.of("homing_method", [constant])
     return list(described.values())

@@ -7,7 +7,7 @@ from canopen_proto.machine import Event
 
 
 class DriveStateChanged(Event):
-    """The drive is in another state. transition: its number in the standard, 0 to 16."""
+    """The drive went to another state. transition: its number in the standard, 0 to 16."""
 
     __slots__ = ("previous", "state", "transition")
     __match_args__ = ("node_id", "previous", "state", "transition")
@@ -31,7 +31,7 @@ class StatuswordChanged(Event):
 
 
 class DriveFault(Event):
-    """A fault is there that was not. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
+    """A fault has occurred. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
 
     __slots__ = ("error_code", "error_register")
     __match_args__ = ("node_id", "error_code", "error_register")
@@ -43,7 +43,7 @@ class DriveFault(Event):
 
 
 class DriveFaultCleared(Event):
-    """A fault that DriveFault told of was reset."""
+    """A fault that DriveFault reported was reset."""
 
     __slots__ = ("error_code",)
     __match_args__ = ("node_id", "error_code")

@@ -1,14 +1,14 @@
-"""What the simulated drive does in a mode of operation: profile position and the velocity modes.
+"""The modes of operation of the simulated drive: profile position and the velocity modes.
 
 Theory of operation
 -------------------
 While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
-object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and says which mode bits
-the statusword bears. Homing has a file of its own (homing_run.py), and so have ip and csp (synchronous_modes.py).
+object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and gives the mode bits of
+the statusword. Homing has a file of its own (homing_run.py), and so have ip and csp (synchronous_modes.py).
 
 Profile position: a set-point is taken on the rising edge of bit 4 and acknowledged by bit 12 until bit 4 falls. With bit 5 it
-starts at once; without, it waits for the running one to end. One can wait; while one does, bit 12 stays and a further edge is
-not taken. Halt stops the axis and keeps the set-point, which goes on when halt is taken back.
+starts at once; without, it waits until the running one has ended. One set-point can wait; meanwhile bit 12 stays 1, and a further
+edge is not taken. Halt stops the axis and keeps the set-point, which continues when halt ends.
 
 Left out: change on set-point (bit 9), end velocity (6082h).
 
@@ -27,12 +27,12 @@ from canopen_proto.machine import MILLISECOND, NEVER, Outbox, Time
 
 
 class OperationMode:
-    """What all modes have; by itself it is "no mode", in which the axis stands. See this module's text."""
+    """The base of all modes. By itself it is "no mode", in which the axis stands. See this module's text."""
 
     __slots__ = ("controlword", "due", "node_id", "out", "servo")
 
     listens_to: frozenset[int] = frozenset()
-    """The objects whose being written means something; all others are read when they are needed."""
+    """The objects that act when they are written; all others are read when they are needed."""
 
     def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
         self.servo = servo
@@ -40,47 +40,47 @@ class OperationMode:
         self.node_id = node_id
         self.controlword = 0
         self.due: Time = NEVER
-        """When the next SYNC is overdue; NEVER where the mode goes by none."""
-        self.enter()  # chosen while the drive is on a ramp down, a mode is asked for its status before it begins to act
+        """When the next SYNC is overdue; NEVER if the mode needs no SYNC."""
+        self.enter()  # a mode that is selected while the drive ramps down must give its status before it acts
 
     def enter(self) -> None:
-        """The mode begins to act: operation was enabled, or the mode was chosen while it was. A word follows by `control`."""
+        """Begin to act: operation was enabled, or this mode was selected while it was. A call of `control` follows."""
 
     def leave(self) -> None:
-        """It ends to act; what still moves is stopped by the drive."""
+        """Stop acting; the drive brakes whatever still moves."""
 
     def control(self, controlword: int, previous: int) -> None:
-        """A controlword was given. Edges are those against `previous`."""
+        """Act on a controlword. An edge is a difference from `previous`."""
         self.controlword = controlword
 
     def written(self, key: int) -> None:
-        """One of the objects in `listens_to` was written."""
+        """Act on the write of an object in `listens_to`."""
 
     def on_sync(self) -> None:
-        """A SYNC arrived."""
+        """Act on a SYNC."""
 
     def tick(self) -> None:
-        """The servo has advanced."""
+        """Act on the time that has passed: the servo has advanced."""
 
     def sync_lost(self) -> None:
-        """No SYNC came until `due`."""
+        """Act on a lost SYNC: none came until `due`."""
 
     def rpdo_lost(self) -> None:
-        """An RPDO did not come within its event time."""
+        """Act on a lost RPDO: it did not come within its event time."""
 
     @property
     def status(self) -> int:
-        """The statusword's bits of this mode."""
+        """The mode bits of the statusword."""
         return 0
 
     @property
     def is_waiting(self) -> bool:
-        """True while it needs ticks though nothing moves."""
+        """Whether it needs ticks although nothing moves."""
         return False
 
     @property
     def awaits_end(self) -> bool:
-        """True while something begins when the motion under way ends: a tick is wanted just then."""
+        """Whether something begins when the present motion ends: a tick is needed just then."""
         return False
 
     @property
@@ -146,7 +146,7 @@ class ProfilePosition(OperationMode):
         elif self._next is None:
             self._next = set_point
         else:
-            return  # no room: bit 12 has said so
+            return  # no room, as bit 12 shows
         self._acknowledged = True
 
     def _start(self, set_point: _SetPoint) -> None:
@@ -173,7 +173,7 @@ class ProfilePosition(OperationMode):
         self._watch_window()
 
     def _watch_window(self) -> None:
-        """Target reached: the axis has been within 6067h of the target for 6068h."""
+        """Show "target reached" once the axis has been within 6067h of the target for 6068h."""
         servo = self.servo
         window = servo.parameter(objects.POSITION_WINDOW)
         if window == UNLIMITED:
@@ -204,7 +204,7 @@ class ProfilePosition(OperationMode):
 
 
 class ProfileVelocity(OperationMode):
-    """Profile velocity mode (pv): 60FFh, with the ramps of 6083h and 6084h, as soon as it is written."""
+    """Profile velocity mode (pv): follows 60FFh as soon as it is written, with the ramps of 6083h and 6084h."""
 
     __slots__ = ("_speed", "_target")
 
@@ -250,7 +250,7 @@ class ProfileVelocity(OperationMode):
 
 
 class Velocity(ProfileVelocity):
-    """Velocity mode (vl) of frequency converters: 6042h, while bits 4, 5 and 6 of the controlword let it through."""
+    """Velocity mode (vl) of frequency converters: follows 6042h while bits 4, 5 and 6 of the controlword allow it."""
 
     __slots__ = ()
 

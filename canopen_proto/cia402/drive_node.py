@@ -1,8 +1,8 @@
 """`DriveNode`: a simulated drive on the bus, which is a `LocalNode` with a `Drive` as its application.
 
-What follows from what the drive reports: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, a fault reset takes it
-back, and a statusword that changes sends the event-driven TPDOs that carry it; so does entering Operational. The drive hears of
-an RPDO that is overdue.
+The node acts on the drive's events: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, and a fault reset clears it. A
+statusword that changes sends the event-driven TPDOs that carry it; so does entering Operational. The node tells the drive of an
+overdue RPDO.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from canopen_proto.pdo.consumer import PdoOverdue
 
 
 class DriveNode(LocalNode):
-    """A simulated CiA 402 drive. `drive` is what moves; it is powered on with `boot`."""
+    """A simulated CiA 402 drive. drive: the part that moves; `boot` powers it on."""
 
     __slots__ = ("drive",)
 
     def __init__(self, out: Outbox, node_id: int, settings: DriveSettings, dictionary: ObjectDictionary | None = None) -> None:
-        """settings: its shape and its mechanics. dictionary: by default that of its shape. A 0 in it says nothing where it would
-        keep the drive from moving (UNSET_BY_ZERO).
+        """Make the drive. settings: its shape and its mechanics. dictionary: by default that of its shape. An object of
+        UNSET_BY_ZERO that is 0 in it, and would keep the drive from moving, counts as not set.
         """
         super().__init__(out, node_id, drive_dictionary(settings.shape) if dictionary is None else dictionary)
         zeros = frozenset(key for key in UNSET_BY_ZERO if self.values.store.get(key) == 0)
         kind = LateDrive if settings.reaction else Drive
         self.drive: Drive = kind(self.inner, node_id, self.values, replace(settings, unset=settings.unset | zeros))
-        self.pdos.sends_on_start = True  # a master that goes by event-driven TPDOs must not stay blind until something changes
+        self.pdos.sends_on_start = True  # a master that relies on event-driven TPDOs needs the values before the first change
         self.application = self.drive
-        self.storage.excluded.add(CONTROLWORD >> 8)  # a command, no parameter
+        self.storage.excluded.add(CONTROLWORD >> 8)  # a command, not a parameter
         self._members.attach(self.drive)
         self._reactions.update(
             {
@@ -49,17 +49,17 @@ class DriveNode(LocalNode):
         )
 
     def boot(self, now: Time) -> None:
-        if self.state is NmtState.INITIALISING:  # else boot refuses, and the drive stays as it is
+        if self.state is NmtState.INITIALISING:  # else boot does nothing, and the drive stays as it is
             self.drive.reset(now)
         super().boot(now)
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
-        """Something is wrong in the drive: it falls into Fault and sends an EMCY. See Drive.raise_fault."""
+        """Make a fault in the drive: it goes into Fault, and the node sends an EMCY. See Drive.raise_fault."""
         with self._settling(now):
             self.drive.raise_fault(error_code, now, lasting=lasting)
 
     def block(self, blocked: bool, now: Time) -> None:
-        """Hold the axis mechanically, or let it go: a drive that wants to move gets a following error. See Drive.block."""
+        """Block the axis mechanically, or free it: a blocked drive that is to move gets a following error. See Drive.block."""
         with self._settling(now):
             self.drive.block(blocked, now)
 
@@ -78,5 +78,5 @@ class DriveNode(LocalNode):
 
 
 def powerball(out: Outbox, node_id: int) -> DriveNode:
-    """A joint of the Schunk Powerball arm, as the manual's library met it."""
+    """Return a joint of the Schunk Powerball arm, as the manual's library met it."""
     return DriveNode(out, node_id, DriveSettings(shape=Shape.SCHUNK_POWERBALL))

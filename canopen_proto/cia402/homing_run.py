@@ -3,12 +3,12 @@
 Theory of operation
 -------------------
 A homing method is a short list of `Seek`s: go in this direction, fast or slowly, until that switch changes. A seek whose switch
-is already as wanted is skipped. The edge of the last one is the home position. Where along the track a seek will end is known
-when it begins, and the drive latches the edge as the encoder hardware of real ones does, so that neither the step of the
-simulation nor the overshoot has an influence. A limit switch that comes before the edge is a homing error.
+is already as wanted is skipped. The edge of the last seek is the home position. The end of a seek on the track is known when it
+begins, and the drive latches the edge as the encoder hardware of real drives does: neither the step of the simulation nor the
+overshoot matters. A limit switch that comes before the edge is a homing error.
 
-At the home position the position shall be 607Ch, home offset. (The standard's picture can be read with the other sign; drives
-do it this way.) The axis goes back to the edge, then homing is complete.
+At the home position, the position becomes 607Ch, home offset. (The standard's picture can be read with the other sign; drives
+do it this way.) The axis returns to the edge, then homing is complete.
 
     bit 4 rises --> in progress --> attained (edge found, the axis returns) --> complete
                     in progress --> error, moving --> error, stopped
@@ -35,7 +35,7 @@ from canopen_proto.machine import Event, Outbox
 
 
 class HomingFinished(Event):
-    """A homing that had begun is over. status: COMPLETE, INTERRUPTED or ERROR_STOPPED. method: of 6098h, or the drive's own."""
+    """A homing has ended. status: COMPLETE, INTERRUPTED or ERROR_STOPPED. method: of 6098h, or the drive's own."""
 
     __slots__ = ("method", "status")
     __match_args__ = ("node_id", "status", "method")
@@ -47,7 +47,7 @@ class HomingFinished(Event):
 
 
 class Switch(Enum):
-    """What a seek looks at."""
+    """A switch that a seek watches."""
 
     NEGATIVE_LIMIT = "negative limit switch"
     POSITIVE_LIMIT = "positive limit switch"
@@ -56,7 +56,7 @@ class Switch(Enum):
 
 
 class Seek(NamedTuple):
-    """Go in `direction` until the switch is active, or no longer is."""
+    """A search: go in `direction` until the switch is active, or no longer is."""
 
     direction: int
     is_fast: bool
@@ -64,7 +64,7 @@ class Seek(NamedTuple):
     active: bool
 
     def edge(self, track: Track, position: float) -> float:
-        """The track position where it ends: `position` itself where the switch is as wanted, infinite where it never will be."""
+        """Return the track position where it ends: `position` if the switch is as wanted, infinite if it never will be."""
         match self.switch:
             case Switch.INDEX:
                 pulses = (position - track.index_offset) / track.index_distance
@@ -79,7 +79,7 @@ class Seek(NamedTuple):
             case _:
                 assert_never(self.switch)
         near, far = (low, high) if self.direction > 0 else (high, low)
-        if not self.active:  # from before the switch it goes all through it: a fast seek may have overshot
+        if not self.active:  # an axis before the switch passes it: a fast seek may have overshot
             return far if (far - position) * self.direction >= 0 else position
         if low <= position <= high:
             return position
@@ -99,14 +99,14 @@ METHODS: Final[dict[int, tuple[Seek, ...]]] = {
     35: (),
     37: (),
 }
-"""Homing method (6098h) -> what it seeks, one after the other. With nothing to seek, home is where the axis stands."""
+"""Homing method (6098h) -> its seeks, in order. Without any, home is where the axis stands."""
 
 _START: Final = ModeControl.START_HOMING
 _UNDER_WAY: Final = (HomingStatus.IN_PROGRESS, HomingStatus.ATTAINED, HomingStatus.ERROR_MOVING)
 
 
 class Homing(OperationMode):
-    """Homing mode (hm). is_referenced: a homing found its edge since power-on and none has begun since."""
+    """Homing mode (hm). is_referenced: a homing found its edge since power-on, and no other has begun after it."""
 
     __slots__ = ("_edge", "_limit", "_method", "_seek", "_seeks", "_status", "is_referenced")
 
@@ -155,7 +155,7 @@ class Homing(OperationMode):
         self._begin_seek()
 
     def _begin_seek(self) -> None:
-        """Set out for the next edge that needs to be sought; where there is none, home is found."""
+        """Start the next seek whose switch is not as wanted yet; if there is none, home is found."""
         servo, track = self.servo, self.servo.settings.track
         for number in range(self._seek, len(self._seeks)):
             seek = self._seeks[number]
@@ -200,7 +200,7 @@ class Homing(OperationMode):
     @property
     def status(self) -> int:
         if self._status is HomingStatus.INTERRUPTED and self.servo.is_moving:
-            return HOMING_BITS[HomingStatus.IN_PROGRESS]  # it still brakes: bit 10 would say that it stands
+            return HOMING_BITS[HomingStatus.IN_PROGRESS]  # it still brakes, and bit 10 would show that it stands
         return HOMING_BITS[self._status]
 
     @property

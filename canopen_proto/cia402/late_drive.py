@@ -1,7 +1,7 @@
-"""`LateDrive`: a simulated drive that acts late on what it is commanded, as real ones do.
+"""`LateDrive`: a simulated drive that obeys its commands late, as real ones do.
 
-A controlword or a mode (6060h) takes effect `DriveSettings.reaction` after it came, in the order in which they came; all else as
-in `Drive`. Until then statusword and mode display show what was before: a master that looks too early sees the past.
+Controlwords and modes (6060h) take effect `DriveSettings.reaction` after they came, in the order in which they came; all else is
+as in `Drive`. Until then statusword and mode display show the old values: a master that looks too early sees the past.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
 
 
 class LateDrive(Drive):
-    """See this module's text."""
+    """A simulated drive that obeys late; see this module's text."""
 
     __slots__ = ("_late", "_obeys")
 
@@ -39,7 +39,7 @@ class LateDrive(Drive):
             return
         value = self._servo.parameter(key)
         last = next((late[2] for late in reversed(self._late) if late[1] == key), None)
-        if value != last:  # else the same again, as each cycle brings it
+        if value != last:  # else the same value again, as in each cycle
             self._late.append((now + self.settings.reaction, key, value))
             self._schedule()
 
@@ -51,7 +51,7 @@ class LateDrive(Drive):
     def _obey(self, time: Time, key: int, value: int) -> None:
         store = self.values.store
         newest, store[key] = store[key], value
-        self._obeys = True  # one after the other, those of one PDO too
+        self._obeys = True  # one after the other, also those of one PDO
         super().written(key >> 8, key & 0xFF, time)
         self._obeys = False
         store[key] = newest

@@ -1,11 +1,11 @@
-"""CiA 402 modes of operation: their numbers, and what the mode bits of controlword and statusword mean in each.
+"""CiA 402 modes of operation: their numbers, and the meaning of the mode bits of controlword and statusword in each.
 
 Theory of operation
 -------------------
-The master requests a mode in 6060h, the drive shows the active one in 6061h, and 6502h says which it has: bit 0 for mode 1, and
-so on. Positive numbers are the standard's, negative ones the manufacturer's; a number that nobody knows is a number all the same,
-so every function here takes an int and none raises. Bits 4, 5, 6 and 9 of the controlword and 10, 12 and 13 of the statusword
-change their meaning with the mode.
+The master requests a mode in 6060h, the drive shows the active one in 6061h, and 6502h says which modes it has: bit 0 for mode 1,
+and so on. Positive numbers are the standard's, negative ones the manufacturer's. Unknown numbers are allowed: every function here
+takes an int, and none raises. Bits 4, 5, 6 and 9 of the controlword and 10, 12 and 13 of the statusword change their meaning with
+the mode.
 
 Left out: the mode bits of manufacturers' modes.
 
@@ -40,17 +40,17 @@ _SUPPORTED_MODES_BITS: Final = 16  # 6502h: bits 0 to 15 for modes 1 to 16, bits
 
 
 def supported(supported_drive_modes: int, mode: int) -> bool:
-    """True if a drive with this value of 6502h has the mode. Manufacturers' modes (below 0) have no bit of theirs: False."""
+    """Return whether a drive with this value of 6502h has the mode; False for manufacturers' modes (below 0): they have no bit."""
     return 1 <= mode <= _SUPPORTED_MODES_BITS and bool(supported_drive_modes >> (mode - 1) & 1)
 
 
 def supported_modes(supported_drive_modes: int) -> tuple[int, ...]:
-    """The standard modes of a drive with this value of 6502h, as numbers: some may be newer than `Mode`."""
+    """Return the standard modes of a drive with this value of 6502h, as numbers: some may be newer than `Mode`."""
     return tuple(mode for mode in range(1, _SUPPORTED_MODES_BITS + 1) if supported(supported_drive_modes, mode))
 
 
 def mode_name(mode: int) -> str:
-    """A mode for people: "interpolated position (ip)", "manufacturer's mode -3", "reserved mode 5"."""
+    """Return a mode in words: "interpolated position (ip)", "manufacturer's mode -3", "reserved mode 5"."""
     if mode == Mode.NO_MODE:
         return "no mode"
     if mode in _SHORT_NAMES:
@@ -82,11 +82,11 @@ class ModeStatus:
     HOMING_ATTAINED: Final = 1 << 12  # hm
     HOMING_ERROR: Final = 1 << 13  # hm
     IP_MODE_ACTIVE: Final = 1 << 12  # ip
-    FOLLOWS_COMMAND: Final = 1 << 12  # csp, csv, cst: 0 means that the target is ignored
+    FOLLOWS_COMMAND: Final = 1 << 12  # csp, csv, cst: 0 means that the drive ignores the target
 
 
 class HomingStatus(StrEnum):
-    """What bits 13, 12 and 10 say in homing mode; str() reads well in a message."""
+    """The meaning of bits 13, 12 and 10 in homing mode; str() gives words for messages."""
 
     IN_PROGRESS = "homing is in progress"
     INTERRUPTED = "homing was interrupted or has not started"
@@ -107,18 +107,18 @@ HOMING_STATUS: Final[dict[tuple[int, int, int], HomingStatus]] = {
     (1, 1, 0): HomingStatus.RESERVED,
     (1, 1, 1): HomingStatus.RESERVED,
 }
-"""(bit 13, bit 12, bit 10) of the statusword in homing mode -> what it means."""
+"""(bit 13, bit 12, bit 10) of the statusword in homing mode -> their meaning."""
 
 HOMING_BITS: Final[dict[HomingStatus, int]] = {
     status: error << 13 | attained << 12 | reached << 10
     for (error, attained, reached), status in HOMING_STATUS.items()
     if status is not HomingStatus.RESERVED
 }
-"""The other way round: the bits that a drive shows."""
+"""The reverse: a meaning -> the bits that a drive shows."""
 
 
 def homing_status(statusword: int) -> HomingStatus:
-    """What a statusword says about homing; only of meaning while 6061h shows homing mode."""
+    """Return what a statusword shows of a homing; valid only while 6061h shows homing mode."""
     return HOMING_STATUS[statusword >> 13 & 1, statusword >> 12 & 1, statusword >> 10 & 1]
 
 
@@ -137,11 +137,11 @@ HOMING_METHODS: Final[dict[int, str]] = {
     35: "current position (older number of 37)",
     37: "current position",
 }
-"""Text of the usual values of 6098h; `homing_method_name` knows the rest by their group."""
+"""Texts for the usual values of 6098h; `homing_method_name` names the others by their group."""
 
 
 def homing_method_name(method: int) -> str:
-    """A homing method for people."""
+    """Return a homing method in words."""
     if method in HOMING_METHODS:
         return HOMING_METHODS[method]
     if 3 <= method <= 14:
@@ -166,13 +166,13 @@ _MODE_BITS: Final[dict[int, tuple[str, str]]] = {
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: ("follows the command", ""),
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: ("follows the command", ""),
 }
-"""Mode -> what bits 12 and 13 mean in it ("" where the standard reserves the bit)."""
+"""Mode -> the meaning of bits 12 and 13 in it ("" if the standard reserves the bit)."""
 
 
 def describe_status(statusword: int, mode: int | None = None) -> tuple[str, ...]:
-    """A statusword for people, in the words of the mode that 6061h shows: ("operation enabled", "interpolation active").
+    """Return a statusword in words, by the mode that 6061h shows: ("operation enabled", "interpolation active").
 
-    The state comes first. In homing mode bits 10, 12 and 13 are told as one `HomingStatus`. mode: None if it is not known; bits
+    The state comes first. In homing mode, one `HomingStatus` stands for bits 10, 12 and 13. mode: None if it is not known; bits
     12 and 13, whose meaning depends on it, are left out then.
     """
     state = state_of(statusword)

@@ -2,16 +2,16 @@
 
 Theory of operation
 -------------------
-A `Profile` is a row of pieces of constant acceleration, the last of which (rest, or constant speed) holds for ever. `move`,
-`stop`, `run`, `line` and `hold` plan one from any position *and any velocity*, so a running motion is changed by planning anew
-from where it is now. Nothing is stepped: `at(now)` costs one look at a few numbers, however long ago the plan was made, and gives
-the same answer however often it is asked. Arithmetic is float (IEEE 754 double), hence the same on every machine.
+A `Profile` is a row of pieces of constant acceleration. Its last piece (rest, or constant speed) holds for ever. `move`, `stop`,
+`run`, `line` and `hold` plan a profile from any position *and any velocity*; so a running motion is changed by a new plan from
+its present position. There are no simulation steps: `at(now)` computes the position directly from a few numbers, however old the
+plan is, and always gives the same answer. Arithmetic is float (IEEE 754 double), hence the same on every machine.
 
 A point-to-point move is the time-optimal one within its limits: speed grows by at most `acceleration` and falls by at most
-`deceleration`. Would a stop from the present velocity end beyond the target (or does the axis move away), then it first brakes to
-rest and comes back; is it faster than `max_velocity`, it first brakes to that.
+`deceleration`. If a stop from the present velocity would end beyond the target (or if the axis moves away), it first brakes to
+rest and comes back. If it is faster than `max_velocity`, it first brakes to that.
 
-Units are the caller's (device units, units/s, units/s²); a profile's own time is in seconds since its `start`, the clock's in ns.
+Units are the caller's (device units, units/s, units/s²). A profile's own time is in seconds since its `start`, the clock's in ns.
 Left out: limited jerk (6086h = 3) and a final velocity other than 0 (6082h).
 
 Source: IEC 61800-7-201 (CiA 402-2), profile position mode, linear ramp (6086h = 0).
@@ -28,15 +28,15 @@ _SECONDS: Final = 1e-9
 _NANOSECONDS: Final = 1e9
 
 Piece: TypeAlias = tuple[float, float, float, float]
-"""From when (s after the profile's start), and then position, velocity (units/s) and acceleration (units/s²) at that time."""
+"""The start of the piece (s after the profile's start), and position, velocity (units/s) and acceleration (units/s²) there."""
 
 
 class Profile:
-    """A planned motion. Never changed after it was made.
+    """A planned motion. It never changes.
 
     start: when it was planned; end: the first nanosecond at which only its last piece is left, NEVER if that lies beyond the
-    clock. pieces: oldest first, at least one. final_position, final_velocity: how the last piece begins; where final_velocity is
-    0 that is where the motion ends.
+    clock. pieces: oldest first, at least one. final_position, final_velocity: at the beginning of the last piece; if
+    final_velocity is 0, the motion ends there.
     """
 
     __slots__ = ("end", "final_position", "final_velocity", "pieces", "start")
@@ -48,7 +48,7 @@ class Profile:
         self.end: Time = min(start + math.ceil(duration * _NANOSECONDS), NEVER)
 
     def at(self, now: Time) -> tuple[float, float, float]:
-        """Position, velocity and acceleration at `now`; before `start`, those of the start."""
+        """Return position, velocity and acceleration at `now`; before `start`, those of the start."""
         time = (now - self.start) * _SECONDS if now > self.start else 0.0
         number = len(self.pieces) - 1
         while self.pieces[number][0] > time:  # the first piece begins at 0
@@ -58,12 +58,12 @@ class Profile:
         return position + (velocity + 0.5 * acceleration * elapsed) * elapsed, velocity + acceleration * elapsed, acceleration
 
     def at_rest(self, now: Time) -> bool:
-        """True once the motion is over: nothing will move any more."""
+        """Return whether the motion is over: the axis rests from now on."""
         return now >= self.end and self.final_velocity == 0.0
 
 
 class _Plan:
-    """Pieces being lined up, each beginning as the one before it ends."""
+    """A plan in the making: a row of pieces, each of which begins as the one before ends."""
 
     __slots__ = ("pieces", "position", "time", "velocity")
 
@@ -84,29 +84,29 @@ class _Plan:
             self.time += duration
 
     def cruise(self, distance: float) -> None:
-        """Go on for `distance`, which is in the direction of the present velocity, or not at all."""
+        """Keep the velocity for `distance`, in its direction; do nothing if `distance` is against it."""
         if distance * self.velocity > 0.0:
             self.pieces.append((self.time, self.position, self.velocity, 0.0))
             self.position += distance
             self.time += distance / self.velocity
 
     def finish(self, start: Time, position: float) -> Profile:
-        """Hold the present velocity for ever, from `position`: where the pieces end but for rounding."""
+        """Hold the present velocity for ever, from `position`, where the pieces end except for rounding."""
         self.pieces.append((self.time, position, self.velocity, 0.0))
         return Profile(start, tuple(self.pieces))
 
 
 def hold(start: Time, position: float) -> Profile:
-    """Rest at a position."""
+    """Plan to rest at a position."""
     return Profile(start, ((0.0, position, 0.0, 0.0),))
 
 
 def line(
     start: Time, position: float, target: float, duration: float, leaving: float = 0.0, deceleration: float = 1.0
 ) -> Profile:
-    """From `position` to `target` at constant speed in `duration` seconds (above 0): one step of an interpolation.
+    """Plan one step of an interpolation: from `position` to `target` at constant speed in `duration` seconds (above 0).
 
-    Then it brakes from the velocity `leaving` at `deceleration` (above 0); it rests at `target` where `leaving` is 0.
+    Then it brakes from the velocity `leaving` at `deceleration` (above 0); it rests at `target` if `leaving` is 0.
     """
     plan = _Plan(target, leaving)
     plan.pieces.append((0.0, position, (target - position) / duration, 0.0))
@@ -116,14 +116,14 @@ def line(
 
 
 def stop(start: Time, position: float, velocity: float, deceleration: float) -> Profile:
-    """Brake to rest at `deceleration` (above 0)."""
+    """Plan to brake to rest at `deceleration` (above 0)."""
     plan = _Plan(position, velocity)
     plan.ramp(0.0, deceleration)
     return plan.finish(start, plan.position)
 
 
 def run(start: Time, position: float, velocity: float, to_velocity: float, acceleration: float, deceleration: float) -> Profile:
-    """Change to `to_velocity` (of either sign) and keep it. Both rates are magnitudes above 0."""
+    """Plan to change to `to_velocity` (of either sign) and keep it. Both rates are magnitudes above 0."""
     plan = _Plan(position, velocity)
     if velocity * to_velocity < 0.0:
         plan.ramp(0.0, deceleration)
@@ -134,7 +134,7 @@ def run(start: Time, position: float, velocity: float, to_velocity: float, accel
 def move(
     start: Time, position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float
 ) -> Profile:
-    """To `target` and rest there, from `position` at `velocity`. The limits are magnitudes above 0; see the module's text."""
+    """Plan to go from `position` at `velocity` to `target` and rest there. Limits: magnitudes above 0; see this module's text."""
     plan = _Plan(position, velocity)
     ahead = target - position - _braking_distance(velocity, deceleration)
     if velocity and ahead and (velocity > 0.0) is not (ahead > 0.0):  # it moves away, or cannot stop in time: brake, come back
@@ -156,15 +156,15 @@ def move(
 
 
 def _braking_distance(velocity: float, deceleration: float) -> float:
-    """How far an axis gets, with its sign, while it brakes to rest."""
+    """Return the distance, with its sign, in which an axis brakes to rest."""
     return velocity * abs(velocity) / (2.0 * deceleration)
 
 
 def follow(profile: Profile, position: float, since: Time, now: Time, lag: float) -> float:
-    """Where an axis is at `now` that was at `position` at `since` and follows the profile with a first-order lag of `lag` s.
+    """Return the position at `now` of an axis that was at `position` at `since` and follows the profile with a first-order lag.
 
-    Exact for any two times (each piece has its closed form, y = u - lag u' + lag² u'' + c exp(-t / lag)), so that it does not
-    matter how often anybody looks. At constant speed it stays behind by speed * lag.
+    lag: in s. Exact for any two times (each piece has its closed form, y = u - lag u' + lag² u'' + c exp(-t / lag)): it does not
+    matter how often it is called. At constant speed the axis stays behind by speed * lag.
     """
     pieces = profile.pieces
     time = max(0.0, (since - profile.start) * _SECONDS)

@@ -1,14 +1,14 @@
-"""The words of CiA 402 for the values of a drive's objects, so that a drive's EDS, which has none, is read and written by name.
+"""The words of CiA 402 for the values of a drive's objects. An EDS has none; with these, values are read and written by name.
 
-`with_drive_names` lays them over a dictionary: the states and bits of the statusword, the commands of the controlword, the modes
-of 6060h and 6061h. They are those of the product's constants.csv, which goes before them where both are used.
+`with_drive_names` adds them to a dictionary: the states and bits of the statusword, the commands of the controlword, the modes of
+6060h and 6061h. They are those of the product's constants.csv, which goes first if both are used.
 
-A device is a drive when the lower half of its device type (1000h) is 402; where the file gives no device type, or 0 ("no
-standard"), when it has a controlword and a statusword. Several axes stand 0x800 apart.
+A device is a drive if the lower half of its device type (1000h) is 402. If the file gives no device type, or 0 ("no standard"),
+it is a drive if it has a controlword and a statusword. The objects of several axes are 0x800 apart.
 
-Bits 10, 12 and 13 of the statusword mean something else in each mode and are left out but for bit 10; bits 8, 14 and 15 are the
-manufacturer's. A side file (canopen_data/overlay.py) may name them. Where a dictionary names the same bit for several modes, as
-constants.csv does, `names_in_mode` picks the names of the mode that is active.
+Bits 10, 12 and 13 of the statusword mean something else in each mode; only bit 10 is named. Bits 8, 14 and 15 are the
+manufacturer's. A side file (canopen_data/overlay.py) may name them. If a dictionary names the same bit for several modes, as
+constants.csv does, `names_in_mode` picks the names for the active mode.
 
 Source: IEC 61800-7-201 (CiA 402-2), controlword, statusword, modes of operation; CiA 301 v4.2.0, 7.5.2.1 (device type).
 """
@@ -89,17 +89,17 @@ _MODES_OF: Final[dict[str, tuple[int, ...]]] = {
     ),
     "following_error": (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION),
 }
-"""The names of bits 12 and 13 of the statusword in constants.csv, and the modes in which the bit means that."""
+"""The names of bits 12 and 13 of the statusword in constants.csv -> the modes in which the bit means this."""
 
 
 def names_in_mode(names: Iterable[str], mode: int | None) -> tuple[str, ...]:
-    """Of the names that a statusword bears, those that are true in a mode (0x6061); None: it is not known, and a name that is
-    true in some modes only is left out."""
+    """Return those of a statusword's names that are true in a mode (0x6061). mode: None if it is not known; names that are true
+    in some modes only are left out then."""
     return tuple(name for name in names if name not in _MODES_OF or mode in _MODES_OF[name])
 
 
 def is_drive(dictionary: ObjectDictionary) -> bool:
-    """Whether a dictionary is that of a drive; see this module's text."""
+    """Return whether a dictionary is that of a drive; see this module's text."""
     device_type = dictionary.get(_DEVICE_TYPE)
     value = device_type.initial_of(0) if device_type is not None else 0
     profile = value & 0xFFFF if isinstance(value, int) else 0
@@ -108,7 +108,7 @@ def is_drive(dictionary: ObjectDictionary) -> bool:
 
 
 def with_drive_names(dictionary: ObjectDictionary) -> ObjectDictionary:
-    """The dictionary with CiA 402's names for values, where it is a drive's; names that it has already stay. Else itself."""
+    """Return the dictionary with CiA 402's names for values; names that it already has stay. Unchanged if it is not a drive's."""
     if not is_drive(dictionary):
         return dictionary
     constants: dict[int, tuple[Constant, ...]] = {}

@@ -1,4 +1,4 @@
-"""The CiA 402 objects that this package speaks of, as multiplexers (index << 8 | subindex): the keys of `Values.store`."""
+"""The CiA 402 objects that this package uses, as muxes (index << 8 | subindex): the keys of `Values.store`."""
 
 from __future__ import annotations
 
@@ -57,4 +57,4 @@ TARGET_VELOCITY: Final = 0x60FF_00
 SUPPORTED_DRIVE_MODES: Final = 0x6502_00
 
 SCHUNK_VENDOR_ID: Final = 0x332
-"""What VENDOR_ID holds in a drive of Schunk GmbH & Co. KG, by CiA's list of vendor-IDs."""
+"""The vendor-ID of Schunk GmbH & Co. KG, by CiA's list of vendor-IDs."""

@@ -3,13 +3,13 @@
 Theory of operation
 -------------------
 A `Servo` has a demand (a `motion.Profile`) and an actual position that follows it with a first-order lag. Both are closed forms,
-so nothing is stepped: `advance(now)` goes from the last look to this one exactly, whatever lies between. A blocked axis stays
-where it is while its demand moves on, which is how a following error comes about.
+so there are no steps: `advance(now)` is exact, however much time has passed. A blocked axis stays where it is while its demand
+moves on; this makes a following error.
 
 Positions inside are those of the track. The user's are `track position - zero`; homing sets `zero`. Rates and speeds come from
-the object dictionary at the moment of planning, in units, units/s and units/s² (one count is one user-defined unit). A dictionary
-that lacks an object gets the value in FALLBACKS, and so does an object in `DriveSettings.unset` that is 0. Any other speed or
-rate of 0 counts as 1, which is as good as standing and always ends.
+the object dictionary at the moment of planning, in units, units/s and units/s² (one count is one user-defined unit). If the
+dictionary lacks an object, or an object in `DriveSettings.unset` is 0, the value in FALLBACKS is used. Any other speed or rate of
+0 counts as 1, which is practically standstill, but always ends.
 
 Left out: factor group (608Fh to 6096h), polarity (607Eh), limited torque. Limit switches matter for homing and 60FDh only.
 
@@ -53,7 +53,7 @@ FALLBACKS: Final[dict[int, int]] = {
     objects.MAX_ACCELERATION: 2**32 - 1,
     objects.MAX_DECELERATION: 2**32 - 1,
 }
-"""What a drive does whose dictionary lacks the object (the Schunk shape has few of them), and the standard shape's defaults."""
+"""The values of objects that a drive's dictionary lacks (the Schunk shape has few); also the standard shape's defaults."""
 
 UNSET_BY_ZERO: Final = frozenset({
     objects.FOLLOWING_ERROR_WINDOW,
@@ -69,33 +69,33 @@ UNSET_BY_ZERO: Final = frozenset({
     objects.MAX_DECELERATION,
     objects.INTERPOLATION_TIME_UNITS,
 })  # fmt: skip
-"""Objects with which a drive would stand still for ever if they were 0: where its file says 0, the drive goes by FALLBACKS."""
+"""Objects that would keep a drive from moving if they were 0: if its file says 0, the drive uses FALLBACKS."""
 
 UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
 
 _AT_REST: Final = 0.01  # units between demand and actual position below which the axis counts as arrived
-_MIN_PERIOD: Final = 1e-6  # s; what an interpolation time of 0, which an RPDO can write, counts as
+_MIN_PERIOD: Final = 1e-6  # s; used for an interpolation time of 0, which an RPDO can write
 _STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error: friction, for 6077h to show something
 _RATED_TORQUE: Final = 1000
 
 
 class Shape(Enum):
-    """Which drive is simulated."""
+    """The kind of drive that is simulated."""
 
     STANDARD = "standard"
-    """As CiA 402 has it: pp, pv, hm, ip, csp."""
+    """A drive as in CiA 402: pp, pv, hm, ip, csp."""
     SCHUNK_POWERBALL = "schunk"
-    """A Powerball joint as the manual knows it: 6502h = 43h (pp, vl, ip), homes by mode 6 all the same and without 6098h; bit 8
-    of the statusword says that it moves, bit 15 that it is referenced."""
+    """A Powerball joint as in the manual: 6502h = 43h (pp, vl, ip), but it homes by mode 6, without 6098h. Bit 8 of the
+    statusword shows that it moves, bit 15 that it is referenced."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What the axis can run into and be homed by, in track positions.
+    """The switches and index pulses of an axis, in track positions.
 
     A limit switch is active at and beyond its position, the home switch from home_switch[0] to home_switch[1] (either may be
-    infinite: a switch that stays active to the end of the track). Index pulses stand at index_offset + n * index_distance.
+    infinite: a switch that stays active to the end of the track). Index pulses are at index_offset + n * index_distance.
     """
 
     negative_limit: float = -180_000.0
@@ -105,20 +105,20 @@ class Track:
     index_distance: float = 36_000.0
 
     def inputs_at(self, position: float) -> int:
-        """The low bits of 60FDh there: negative limit switch, positive limit switch, home switch."""
+        """Return the low bits of 60FDh at a position: negative limit switch, positive limit switch, home switch."""
         low, high = self.home_switch
         return (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
 
 
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
-    """What a simulated drive is like beyond its dictionary.
+    """The properties of a simulated drive that are not in its dictionary.
 
-    position: where on the track it stands at power-on, and what it shows before it is homed. lag: time constant with which the
-    actual position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated one.
-    self_test: from power-on to Switch on disabled, ns. homing_method: how a Schunk Powerball homes, which has no say in 6098h.
-    reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms to 1 s.
-    unset: muxes of objects whose 0 says nothing.
+    position: on the track at power-on; also the position it shows before it is homed. lag: time constant with which the actual
+    position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated torque.
+    self_test: from power-on to Switch on disabled, ns. homing_method: the homing method of a Schunk Powerball, whose 6098h is
+    constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
+    to 1 s. unset: muxes of objects that count as not set if they are 0.
     """
 
     shape: Shape = Shape.STANDARD
@@ -133,7 +133,7 @@ class DriveSettings:
 
 
 class Servo:
-    """The moving part of a drive; see this module's text. All planning is from `time`, so `advance(now)` goes before it.
+    """The moving part of a drive; see this module's text. Motions are planned from `time`: call `advance(now)` first.
 
     is_settled: demand and axis are at rest at the same place. internal_limit: the last demand was cut (statusword, bit 11).
     """
@@ -159,7 +159,7 @@ class Servo:
     def __init__(self, store: dict[int, Value], settings: DriveSettings) -> None:
         self.store = store
         self.settings = settings
-        self.time: Time = -NEVER  # before any time that a clock may show
+        self.time: Time = -NEVER  # before any time of a clock
         self.zero = 0.0
         self.position = self.demand_position = float(settings.position)
         self.velocity = self.demand_velocity = 0.0
@@ -174,39 +174,39 @@ class Servo:
     # ---- the dictionary's numbers ----
 
     def parameter(self, key: int) -> int:
-        """The object as it is now, or its fallback."""
+        """Return an object's present value, or its fallback."""
         value = self.store.get(key)
         says_nothing = value == 0 and key in self.settings.unset
         return value if isinstance(value, int) and not says_nothing else FALLBACKS.get(key, 0)
 
     def rate(self, key: int) -> float:
-        """A speed or an acceleration; at least 1."""
+        """Return a speed or an acceleration; at least 1."""
         return float(max(1, self.parameter(key)))
 
     def ramp(self, option: int) -> float:
-        """The deceleration that an option code asks for: 1 slow-down ramp, 2 quick stop ramp, 3 and 4 as hard as it can.
+        """Return the deceleration of an option code: 1 slow-down ramp, 2 quick stop ramp, 3 and 4 as hard as it can.
 
-        What is none of these brakes by the quick stop ramp: an RPDO can write any option.
+        Any other option, which an RPDO can write, means the quick stop ramp.
         """
         if option == 1:
             return self.rate(objects.PROFILE_DECELERATION)
         return self.rate(objects.MAX_DECELERATION if option in (3, 4) else objects.QUICK_STOP_DECELERATION)
 
     def limits(self) -> tuple[float, float]:
-        """The software position limits (607Dh) on the track; infinite where the lower is not below the upper one (off)."""
+        """Return the software position limits (607Dh) on the track; infinite if the lower is not below the upper one (off)."""
         low = self.parameter(objects.MIN_SOFTWARE_POSITION_LIMIT)
         high = self.parameter(objects.MAX_SOFTWARE_POSITION_LIMIT)
         return (low + self.zero, high + self.zero) if low < high else (-math.inf, math.inf)
 
     def interpolation_period(self) -> float:
-        """60C2h in seconds."""
+        """Return 60C2h in seconds."""
         index = max(-9, min(9, self.parameter(objects.INTERPOLATION_TIME_INDEX)))
         return max(_MIN_PERIOD, self.parameter(objects.INTERPOLATION_TIME_UNITS) * 10.0**index)
 
     # ---- time ----
 
     def advance(self, now: Time) -> None:
-        """Move on to `now`. A time that runs back counts as the last one."""
+        """Move on to `now`. A time before the last one counts as the last one."""
         since = self.time
         if now <= since:
             return
@@ -228,12 +228,12 @@ class Servo:
 
     @property
     def at_rest(self) -> bool:
-        """True if the demand is: the last motion is commanded to its end."""
+        """Whether the demand rests: the last motion is commanded to its end."""
         return self.demand.at_rest(self.time)
 
     @property
     def is_moving(self) -> bool:
-        """True while it moves or is about to, as far as one can see."""
+        """Whether the axis visibly moves, or is about to."""
         return not self.at_rest or abs(self.velocity) >= 1.0
 
     @property
@@ -250,7 +250,7 @@ class Servo:
     # ---- planning ----
 
     def move_to(self, target: float, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
-        """Go to a track position and stop there. Returns where it will stop: a software limit may lie before the target."""
+        """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target."""
         speed = min(velocity, self.rate(objects.MAX_PROFILE_VELOCITY))
         if limited:
             target = self._clip(target)
@@ -259,7 +259,7 @@ class Servo:
         return target
 
     def run(self, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
-        """Go on at a velocity for ever, or to the software limit in that direction. Returns the velocity as 607Fh limits it."""
+        """Go at a velocity for ever, or to the software limit in that direction. Return the velocity, as limited by 607Fh."""
         fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
         velocity = max(-fastest, min(fastest, velocity))
         rates = self._clip_rates(acceleration, deceleration)
@@ -273,11 +273,10 @@ class Servo:
         return velocity
 
     def interpolate(self, target: float) -> None:
-        """One step of ip or csp: be at `target` one interpolation period from now, in a straight line.
+        """Make one step of ip or csp: reach `target` one interpolation period from now, in a straight line.
 
-        An axis that was moving already passes `target` and brakes by the quick stop ramp, until the next step takes it along: it
-        cannot know whether there will be one. A step beyond the drive's speed or acceleration is approached by a profile instead,
-        as fast as it may: internal limit.
+        An axis that was already moving passes `target` and brakes by the quick stop ramp until the next step comes, since there
+        may be none. A step beyond the drive's speed or acceleration becomes a profile, as fast as allowed; internal_limit is set.
         """
         target = self._clip(target)
         period = self.interpolation_period()
@@ -296,11 +295,11 @@ class Servo:
             self._step = self.time + math.ceil(2.0 * period * SECOND), velocity
 
     def brake(self, deceleration: float) -> None:
-        """Stop where that ramp ends."""
+        """Stop with this ramp."""
         self._plan(motion.stop(self.time, self.demand_position, self.demand_velocity, deceleration))
 
     def release(self) -> None:
-        """Take the power off: the brake holds the axis where it is, and the demand is there too."""
+        """Take the power off: the brake holds the axis where it is, and the demand is set to that position."""
         self.is_powered = False
         self.internal_limit = False
         self._plan(motion.hold(self.time, self.position))
@@ -308,14 +307,14 @@ class Servo:
         self.is_settled = True
 
     def block(self, blocked: bool) -> None:
-        """Hold the axis against its drive, or let it go."""
+        """Block the axis against its drive, or free it."""
         self.is_blocked = blocked
         if blocked:
             self.velocity = 0.0
 
     @property
     def moving_at(self) -> float:
-        """The velocity from which the next interpolation step sets out: until one period after its end, that of the last one."""
+        """The velocity at which the next interpolation step starts: that of the last step, until one period after its end."""
         if self._step is not None and self.time < self._step[0]:
             return self._step[1]
         return self.demand_velocity

@@ -3,19 +3,19 @@
 Theory of operation
 -------------------
 A drive is in one of eight states and shows it in the low bits of its statusword (6041h). It changes state because the master
-commands it (bits 7, 3, 2, 1, 0 of the controlword, 6040h) or because something happened inside. Both kinds of arc stand in one
-dict, `TRANSITIONS`; the drive (`drive.py`) walks it, the master asks `next_command` for the way to a state, and the tests go
-through it row by row. Nothing else in this package knows an arc.
+commands it (bits 7, 3, 2, 1, 0 of the controlword, 6040h) or because something happened inside. Both kinds of transition are in
+one dict, `TRANSITIONS`: the drive (`drive.py`) executes it, the master finds the way to a state by `next_command`, and the tests
+go through it row by row. No other place in this package knows a transition.
 
     start --0-> NOT READY TO SWITCH ON --1-> SWITCH ON DISABLED <-7--2-> READY TO SWITCH ON <-6--3-> SWITCHED ON <-5--4->
     OPERATION ENABLED.    OPERATION ENABLED --8-> READY TO SWITCH ON, --9-> SWITCH ON DISABLED, --11-> QUICK STOP ACTIVE.
     SWITCHED ON --10-> SWITCH ON DISABLED.    QUICK STOP ACTIVE --12-> SWITCH ON DISABLED, --16-> OPERATION ENABLED.
     Any state --13-> FAULT REACTION ACTIVE --14-> FAULT --15-> SWITCH ON DISABLED.
 
-Three things that stacks get wrong:
+Three things that many stacks get wrong:
 
-- A fault is reset by a rising edge of bit 7, so the bit has to be 0 first. While bit 7 stands, no other command is given: each
-  row of the command table but that one asks for a 0 there.
+- A fault is reset by a rising edge of bit 7, so the bit has to be 0 first. While bit 7 is 1, there is no other command: every
+  other row of the command table needs a 0 there.
 - A quick stop ends in QUICK STOP ACTIVE only from OPERATION ENABLED. From READY TO SWITCH ON and SWITCHED ON it ends in SWITCH ON
   DISABLED (7, 10): never wait for the other state there.
 - A statusword that fits no pattern is UNKNOWN; it is not a fault.
@@ -32,7 +32,7 @@ from canopen_proto.machine import LocalProtocolError
 
 
 class State(StrEnum):
-    """The states of a drive; str(state) reads well in a message. UNKNOWN: the statusword fits no pattern, or none came yet."""
+    """The states of a drive; str() gives words for messages. UNKNOWN: the statusword fits no pattern, or none came yet."""
 
     NOT_READY_TO_SWITCH_ON = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
@@ -93,7 +93,7 @@ STATUS_PATTERNS: Final[dict[State, tuple[int, int]]] = {
     State.FAULT_REACTION_ACTIVE: (0x4F, 0x0F),
     State.FAULT: (0x4F, 0x08),
 }
-"""State -> (mask, value): the drive is in the state for which `statusword & mask == value`; the patterns exclude each other."""
+"""State -> (mask, value): the drive is in a state if `statusword & mask == value`; the patterns exclude each other."""
 
 _STATE_BITS: Final = 0x6F
 
@@ -109,12 +109,12 @@ _STATE_OF: Final = tuple(_state_by_pattern(bits) for bits in range(_STATE_BITS +
 
 
 def state_of(statusword: int) -> State:
-    """The state that a statusword shows; UNKNOWN where it fits no pattern. Never raises."""
+    """Return the state that a statusword shows; UNKNOWN if it fits no pattern. Never raises."""
     return _STATE_OF[statusword & _STATE_BITS]
 
 
 class Command(IntEnum):
-    """What a controlword commands. The value is the word that is usually sent for it (mode bits 0)."""
+    """The commands of a controlword. The value is the word that is usually sent for it (mode bits 0)."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -140,7 +140,7 @@ COMMAND_BITS: Final = 0x8F
 
 
 def enables_operation(controlword: object) -> bool:
-    """Whether a controlword enables operation. One that is not known (None) may do so."""
+    """Return whether a controlword enables operation; True for an unknown one (None), which may do so."""
     return controlword is None or (isinstance(controlword, int) and controlword & COMMAND_BITS == Command.ENABLE_OPERATION)
 
 
@@ -152,7 +152,7 @@ _COMMAND_OF: Final = tuple(_command_by_pattern(word) for word in range(256))
 
 
 def command_of(controlword: int, previous: int) -> Command | None:
-    """What a controlword commands, `previous` being the one before it; None while bit 7 only stands (a reset is its edge)."""
+    """Return the command of a controlword after `previous`; None if bit 7 was 1 before, too (a reset is its rising edge)."""
     command = _COMMAND_OF[controlword & 0xFF]
     if command is Command.FAULT_RESET and previous & ControlBit.FAULT_RESET:
         return None
@@ -160,17 +160,17 @@ def command_of(controlword: int, previous: int) -> Command | None:
 
 
 class Occurrence(IntEnum):
-    """What makes a drive change state by itself. (The numbers keep clear of Command's: both are keys of TRANSITIONS.)"""
+    """The events that make a drive change state by itself. (Their numbers differ from Command's: both are in TRANSITIONS.)"""
 
     POWER_ON = 0x100
     SELF_TEST_PASSED = 0x101
-    QUICK_STOP_FINISHED = 0x102  # and the quick stop option code (605Ah) does not say to stay
+    QUICK_STOP_FINISHED = 0x102  # only if the quick stop option code (605Ah) does not say to stay
     FAULT_DETECTED = 0x103
     FAULT_REACTION_FINISHED = 0x104
 
 
 Arc: TypeAlias = tuple[State, int]
-"""Where a transition leads, and its number in the standard."""
+"""The next state of a transition, and the transition's number in the standard."""
 
 TRANSITIONS: Final[dict[tuple[State, Command | Occurrence], Arc]] = {
     # on the way up
@@ -178,7 +178,7 @@ TRANSITIONS: Final[dict[tuple[State, Command | Occurrence], Arc]] = {
     (State.NOT_READY_TO_SWITCH_ON, Occurrence.SELF_TEST_PASSED): (State.SWITCH_ON_DISABLED, 1),
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): (State.READY_TO_SWITCH_ON, 2),
     (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): (State.SWITCHED_ON, 3),
-    (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION): (State.SWITCHED_ON, 3),  # and 4 at once: the word still stands
+    (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION): (State.SWITCHED_ON, 3),  # 4 follows at once, by the same word
     (State.SWITCHED_ON, Command.ENABLE_OPERATION): (State.OPERATION_ENABLED, 4),
     # on the way down
     (State.OPERATION_ENABLED, Command.DISABLE_OPERATION): (State.SWITCHED_ON, 5),
@@ -193,7 +193,7 @@ TRANSITIONS: Final[dict[tuple[State, Command | Occurrence], Arc]] = {
     (State.OPERATION_ENABLED, Command.QUICK_STOP): (State.QUICK_STOP_ACTIVE, 11),
     (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): (State.SWITCH_ON_DISABLED, 12),
     (State.QUICK_STOP_ACTIVE, Occurrence.QUICK_STOP_FINISHED): (State.SWITCH_ON_DISABLED, 12),
-    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): (State.OPERATION_ENABLED, 16),  # only where 605Ah says to stay (5 to 8)
+    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): (State.OPERATION_ENABLED, 16),  # only if 605Ah says to stay (5 to 8)
     # faults
     (State.NOT_READY_TO_SWITCH_ON, Occurrence.FAULT_DETECTED): (State.FAULT_REACTION_ACTIVE, 13),
     (State.SWITCH_ON_DISABLED, Occurrence.FAULT_DETECTED): (State.FAULT_REACTION_ACTIVE, 13),
@@ -202,9 +202,9 @@ TRANSITIONS: Final[dict[tuple[State, Command | Occurrence], Arc]] = {
     (State.OPERATION_ENABLED, Occurrence.FAULT_DETECTED): (State.FAULT_REACTION_ACTIVE, 13),
     (State.QUICK_STOP_ACTIVE, Occurrence.FAULT_DETECTED): (State.FAULT_REACTION_ACTIVE, 13),
     (State.FAULT_REACTION_ACTIVE, Occurrence.FAULT_REACTION_FINISHED): (State.FAULT, 14),
-    (State.FAULT, Command.FAULT_RESET): (State.SWITCH_ON_DISABLED, 15),  # and the fault's cause is gone
+    (State.FAULT, Command.FAULT_RESET): (State.SWITCH_ON_DISABLED, 15),  # only if the fault's cause is gone
 }
-"""(state, what happened) -> (next state, number of the transition). What is not here changes nothing."""
+"""(state, command or occurrence) -> (next state, number of the transition). Any other pair changes nothing."""
 
 TARGETS: Final = (
     State.SWITCH_ON_DISABLED,
@@ -213,16 +213,16 @@ TARGETS: Final = (
     State.OPERATION_ENABLED,
     State.QUICK_STOP_ACTIVE,
 )
-"""The states that a master can command a drive into."""
+"""The states into which a master can command a drive."""
 
 _IN_MOTION: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 
 
 def _first_commands() -> dict[tuple[State, State], Command]:
-    """(current, target) -> the first command of the shortest way, for each target, by breadth-first search backwards.
+    """Return (current, target) -> the first command of the shortest way, found by breadth-first search backwards.
 
-    No way leads through OPERATION ENABLED or QUICK STOP ACTIVE: a drive must not get power on its way to a state without, nor be
-    enabled only to be stopped.
+    No way leads through OPERATION ENABLED or QUICK STOP ACTIVE: a drive must not get power on its way to a state without power,
+    nor be enabled only to be stopped.
     """
     first: dict[tuple[State, State], Command] = {}
     for target in TARGETS:
@@ -241,15 +241,15 @@ _FIRST_COMMAND: Final = _first_commands()
 
 
 def next_command(current: State, target: State) -> Command | None:
-    """The command that leads a drive one state nearer to `target`; call it again with the state that the drive then shows.
+    """Return the command that leads a drive one state nearer to `target`. Call it again with the state that the drive shows then.
 
-    None: nothing to command. Either the drive is there, or it leaves `current` by itself (NOT READY TO SWITCH ON, FAULT REACTION
-    ACTIVE) or cannot be read (UNKNOWN): wait for the next statusword. Command.FAULT_RESET takes effect on its rising edge: send a
-    word with bit 7 clear before it. ENABLE_OPERATION out of QUICK STOP ACTIVE is ignored by a drive whose 605Ah is below 5; it
-    goes to SWITCH ON DISABLED by itself, and the next call continues from there.
+    Returns None if there is nothing to command: the drive is there, or leaves `current` by itself (NOT READY TO SWITCH ON, FAULT
+    REACTION ACTIVE), or its state is UNKNOWN; wait for the next statusword. Command.FAULT_RESET takes effect on its rising edge:
+    send a word with bit 7 clear before it. In QUICK STOP ACTIVE, a drive whose 605Ah is below 5 ignores ENABLE_OPERATION; it goes
+    to SWITCH ON DISABLED by itself, and the next call continues from there.
 
-    Raises LocalProtocolError for a target that cannot be commanded, and for QUICK STOP ACTIVE from any state but OPERATION
-    ENABLED: there a quick stop ends in SWITCH ON DISABLED or does nothing.
+    Raises LocalProtocolError for a target that cannot be commanded, and for QUICK STOP ACTIVE from any state except OPERATION
+    ENABLED: from the others, a quick stop ends in SWITCH ON DISABLED or does nothing.
     """
     if target not in TARGETS:
         raise LocalProtocolError(f"state {target}: a drive cannot be commanded into it, only into {', '.join(TARGETS)}")

@@ -2,29 +2,30 @@
 
 Theory of operation
 -------------------
-ip: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. The buffer is what 60C4h says:
-disabled (60C4h:06 = 0, the default) it keeps the latest set-point only; enabled it is a FIFO of 60C4h:01 records, and a set-point
-too many is lost (a ring drives out the oldest) and reported. **Underrun**: a SYNC finds no set-point while the axis moves. The
-axis stops by the halt option code (605Dh), and the mode stops following, see below; `SetPointUnderrun` is reported. An axis that
-stands has nothing to run out of: it just keeps standing.
+ip: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. 60C4h sets the buffer. Disabled
+(60C4h:06 = 0, the default), it keeps only the latest set-point. Enabled, it is a FIFO of 60C4h:01 records; if it is full, a new
+set-point is lost (in a ring, the oldest) and reported. **Underrun**: a SYNC finds no set-point while the axis moves. The axis
+stops by the halt option code (605Dh), the mode stops following (see below), and `SetPointUnderrun` is reported. An axis that
+stands needs no set-point: it stays there.
 
-csp: each SYNC takes 607Ah as it is then. One that was not written since the last SYNC is not taken while the axis moves; and if
-the axis has then come to rest farther than 6067h from it, the mode stops following.
+csp: each SYNC takes the present value of 607Ah. While the axis moves, a value that was not written since the last SYNC is not
+taken. If the axis then comes to rest farther than 6067h from it, the mode stops following.
 
-**No axis stops dead.** An axis that passes a set-point brakes behind it by the quick stop ramp (6085h), until the next SYNC takes
-it along (`Servo.interpolate`). So it brakes from the first SYNC, or csp's first target, that stays away.
+**No axis stops dead.** An axis that passes a set-point brakes behind it by the quick stop ramp (6085h) until the next SYNC
+(`Servo.interpolate`). So it brakes as soon as one SYNC, or one target of csp, is missing.
 
-**SYNC or an RPDO is lost.** SYNC is lost when none has come for three of its periods (1006h; where that is 0, 60C2h), and for
-SYNC_TOLERANCE at least. The watch begins with the first SYNC that the mode acts on. An RPDO is lost when it does not come within
-its event time (1400h:05), whatever it carries. Either stops the following; the axis brakes by the quick stop ramp.
+**SYNC or an RPDO is lost.** SYNC is lost if none has come for three of its periods (1006h; 60C2h if 1006h is 0), and at least for
+SYNC_TOLERANCE. The watch begins with the first SYNC that the mode acts on. An RPDO is lost if it does not come within its event
+time (1400h:05), whatever it carries. Either way the mode stops following, and the axis brakes by the quick stop ramp.
 
 **The mode stops following**: bit 12 falls, and the warning bit rises; the drive stays in Operation enabled. ip follows again
-after bit 4 was given anew; csp at the first SYNC that finds 607Ah where the axis stands (within 6067h), so that it never jumps.
+after a new rising edge of bit 4. csp follows again at the first SYNC that finds 607Ah where the axis stands (within 6067h), so
+that it never jumps.
 
 Left out: ip sub-modes other than linear (60C0h).
 
-Source: IEC 61800-7-201 (CiA 402-2): interpolated position, cyclic synchronous position. What a drive does without SYNC is left to
-its maker there.
+Source: IEC 61800-7-201 (CiA 402-2): interpolated position, cyclic synchronous position. It leaves to the maker what a drive does
+without SYNC.
 """
 
 from __future__ import annotations
@@ -41,18 +42,18 @@ from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
-"""SYNC that stays away for less is late, not lost: the axis brakes meanwhile, and the next one takes it along again."""
+"""A SYNC that stays away for less is late, not lost: the axis brakes until it comes, then goes on."""
 _MISSED_SYNCS: Final = 3
 
 
 class SetPointUnderrun(Event):
-    """A SYNC found no set-point while the axis moved. It stops by the halt option code, and interpolation is over."""
+    """A SYNC found no set-point while the axis moved. The axis stops by the halt option code, and interpolation is over."""
 
     __slots__ = ()
 
 
 class SetPointLost(Event):
-    """A set-point came while the buffer was full. set_point: the one that will not be driven."""
+    """A set-point came while the buffer was full. set_point: the one that is lost."""
 
     __slots__ = ("set_point",)
     __match_args__ = ("node_id", "set_point")
@@ -63,7 +64,7 @@ class SetPointLost(Event):
 
 
 class SyncOverdue(Event):
-    """In ip or csp no SYNC came for `timeout` ns. The axis brakes by the quick stop ramp, and set-points are not followed."""
+    """In ip or csp, no SYNC came for `timeout` ns. The axis brakes by the quick stop ramp, and the mode stops following."""
 
     __slots__ = ("timeout",)
     __match_args__ = ("node_id", "timeout")
@@ -74,7 +75,7 @@ class SyncOverdue(Event):
 
 
 class SynchronousMode(OperationMode):
-    """What ip and csp have in common: whether they follow, and what ends that."""
+    """The common part of ip and csp: whether the mode follows, and when it stops following."""
 
     __slots__ = ("_follows", "_sync_timeout", "_warning")
 
@@ -89,7 +90,7 @@ class SynchronousMode(OperationMode):
         self._warning = False
 
     def _await_sync(self) -> None:
-        """A SYNC came that the mode acts on: the next one has to come in time."""
+        """Start to wait for the next SYNC: the mode acts on this one."""
         period = self.servo.parameter(CYCLE_PERIOD) * MICROSECOND or round(self.servo.interpolation_period() * SECOND)
         self._sync_timeout = max(_MISSED_SYNCS * period, SYNC_TOLERANCE)
         self.due = self.servo.time + self._sync_timeout
@@ -141,12 +142,12 @@ class InterpolatedPosition(SynchronousMode):
 
     @property
     def is_full(self) -> bool:
-        """True if the FIFO takes no further set-point. (A ring takes each one.)"""
+        """Whether the FIFO takes no further set-point. (A ring takes every one.)"""
         return self._queues and not self._is_ring and len(self._buffer) >= self._size
 
     @property
     def _queues(self) -> bool:
-        """Whether the buffer is enabled, perhaps long before this mode acts."""
+        """Whether the buffer is enabled; this may be long before the mode acts."""
         return bool(self.servo.parameter(objects.BUFFER_CLEAR))
 
     @property
@@ -206,7 +207,7 @@ class CyclicPosition(SynchronousMode):
     def enter(self) -> None:
         super().enter()
         self._follows = True
-        self._is_new = True  # 607Ah, since the last SYNC
+        self._is_new = True  # 607Ah was written since the last SYNC
 
     def control(self, controlword: int, previous: int) -> None:
         self.controlword = controlword
@@ -229,12 +230,12 @@ class CyclicPosition(SynchronousMode):
         self._await_sync()
         if self._is_new or (not servo.moving_at and self._is_near(target)):
             servo.interpolate(target)
-        elif not servo.moving_at:  # it has braked, far beyond a target that stayed the last one
+        elif not servo.moving_at:  # it has braked and stopped far beyond the last target
             self._stop_following()
         self._is_new = False
 
     def _is_near(self, target: float) -> bool:
-        """Whether the axis is where that target, or the software limit before it, has it."""
+        """Return whether the axis is at this target, or at the software limit before it."""
         low, high = self.servo.limits()
         window = self.servo.parameter(objects.POSITION_WINDOW)
         nearness = 0 if window == UNLIMITED else window
