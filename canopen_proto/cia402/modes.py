@@ -40,7 +40,7 @@ _SUPPORTED_MODES_BITS: Final = 16  # 6502h: bits 0 to 15 for modes 1 to 16, bits
 
 
 def supported(supported_drive_modes: int, mode: int) -> bool:
-    """Return whether a drive with this value of 6502h has the mode; False for manufacturers' modes (below 0): they have no bit."""
+    """Return whether a drive with this value of 6502h has the mode; False for a manufacturer's mode (below 0): it has no bit."""
     return 1 <= mode <= _SUPPORTED_MODES_BITS and bool(supported_drive_modes >> (mode - 1) & 1)
 
 
