@@ -1,0 +1,151 @@
+"""What a cycle of a chain costs the master alone: SYNC, set-points, and what the drives send back.
+
+    python benchmarks/chain_cycle.py            # 6 and 12 joints, 1 ms and 4 ms, 3 rounds each: about a minute
+    python benchmarks/chain_cycle.py --profile  # 6 joints at 1 ms: where the time goes
+
+The user's loop is the one of the README: `async for cycle in arm.cycles(): arm.set_positions(...)`. First simulated joints of the
+manual's arm are there (powerballs), which the chain brings up and follows for some cycles; then a recording takes their place: at
+each SYNC every joint "sends" its last TPDO once more, and an SDO request is answered as it was before. So the CPU time of the
+process is that of the master, its pump and trio; the drives cost next to nothing, and the clock jumps (trio's MockClock), so the
+machine's load does not count. A real transport adds its system calls: two for each frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import gc
+import math
+import platform
+import pstats
+import time
+from contextlib import nullcontext
+
+import trio
+import trio.testing
+
+from canopen_master import Chain, ChainSettings, open_master, powerballs, simulate
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, TPDO1, Frame
+from canopen_proto.machine import SECOND
+from canopen_transports import Received, VirtualTransport
+
+WARM_UP = 0.2  # seconds of the path before the recording takes over: each joint's mode was read by then
+
+
+class Recorder(VirtualTransport):
+    """A bus whose devices are replaced by what they have sent last, from `replay` on."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._is_replaying = False
+        self._tpdos: dict[int, Frame] = {}
+        self._answers: dict[tuple[int, bytes], Frame] = {}
+        self._asked: dict[int, bytes] = {}
+
+    def replay(self, is_replaying: bool = True) -> None:
+        """From now on only the recording answers, or the devices again."""
+        self._is_replaying = is_replaying
+
+    def send_nowait(self, frame: Frame) -> bool:
+        """What is replayed goes and comes at once."""
+        if self._is_replaying:
+            self._answer(frame)
+        return self._is_replaying
+
+    async def send(self, frame: Frame) -> None:
+        """To the devices, or to the recording."""
+        if self._is_replaying:
+            self._answer(frame)
+            return
+        if frame.can_id & 0x780 == SDO_CLIENT_TO_SERVER:
+            self._asked[frame.can_id & 0x7F] = frame.data
+        await super().send(frame)
+
+    def _answer(self, frame: Frame) -> None:
+        """A SYNC brings the TPDOs, a request its answer."""
+        if frame.can_id == SYNC:
+            for tpdo in self._tpdos.values():
+                self._bring(tpdo)
+        elif frame.can_id & 0x780 == SDO_CLIENT_TO_SERVER:
+            self._bring(self._answers[frame.can_id & 0x7F, frame.data])
+
+    async def receive(self) -> Received:
+        """As the bus brings it, recorded while there are devices."""
+        frame, timestamp = await super().receive()
+        service, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
+        if service == TPDO1:
+            self._tpdos[node_id] = frame
+        elif service == SDO_SERVER_TO_CLIENT:
+            self._answers[node_id, self._asked[node_id]] = frame
+        return frame, timestamp
+
+    def _bring(self, frame: Frame) -> None:
+        self._queue.put((frame, round(trio.current_time() * SECOND)))
+        self._queue.wake()
+
+
+async def _follow(arm: Chain, start: list[float], cycles: int) -> None:
+    """The user's loop: a smooth path so near to the start that joints which stand still follow it."""
+    async for cycle in arm.cycles():
+        swing = 1e-4 * (1 - math.cos(cycle.time))
+        arm.set_positions([position + swing for position in start])
+        if cycle.number == cycles:
+            return
+
+
+async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfile.Profile | None) -> float:
+    """ns of CPU time that one cycle takes."""
+    node_ids = range(3, 3 + joints)
+    async with trio.open_nursery() as nursery:
+        await nursery.start(simulate, VirtualTransport("arm"), powerballs(*node_ids))
+        bus = Recorder("arm")
+        async with open_master(bus, grip=None) as master:
+            text = "arm " + " ".join(f"joint{node_id} arm {node_id}" for node_id in node_ids)
+            arm = master.load_chains(text=text, settings=ChainSettings(cycle_time=cycle_time))["arm"]
+            await arm.initialise()
+            await arm.enable_interpolated_position()
+            start = arm.positions
+            await _follow(arm, start, round(WARM_UP / cycle_time))
+            bus.replay()
+            sent, missed = arm.sync_cycles, arm.missed_cycles
+            gc.collect()
+            gc.disable()
+            begin = time.process_time_ns()
+            with profile or nullcontext():
+                await _follow(arm, start, cycles)
+            taken = time.process_time_ns() - begin
+            gc.enable()
+            assert arm.sync_cycles - sent >= cycles, "fewer SYNCs than cycles"
+            assert arm.missed_cycles == missed, "a cycle was missed"
+            result = taken / (arm.sync_cycles - sent)
+            bus.replay(False)  # the joints are halted in earnest
+        nursery.cancel_scope.cancel()
+    return result
+
+
+def cycle(joints: int, cycle_time: float, cycles: int = 2000, profile: cProfile.Profile | None = None) -> float:
+    """ns of CPU time that one cycle of a chain takes its master."""
+    return trio.run(_measure, joints, cycle_time, cycles, profile, clock=trio.testing.MockClock(autojump_threshold=0))
+
+
+def main() -> None:
+    """Read the arguments, measure, print."""
+    parser = argparse.ArgumentParser(description="what a cycle of a chain costs the master alone")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds per case; the least counts (default: 3)")
+    parser.add_argument("--profile", action="store_true", help="6 joints at 1 ms under cProfile instead")
+    arguments = parser.parse_args()
+    if arguments.profile:
+        profile = cProfile.Profile()
+        cycle(6, 0.001, profile=profile)
+        pstats.Stats(profile).sort_stats("cumulative").print_stats(80)
+        return
+    print(f"{platform.python_implementation()} {platform.python_version()}; least of {arguments.rounds} rounds\n")
+    print("| cost of a chain's cycle in the master alone | us of CPU time | share of a core |\n|---|---:|---:|")
+    for joints in (6, 12):
+        for cycle_time in (0.001, 0.004):
+            least = min(cycle(joints, cycle_time) for _ in range(arguments.rounds))
+            print(f"| {joints} joints, {cycle_time * 1000:.0f} ms | {least / 1000:.0f} | {least / cycle_time / 1e7:.1f} % |")
+
+
+if __name__ == "__main__":
+    main()
