@@ -48,6 +48,7 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
+from canopen_proto.datatypes import range_of
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.remote_node import FRESH, RemoteNode
 
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
+_NO_RANGE: Final = (1, 0)
+"""Of an object that holds no integer: each set-point is encoded to see whether it fits."""
 
 
 class HomingStyle(enum.Enum):
@@ -181,7 +184,9 @@ class Axis:
     motion; OBEYED once the drive has shown that it took it.
     """
 
-    __slots__ = ("_given", "_is_homed", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state")
+    __slots__ = (
+        "_given", "_is_homed", "_set_points", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state",
+    )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """Make the axis of a node. Raises LocalProtocolError if its dictionary lacks controlword, statusword or a mode object."""
@@ -194,6 +199,8 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
+        found = (node.dictionary.get(mux >> 8, mux & 0xFF) for mux in (INTERPOLATION_SET_POINT, TARGET_POSITION))
+        self._set_points = [(each, *(range_of(each.data_type) or _NO_RANGE)) for each in found if each is not None]
         node.commanded |= {CONTROLWORD, INTERPOLATION_SET_POINT, TARGET_POSITION}
         node.add_listener(self._on_values, self._on_boot)
 
@@ -339,11 +346,16 @@ class Axis:
 
     def set_position_counts(self, counts: int) -> None:
         """Set the next set-point in counts; else as `set_position`."""
-        for key in (INTERPOLATION_SET_POINT, TARGET_POSITION):
-            variable = self.node.dictionary.get(key >> 8, key & 0xFF)
-            if variable is not None:
+        self.check_set_point(counts)
+        store = self.node.values.store
+        for variable, _, _ in self._set_points:
+            store[variable.mux] = counts
+
+    def check_set_point(self, counts: int) -> None:
+        """Raise ValueRangeError for a set-point that an object of the drive cannot hold."""
+        for variable, low, high in self._set_points:
+            if type(counts) is not int or not low <= counts <= high:
                 variable.encode(counts)
-                self.node.values.store[key] = counts
 
     def set_controlword(self, word: int, now: Time) -> None:
         """Put a command into the image. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.

@@ -59,6 +59,7 @@ from canopen_proto.procedures.steps import (
     current_time,
     sleep,
 )
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
 from canopen_proto.sync import SyncReceived, SyncSent
 
@@ -106,6 +107,7 @@ class Following:
     __slots__ = (
         "_axis",
         "_cyclic",
+        "_flawless",
         "_is_on",
         "_lag",
         "_limit",
@@ -133,6 +135,7 @@ class Following:
         self._unanswered: dict[int, tuple[int, Time]] = {}  # SYNCs since a mux was heard, and when the first of them was
         self._nmt_state: NmtState | None = None
         self._old_bits = 0
+        self._flawless: int | None = None  # a statusword in which nothing was found
         self._was_limited = False
         self.error = 0.0
         self.largest_error = 0.0
@@ -170,6 +173,7 @@ class Following:
         self._points = deque([self._axis.set_point] * (lag + 1), maxlen=lag + UNCERTAIN + 1)
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
+        self._flawless = None
         self._was_limited = False
         self.error = 0.0
         self._is_on = True
@@ -214,6 +218,9 @@ class Following:
     def _judge_statusword(self) -> None:
         axis = self._axis
         word = axis.statusword
+        if word == self._flawless:
+            self._was_limited = False
+            return
         self._old_bits &= word
         news = word & ~self._old_bits
         is_limited = bool(news & StatusBit.INTERNAL_LIMIT)
@@ -226,12 +233,17 @@ class Following:
         elif is_limited and self._was_limited:
             self.lose("is held by a limit of its own: bit 11 of its statusword is 1 (position 0x607D, speed, torque or current)")
         self._was_limited = is_limited
+        self._flawless = None if is_limited else word
 
     def _judge_position(self) -> None:
         position, points, limit = self._axis.position, self._points, self._limit
         assert position is not None  # it has just come
         self.error = points[-1 - self._lag] - position
-        self.largest_error = max(self.largest_error, abs(self.error))
+        distance = abs(self.error)
+        if distance > self.largest_error:
+            self.largest_error = distance
+        if distance <= limit.value:
+            return
         off = max(min(points) - position, position - max(points))
         if off > limit.value:
             self.lose(
@@ -248,27 +260,29 @@ class Following:
         if not self._is_on:
             return
         state = self._axis.node.nmt_state
-        if state not in (None, NmtState.OPERATIONAL, self._nmt_state):
-            assert state is not None
+        if state is not NmtState.OPERATIONAL and state is not None and state is not self._nmt_state:
             self.lose(f"left NMT state Operational: {state.name}")
         self._judge_silence(now)
         self._points.append(self._axis.set_point)  # this SYNC takes it along
 
     def _judge_silence(self, now: Time) -> None:
         """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
-        heard_at = self._axis.node.heard_at
+        heard_at, just_begun = self._axis.node.heard_at, (1, now)
         for mux, every in self._cyclic.items():
-            unanswered, first = self._unanswered.get(mux, (0, now))
-            if unanswered and heard_at.get(mux, -NEVER) >= first:
-                unanswered, first = 0, now
+            silence = self._unanswered.get(mux)
+            if silence is None or heard_at.get(mux, -NEVER) >= silence[1]:
+                self._unanswered[mux] = just_begun
+                continue
+            unanswered, first = silence
             if unanswered >= self._silent_syncs * every and now - first >= SILENT_TIME:
-                what, silence = _NAMES.get(mux, f"0x{mux >> 8:04X}"), (now - first) / MILLISECOND
-                cause = f"is silent: no PDO with its {what} for {silence:.3g} ms, behind {unanswered} SYNCs"
+                what, time = _NAMES.get(mux, f"0x{mux >> 8:04X}"), (now - first) / MILLISECOND
+                cause = f"is silent: no PDO with its {what} for {time:.3g} ms, behind {unanswered} SYNCs"
                 self.lose(cause, is_silent=True)
                 return
             self._unanswered[mux] = unanswered + 1, first
 
 
+_SYNCS: Final = (SyncSent, SyncReceived)
 READ_INTERVAL: Final = 5 * MILLISECOND
 """The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
 UNANSWERED: Final = 3
@@ -313,15 +327,28 @@ def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
 
 
 def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
-    not_before = yield from current_time()
+    wait = _Turn(drive.axis.node, turn, (yield from current_time()))
     while drive.unsent:
         for mux in sorted(drive.unsent):
-            while turn > 0 or (yield from current_time()) < not_before:
-                yield Wait(None, drive.axis.node, lambda report: isinstance(report, SyncSent | SyncReceived))
-                turn -= 1
-            turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
+            yield Wait(None, wait.node, wait.is_over, _SYNCS)
+            wait = _Turn(wait.node, turns, (yield from current_time()) + turns * READ_INTERVAL)
             if mux in drive.unsent:  # else its first PDO has come meanwhile
                 yield from _read(drive, mux)
+
+
+class _Turn:
+    """Counts SYNCs until it is a drive's turn, in ns `not_before` at the earliest: the drive's procedure sleeps until then."""
+
+    __slots__ = ("left", "node", "not_before")
+
+    def __init__(self, node: RemoteNode, left: int, not_before: Time) -> None:
+        self.node = node
+        self.left = left
+        self.not_before = not_before
+
+    def is_over(self, sync: Event) -> bool:
+        self.left -= 1
+        return self.left <= 0 and self.node.last_sync is not None and self.node.last_sync >= self.not_before
 
 
 def _read(drive: Following, mux: int) -> Procedure[None]:

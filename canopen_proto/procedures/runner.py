@@ -144,16 +144,23 @@ class Runner(Machine):
     def observe(self, root: object, report: Event, now: Time) -> None:
         """Hand an event of the network with this `out.root` to the tasks that wait for it."""
         # A task that begins to wait because of this event does not get it.
-        waiting = [(task, task.step) for task in self.tasks.values() if type(task.step) is Wait and task.step.match is not None]
+        kind = type(report)
+        waiting: list[tuple[_Task, Wait]] = []
+        for task in self.tasks.values():
+            step = task.step
+            if type(step) is Wait and step.match is not None and (step.kinds is None or kind in step.kinds):
+                waiting.append((task, step))
         if isinstance(report, Outcome):
-            task = self._requests.pop((root, report.request_id), None)
-            if task is not None:
-                task.token = None
-                self._resume(task, report, now)
+            asking = self._requests.pop((root, report.request_id), None)
+            if asking is not None:
+                asking.token = None
+                self._resume(asking, report, now)
         elif isinstance(report, SdoProgress):
-            task = self._requests.get((root, report.request_id))
-            if task is not None:
-                self._inform(task, report, now)
+            asking = self._requests.get((root, report.request_id))
+            if asking is not None:
+                self._inform(asking, report, now)
+        elif not waiting:
+            return
         for task, step in waiting:
             if task.step is step and (step.source is None or step.source.out.root is root):
                 self._tell(task, step, report, now)

@@ -16,7 +16,7 @@ more by `ask_for_time`. Do not clean up in `finally`: a generator that is collec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, TypeVar
 
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
@@ -113,14 +113,24 @@ class Request(Step):
 
 
 class Wait(Step):
-    """Wait until an event of `source`'s network matches (the result), or until `timeout` ns have passed (the result is None)."""
+    """Wait until an event of `source`'s network matches (the result), or until `timeout` ns have passed (the result is None).
 
-    __slots__ = ("match", "source", "timeout")
+    kinds: the types of event that can match, exactly; None: `match` is asked about each event.
+    """
 
-    def __init__(self, timeout: Time | None, source: Machine | None = None, match: Callable[[Event], bool] | None = None) -> None:
+    __slots__ = ("kinds", "match", "source", "timeout")
+
+    def __init__(
+        self,
+        timeout: Time | None,
+        source: Machine | None = None,
+        match: Callable[[Event], bool] | None = None,
+        kinds: Collection[type[Event]] | None = None,
+    ) -> None:
         self.timeout = timeout
         self.source = source
         self.match = match
+        self.kinds = kinds
 
 
 class AllOf(Step):

@@ -139,7 +139,7 @@ class Desks(RuleBasedStateMachine):
             self.cancel(self.ids[-1 - back])
 
     def cancel(self, request_id: RequestId) -> None:
-        if request_id in self.desk.network.runner._tasks:
+        if request_id in self.desk.network.runner.tasks:
             self.cancelled.setdefault(request_id, self.desk.now)
         self.desk.network.cancel(request_id, self.desk.now)
 
@@ -195,15 +195,15 @@ class Desks(RuleBasedStateMachine):
     @invariant()
     def every_open_request_is_waited_for_by_a_task_that_lives(self) -> None:
         runner, clerk = self.desk.network.runner, self.desk.clerk
-        tasks = runner._tasks.values()
+        tasks = runner.tasks.values()
         tokens = {task.token for task in tasks if task.token is not None}
         assert tokens == set(runner._requests)
         assert {number for _, number in tokens} == set(clerk.open)
         for task in tasks:
             assert task.step is not None or task.open_children, "a task that waits for nothing will never end"
             assert not task.active
-            assert task.parent is None or task.parent.request_id in runner._tasks
-            assert task.open_children == sum(child.request_id in runner._tasks for child in task.children)
+            assert task.parent is None or task.parent.request_id in runner.tasks
+            assert task.open_children == sum(child.request_id in runner.tasks for child in task.children)
 
     def teardown(self) -> None:
         for request_id in list(self.ids):

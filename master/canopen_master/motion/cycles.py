@@ -18,7 +18,7 @@ import trio
 
 from canopen_master.errors import SetPointRefused
 from canopen_master.motion.device import Device
-from canopen_master.motion.set_point_check import check_set_point
+from canopen_master.motion.set_point_check import check_set_point, refused
 from canopen_proto.machine import SECOND, LocalProtocolError
 
 
@@ -62,7 +62,7 @@ class SetPoints:
         self.given_in = -1
         self.is_awaited = False  # somebody was handed a cycle: set-points are due from now on
         self._is_new = self._is_held = False  # what the next SYNC takes along
-        self._next: Sequence[float] = ()
+        self._next: list[float] = []
         self._path: deque[list[float]] = deque()
 
     @property
@@ -87,9 +87,11 @@ class SetPoints:
     def give(self, positions: Sequence[float], cycles: int) -> None:
         """See Chain.set_positions."""
         self._check(positions, cycles)
-        shares = [number / cycles for number in range(1, cycles)]
-        line = [[a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares]
-        self._path = deque([*line, list(positions)])
+        self._path.clear()
+        if cycles > 1:
+            shares = [number / cycles for number in range(1, cycles)]
+            self._path.extend([a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares)
+        self._path.append(list(positions))
         self._put(self._path.popleft())
         self.given_in = self.number
 
@@ -107,7 +109,7 @@ class SetPoints:
         self.number += 1 + skipped
         self.sync_cycles += 1
         self.skipped_cycles += skipped
-        self.sent = list(self._next)
+        self.sent = self._next
         if self._is_new or self._is_held:
             self.missed_in_row = 0
             self.taken += self._is_new
@@ -119,7 +121,7 @@ class SetPoints:
             self._put(self._path.popleft())
         self.tick.unpark_all()
 
-    def _put(self, positions: Sequence[float]) -> None:
+    def _put(self, positions: list[float]) -> None:
         for device, position in zip(self.devices, positions, strict=True):
             device.axis.set_position(position)
         self._next = positions
@@ -137,9 +139,8 @@ class SetPoints:
             check_set_point(device, start, target, time)
             step = abs(target - start) / cycles
             if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # not to refuse the limit itself for its last bit
-                refused = f"set-point {target} of {device.name} was refused"
                 seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {self.max_step:g}"
-                raise SetPointRefused(refused, device.name, seen, ("a finer path, more `cycles`, or a larger max_step",))
+                raise refused(device, target, seen, ("a finer path, more `cycles`, or a larger max_step",))
 
 
 class Cycles:
@@ -161,7 +162,8 @@ class Cycles:
 
     async def __anext__(self) -> Cycle:
         set_points = self._set_points
-        await trio.lowlevel.checkpoint()
+        if set_points.number not in (self._last, set_points.given_in):  # else it parks below
+            await trio.lowlevel.checkpoint()
         while (error := await self._stopped()) is None and set_points.number in (self._last, set_points.given_in):
             await set_points.tick.park()
         if error is not None:

@@ -6,7 +6,7 @@ the events: `async with joint.events(PdoReceived) as updates: ...`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TypeVar
 
 from canopen_master.node import Node
@@ -19,7 +19,6 @@ from canopen_proto.drive.limits import limits_of
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.nmt import NmtState
-from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
 
@@ -50,7 +49,7 @@ class Device:
         self._velocity: float | None = None
         node.watch((SdoUploaded, SdoDownloaded), self._on_round_trip)
         node.watch((EmcyReceived,), self._on_emcy)
-        node.watch((PdoReceived,), self._on_pdo)
+        node.remote.add_listener(self._on_values)
 
     def __repr__(self) -> str:
         return f"<Device {self.name}: node {self.node.node_id} on {self.node.bus}>"
@@ -167,10 +166,10 @@ class Device:
         self.emcy = report
         self.emcy_time = self.node.now()
 
-    def _on_pdo(self, report: PdoReceived) -> None:
-        if POSITION_ACTUAL_VALUE not in report.mapping.muxes:
+    def _on_values(self, muxes: Collection[int], now: Time) -> None:
+        if POSITION_ACTUAL_VALUE not in muxes:
             return
-        now, position = self.node.now(), self.position
+        position = self.position
         if position is None:
             return  # it has booted since
         if self._position is not None and now > self._position[0]:

@@ -6,7 +6,6 @@ import math
 
 from canopen_master.errors import SetPointRefused
 from canopen_master.motion.device import Device
-from canopen_proto.cia402.objects import INTERPOLATION_SET_POINT
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drive.limits import Excess
 from canopen_proto.machine import Time
@@ -22,17 +21,15 @@ def check_set_point(device: Device, start: float, target: float, time: Time) -> 
 
     start: the set-point that it comes from; time: ns in which it is to get from there to `target`.
     """
-    refused = f"set-point {target} of {device.name} was refused"
-    if device.axis.settings.counts_per_unit is None:
-        raise SetPointRefused(refused, device.name, "the joint has no scale: its unit is not known", NO_SCALE)
+    axis = device.axis
+    if axis.settings.counts_per_unit is None:
+        raise refused(device, target, "the joint has no scale: its unit is not known", NO_SCALE)
     if not math.isfinite(target):
-        raise SetPointRefused(refused, device.name, "it is not a finite number")
-    variable = device.node.dictionary.get(INTERPOLATION_SET_POINT >> 8, INTERPOLATION_SET_POINT & 0xFF)
-    if variable is not None:
-        try:
-            variable.encode(device.axis.to_counts(target))
-        except (OverflowError, ValueRangeError) as error:
-            raise SetPointRefused(refused, device.name, str(error)) from error
+        raise refused(device, target, "it is not a finite number")
+    try:
+        axis.check_set_point(axis.to_counts(target))
+    except (OverflowError, ValueRangeError) as error:
+        raise refused(device, target, str(error)) from error
     check_limits(device, start, target, time)
 
 
@@ -40,7 +37,12 @@ def check_limits(device: Device, start: float, target: float, time: Time) -> Non
     """As `check_set_point`, for a set-point that is known to be a number that the drive's object can hold."""
     excess = device.limits.excess(start, target, time)
     if excess is not None:
-        raise SetPointRefused(f"set-point {target} of {device.name} was refused", device.name, *_words(excess, start))
+        raise refused(device, target, *_words(excess, start))
+
+
+def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = ()) -> SetPointRefused:
+    """The exception for a set-point of a joint. seen: why; tries: what to try."""
+    return SetPointRefused(f"set-point {target} of {device.name} was refused", device.name, seen, tries)
 
 
 def _words(excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:
