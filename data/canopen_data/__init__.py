@@ -1,10 +1,10 @@
 """The product's data files: the object dictionary of the manual (indices.csv, constants.csv, PDOs.csv) and example chain files.
 
-The files are installed with this package. A user's own file of the same name goes before the installed one: it stands in the
-folder that the caller names, else in $CANOPEN_DATA, else in ~/.canopen. `init` copies the installed files there, to be changed.
+The files are installed with this package. A user's own file of the same name takes precedence: it is looked for in the folder
+that the caller names, else in $CANOPEN_DATA, else in ~/.canopen. `init` copies the installed files there for editing.
 
-This is the one place that reads these files; `canopen_proto` takes their texts. Nothing here prints: what was done is handed
-back, as a `Finding` of severity notice or as the list that `init` gives.
+Only this module reads these files; `canopen_proto` takes their texts. Nothing here prints: the caller gets a `Finding` of
+severity notice, or the list that `init` returns.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ CHAIN_FILES: Final = ("single_device.csv", "multiple_devices.csv")
 ENVIRONMENT_VARIABLE: Final = "CANOPEN_DATA"
 
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
-"""Bytes. A larger file is none of ours (a log, a device node), and would only fill the memory."""
+"""Bytes. A larger file is not a data file (perhaps a log or a device node) and would only fill the memory."""
 
 
 class DataError(Exception):
-    """A data file or folder cannot be used. hint: what to try."""
+    """A data file or folder that cannot be used. hint: what to try."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(f"{message}; {hint}")
@@ -56,7 +56,7 @@ class DataError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class DataFile:
-    """A file's text. source: its path, or "installed NAME". notice: that a user's file took the place of the installed one."""
+    """A file's text. source: its path, or "installed NAME". notice: says that a user's file replaces the installed one."""
 
     name: str
     text: str
@@ -66,16 +66,17 @@ class DataFile:
 
 @dataclass(frozen=True, slots=True)
 class Copied:
-    """What `init` did with one file. action: "created", "replaced", "kept" (it differs, and force was not asked), "unchanged"."""
+    """The result of `init` for one file. action: "created", "replaced", "kept" (it differs, and force was not given),
+    "unchanged"."""
 
     path: Path
     action: str
 
 
 def user_directory(directory: str | Path | None = None) -> Path | None:
-    """The folder of the user's own files: the argument, else $CANOPEN_DATA, else ~/.canopen where there is one, else None.
+    """Return the folder of the user's own files: the argument, else $CANOPEN_DATA, else ~/.canopen if it exists, else None.
 
-    Raises DataError where a folder that was asked for by name does not exist.
+    Raises DataError if a folder that was asked for by name does not exist.
     """
     named, origin = directory, ""
     if named is None:
@@ -92,9 +93,9 @@ def user_directory(directory: str | Path | None = None) -> Path | None:
 
 
 def read(name: str, directory: str | Path | None = None) -> DataFile:
-    """A data file by its name: the user's one, else the installed one.
+    """Return a data file by its name: the user's own, else the installed one.
 
-    Raises DataError where there is neither (its hint lists the installed ones), or where it cannot be read.
+    Raises DataError if there is neither (its hint lists the installed ones), or if it cannot be read.
     """
     folder = user_directory(directory)
     installed = name in (*DICTIONARY_FILES, *CHAIN_FILES)
@@ -113,18 +114,19 @@ def read(name: str, directory: str | Path | None = None) -> DataFile:
 
 
 def read_chain_file(name: str | Path, directory: str | Path | None = None) -> DataFile:
-    """A chain file by its path or, where there is no such file, by its name (see `read`). Raises DataError."""
+    """Return a chain file by its path or, if there is no such file, by its name (see `read`). Raises DataError."""
     path = expanded(name)
     text = _text_of(path, str(path))
     return read(str(name), directory) if text is None else DataFile(path.name, text, str(path))
 
 
 def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictionary, list[Finding]]:
-    """The object dictionary of indices.csv, constants.csv and PDOs.csv, and what was found: notices first, then warnings.
+    """Return the object dictionary of indices.csv, constants.csv and PDOs.csv, and what was found: notices first, then warnings.
 
-    A user's indices.csv may have fewer objects than the installed one: what an installed file says of the others is left out.
+    A user's indices.csv may have fewer objects than the installed one: lines of installed files about the missing objects are
+    left out.
 
-    Raises DataError where a file cannot be read, and DictionaryError, which holds all errors of the user's files.
+    Raises DataError if a file cannot be read, and DictionaryError, which holds all errors of the user's files.
     """
     files = [read(name, directory) for name in DICTIONARY_FILES]
     notices = [each.notice for each in files if each.notice is not None]
@@ -147,12 +149,12 @@ def _load(files: list[DataFile]) -> tuple[ObjectDictionary, list[Finding]]:
 
 @lru_cache(maxsize=4)
 def _parsed(indices: str, constants: str, pdos: str, sources: tuple[str, str, str]) -> tuple[ObjectDictionary, list[Finding]]:
-    """One reading for all nodes of one description."""
+    """Parse the texts once for all nodes that share a description."""
     return load_csv(indices, constants, pdos, sources=sources)
 
 
 def _without(file: DataFile, errors: Iterable[Finding], notices: list[Finding]) -> DataFile:
-    """An installed file without the lines that do not fit the user's own files; a notice tells how many they are."""
+    """Return an installed file without the lines that do not fit the user's own files; a notice gives their number."""
     unfit = {each.line for each in errors if each.source == file.source}
     if not unfit:
         return file
@@ -163,10 +165,10 @@ def _without(file: DataFile, errors: Iterable[Finding], notices: list[Finding]) 
 
 
 def init(target: str | Path | None = None, *, force: bool = False) -> list[Copied]:
-    """Copy the installed files to `target` ($CANOPEN_DATA, else ~/.canopen), and say what was done with each.
+    """Copy the installed files to `target` ($CANOPEN_DATA, else ~/.canopen) and return what was done with each.
 
-    A file that is there already stays as it is, unless force is given. Raises DataError where the folder or a file cannot be
-    written; files copied before that stay.
+    An existing file stays as it is, unless force is given. Raises DataError if the folder or a file cannot be written; files
+    copied before that stay.
     """
     folder = _target(target)
     try:
@@ -208,7 +210,7 @@ def _home_directory() -> Path | None:
 
 
 def expanded(path: str | Path) -> Path:
-    """A path with ~ replaced. Raises DataError where there is no home folder."""
+    """Return a path with ~ replaced. Raises DataError if there is no home folder."""
     try:
         return Path(path).expanduser()
     except RuntimeError:
@@ -216,7 +218,7 @@ def expanded(path: str | Path) -> Path:
 
 
 def content_of(path: Path | Traversable, source: str) -> bytes | None:
-    """The bytes of a file, MAX_FILE_SIZE at most; None where there is none. source: what errors call it. Raises DataError."""
+    """Return the bytes of a file, MAX_FILE_SIZE at most; None if there is none. source: its name in errors. Raises DataError."""
     try:
         with path.open("rb") as file:
             content = file.read(MAX_FILE_SIZE + 1)
@@ -231,12 +233,12 @@ def content_of(path: Path | Traversable, source: str) -> bytes | None:
 
 
 def _text_of(path: Path | Traversable, source: str) -> str | None:
-    """The text of a file; None where there is no such file."""
+    """Return the text of a file; None if there is no such file."""
     content = content_of(path, source)
     if content is None:
         return None
     try:
-        return content.decode("utf-8-sig")  # Windows' editors begin a file with a byte order mark
+        return content.decode("utf-8-sig")  # editors on Windows begin a file with a byte order mark
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         fault = f"line {line} has the byte 0x{content[error.start]:02X}"

@@ -2,13 +2,12 @@
 
 Theory of operation
 -------------------
-The file holds what was read, and nothing else: an object without a value in the backup has none in the file, even if the
-description (an old backup, say) configures one. Its section says why (`_NotRead`, see `Variable.not_read`).
+The file holds exactly what was read. An object without a value in the backup has none in the file, even if the description (an
+old backup, say) configures one. Its section says why (`_NotRead`, see `Variable.not_read`).
 
-Whether the file says the same as the device is not believed but looked up: the finished bytes are read as `restore` will read
-them, and each value is compared with the bytes that the device sent. What differs is in `BackupFile.lost`. That happens with
-bytes that no value of the object's type stands for (a BOOLEAN of 0xFF, a REAL32 that is a signalling NaN), and with files beyond
-the size that is read.
+The finished file is checked: its bytes are read as `restore` will read them, and each value is compared with the bytes that the
+device sent. Values that differ are in `BackupFile.lost`. This happens with bytes that are no value of the object's type (a
+BOOLEAN of 0xFF, a REAL32 that is a signalling NaN), and with files larger than the reader accepts.
 
 Source: CiA 306-1 v1.4.0, 5 (device configuration file).
 """
@@ -32,7 +31,7 @@ from canopen_proto.procedures.backup import Backup, Reading, ReadResult
 
 @dataclass(frozen=True, slots=True)
 class BackupFile:
-    """data: the bytes of the file. lost: what was read, but stands in the file as another value, or not at all."""
+    """A DCF made of a backup. data: its bytes. lost: readings that the file holds as another value, or not at all."""
 
     data: bytes
     lost: tuple[Reading, ...]
@@ -43,8 +42,8 @@ def backup_file(
 ) -> BackupFile:
     """Make a DCF of a backup.
 
-    description: of the device's own file; None: there is none, and the objects are those that the device has shown. file_info: of
-    the new file; None: that of the description. bit_rate: kbit/s, where it is known.
+    description: from the device's own file; None if there is none: the objects are then those that the device answered for.
+    file_info: for the new file; None: that of the description. bit_rate: kbit/s, if it is known.
     """
     whole = describe(_shown(backup)) if description is None else description
     commissioning = whole.commissioning or Commissioning()
@@ -56,7 +55,7 @@ def backup_file(
     configured = with_configured(bare, backup.values, commissioning, file_info=file_info or whole.file_info)
     text = write_eds(configured, FileKind.DCF)
     file = _encoded(backup, text, whole.encoding)
-    return _encoded(backup, text, "utf-8") if file.lost else file  # the description's encoding may be one that nobody guesses
+    return _encoded(backup, text, "utf-8") if file.lost else file  # a reader may not be able to guess the description's encoding
 
 
 def _encoded(backup: Backup, text: str, encoding: str) -> BackupFile:
@@ -65,7 +64,7 @@ def _encoded(backup: Backup, text: str, encoding: str) -> BackupFile:
 
 
 def _shown(backup: Backup) -> ObjectDictionary:
-    """What the device has shown that it has: the data files describe more than one device has."""
+    """Return the objects that the device has shown to exist: the data files describe more than one device has."""
     by_index: dict[int, dict[int, Variable]] = {}
     for each in backup.readings:
         if each.data is not None or each.result.is_missing:
@@ -75,7 +74,7 @@ def _shown(backup: Backup) -> ObjectDictionary:
 
 
 def _without_others(dictionary: ObjectDictionary, backup: Backup) -> ObjectDictionary:
-    """The dictionary without configured values of objects that the backup does not have, and with the reason for each."""
+    """Return the dictionary without the configured values that the backup lacks, with the reason for each."""
     results = {each.variable.mux: each.result for each in backup.readings}
 
     def renewed(each: Object) -> Object:

@@ -1,8 +1,8 @@
 """From the description of a type of device (EDS, XDD) to that of one device with its settings (DCF, XDC), and back.
 
-`with_configured` is what a configuration tool does: it notes the node-ID, the bit rate and the values that the device is to have.
-`without_configured` takes all of that off again. `moved_to` makes the settings of one node those of another. None of them changes
-what it is given: a description is never changed.
+`with_configured` does what a configuration tool does: it records the node-ID, the bit rate and the values to be set in the
+device. `without_configured` removes all of that again. `moved_to` turns the settings of one node into those of another. Each
+returns a new description; the old one stays unchanged.
 
 Source: CiA 306-1 v1.4.0, 5 (device configuration file); CiA 301 v4.2.0, 7.3.3 (predefined connection set).
 """
@@ -35,14 +35,15 @@ def with_configured(
     *,
     file_info: FileInfo | None = None,
 ) -> DeviceDescription:
-    """A DCF's description: these values, by mux, are what the device is to be set to, besides what is configured already.
+    """Return the description of a DCF: besides the values that are configured already, it sets these values, by mux.
 
-    commissioning: node-ID, bit rate and so on; None: those that the description has. A value that is configured in another form
-    ($NODEID) already keeps that form. file_info: of the new file (its name, who made it, when: the core has no clock); None: that
-    of the old one, which also becomes the LastEDS of a DCF that is made of an EDS.
+    commissioning: node-ID, bit rate and so on; None: those of the description. A value that is already configured relative to
+    $NODEID stays so. file_info: for the new file (its name, its author and date: the core has no clock); None: that of the old
+    file. A DCF made of an EDS names that EDS in LastEDS.
 
     Raises ObjectNotFound for a mux that the dictionary does not have, ValueRangeError where a value does not fit its object, and
-    LocalProtocolError where nobody says the node-ID. Limits are not looked at: a device may hold what its EDS does not allow.
+    LocalProtocolError if neither argument nor description has a node-ID. Limits are not checked: a device may hold a value that
+    its EDS does not allow.
     """
     commissioning = commissioning or description.commissioning
     if commissioning is None or commissioning.node_id is None:
@@ -62,7 +63,7 @@ def with_configured(
 
 
 def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id: int) -> ObjectDictionary:
-    """The dictionary with these values, by mux, as the configured ones. Raises ObjectNotFound, ValueRangeError."""
+    """Return the dictionary with these values, by mux, as its configured values. Raises ObjectNotFound, ValueRangeError."""
     changed: dict[int, dict[int, Variable]] = {}
     for key, value in values.items():
         variable = dictionary.variable((key >> 8, key & 0xFF))
@@ -74,11 +75,11 @@ def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id
 
 
 def moved_to(dictionary: ObjectDictionary, old: int, new: int) -> ObjectDictionary:
-    """The dictionary of a DCF of node `old`, configured for node `new`.
+    """Return the dictionary of a DCF of node `old`, configured for node `new`.
 
     The COB-IDs of PDOs and of EMCY that are `old`'s in the predefined connection set become `new`'s, with their flag bits. All
-    others stay: they are an agreement of the whole network. Values that depend on the node-ID ($NODEID) follow by themselves.
-    Raises LocalProtocolError for a node-ID outside 1..127. Source: CiA 301 v4.2.0, 7.3.3.
+    others stay: the whole network has agreed on them. Values relative to $NODEID need no change. Raises LocalProtocolError for a
+    node-ID outside 1..127. Source: CiA 301 v4.2.0, 7.3.3.
     """
     check_node_id(old)
     check_node_id(new)
@@ -93,7 +94,7 @@ def moved_to(dictionary: ObjectDictionary, old: int, new: int) -> ObjectDictiona
 
 
 def _own_bases(variable: Variable) -> tuple[int, ...]:
-    """The CAN-IDs that the predefined connection set gives a COB-ID of node 0; none for objects that are no COB-ID of a node."""
+    """Return the base CAN-IDs that the predefined connection set allows this object; none if it is not a COB-ID of a node."""
     if variable.index == _EMCY_COB_ID and variable.subindex == 0:
         return (EMCY,)
     is_pdo = variable.subindex == 1 and any(variable.index in each for each in _PDO_RECORDS)
@@ -101,9 +102,9 @@ def _own_bases(variable: Variable) -> tuple[int, ...]:
 
 
 def without_configured(description: DeviceDescription) -> DeviceDescription:
-    """An EDS's description: what is the same for all devices of this type.
+    """Return the description of an EDS: the facts that are the same for all devices of this type.
 
-    Configured values, commissioning, connected modules, denotations, the files of DOMAINs and LastEDS are gone.
+    Configured values, commissioning, connected modules, denotations, the files of DOMAINs and LastEDS are removed.
     """
     return replace(
         description,
@@ -116,7 +117,7 @@ def without_configured(description: DeviceDescription) -> DeviceDescription:
 
 
 def without_configured_values(dictionary: ObjectDictionary) -> ObjectDictionary:
-    """The dictionary as an EDS has it: a device made of it has its defaults."""
+    """Return the dictionary as an EDS has it: a device made of it has its defaults."""
     changed: dict[int, dict[int, Variable]] = {}
     for variable in dictionary:
         plain = replace(
@@ -135,7 +136,7 @@ def without_configured_values(dictionary: ObjectDictionary) -> ObjectDictionary:
 
 
 def _with_variables(dictionary: ObjectDictionary, changed: Mapping[int, Mapping[int, Variable]]) -> ObjectDictionary:
-    """The dictionary with other variables, by index and subindex, in the places of these."""
+    """Return the dictionary with these variables, by index and subindex, replaced."""
 
     def renewed(index: int) -> Object:
         each = dictionary.objects[index]

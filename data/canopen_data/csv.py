@@ -3,18 +3,18 @@
 Theory of operation
 -------------------
 indices.csv names objects, constants.csv names values of them, PDOs.csv names what PDOs carry; rows.py has the formats. A user
-adds an object, a constant or a PDO by adding a line. This module takes texts, not files: reading them is the caller's business.
+adds an object, a constant or a PDO by adding a line. This module takes texts; the caller reads the files.
 
-What the files do not say, comes from the standard or from convention:
+Facts that are not in the files come from the standard or from convention:
 
 - type: the standard's, where the length is the same (so position_actual_value is signed); otherwise UNSIGNED of that length, and
   bytes where the length varies;
 - index 0x0000 is a pseudo object (NMT), index 0xFFFF a filler of PDOs (notused16);
-- direction of a PDO: that of its COB-ID where it is of the predefined connection set, else the one in its alias.
+- direction of a PDO: that of its COB-ID if it is of the predefined connection set, else the one in its alias.
 
-Errors stop the load, all of them in one DictionaryError, each with file, line and column: a malformed row; one alias twice; an
+Errors stop the load. One DictionaryError holds them all, each with file, line and column: a malformed row; one alias twice; an
 alias that indices.csv does not have; one object with two lengths; a PDO of more than 8 bytes or of unknown direction. Warnings
-come from lint.py and are handed back.
+come from lint.py and are returned.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _R = TypeVar("_R", IndexRow, ConstantRow, PdoRow)
 
 
 def parse_indices(text: str, source: str = "indices.csv") -> list[IndexRow]:
-    """The rows of indices.csv. Raises DictionaryError with all malformed rows and all aliases that stand twice."""
+    """Return the rows of indices.csv. Raises DictionaryError with all malformed rows and all aliases that occur twice."""
     findings: list[Finding] = []
     rows = _once(read_indices(text, source, findings), findings)
     _raise_errors(findings)
@@ -56,7 +56,8 @@ def parse_indices(text: str, source: str = "indices.csv") -> list[IndexRow]:
 
 
 def parse_constants(text: str, source: str = "constants.csv") -> list[ConstantRow]:
-    """The rows of constants.csv. Raises DictionaryError with all malformed rows and all names that stand twice for an object."""
+    """Return the rows of constants.csv. Raises DictionaryError with all malformed rows and all names given twice to one
+    object."""
     findings: list[Finding] = []
     rows = _once(read_constants(text, source, findings), findings)
     _raise_errors(findings)
@@ -64,7 +65,7 @@ def parse_constants(text: str, source: str = "constants.csv") -> list[ConstantRo
 
 
 def parse_pdos(text: str, source: str = "PDOs.csv") -> list[PdoRow]:
-    """The rows of PDOs.csv. Raises DictionaryError with all malformed rows and all aliases that stand twice."""
+    """Return the rows of PDOs.csv. Raises DictionaryError with all malformed rows and all aliases that occur twice."""
     findings: list[Finding] = []
     rows = _once(read_pdos(text, source, findings), findings)
     _raise_errors(findings)
@@ -78,7 +79,7 @@ def load_csv(
     *,
     sources: tuple[str, str, str] = ("indices.csv", "constants.csv", "PDOs.csv"),
 ) -> tuple[ObjectDictionary, list[Finding]]:
-    """The dictionary of three texts, and the linter's warnings. sources: what errors call the texts.
+    """Return the dictionary of three texts, and the linter's warnings. sources: the names of the texts in errors.
 
     Raises DictionaryError, which holds every error of all three.
     """
@@ -110,7 +111,7 @@ def load_csv(
 
 
 class _Names:
-    """What the aliases of indices.csv stand for."""
+    """The objects and fillers of indices.csv, by alias."""
 
     def __init__(self, entries: Mapping[str, Variable | Filler], text: str, source: str) -> None:
         self.entries = entries
@@ -132,7 +133,7 @@ def _raise_errors(findings: Sequence[Finding]) -> None:
 
 
 def _once(rows: Iterable[_R], findings: list[Finding]) -> list[_R]:
-    """The rows without those whose name stands in an earlier row of the file."""
+    """Return the rows without those whose name occurs in an earlier row of the file."""
     first: dict[tuple[str, ...], _R] = {}
     for row in rows:
         twin = first.setdefault(tuple(cell.text for cell in row.own), row)
@@ -143,7 +144,7 @@ def _once(rows: Iterable[_R], findings: list[Finding]) -> list[_R]:
 
 
 def _variables(rows: Iterable[IndexRow], findings: list[Finding]) -> dict[tuple[int, int], Variable]:
-    """One variable for each index and subindex, with all its aliases. The first row's mode counts."""
+    """Return one variable for each index and subindex, with all its aliases. The mode of the first row counts."""
     variables: dict[tuple[int, int], Variable] = {}
     lengths: dict[tuple[int, int], IndexRow] = {}
     for row in rows:
@@ -200,7 +201,7 @@ def _constants(rows: Iterable[ConstantRow], names: _Names, findings: list[Findin
             findings.append(row.alias.error("filler", f"{row.alias.shown} is a filler of PDOs; it has no constants"))
         elif found is not None:
             constants = by_mux.setdefault(found.mux, [])
-            if any(each.name == row.name.text for each in constants):  # by way of another alias of the object
+            if any(each.name == row.name.text for each in constants):  # through another alias of the object
                 findings.append(row.name.error("duplicate-alias", f"{found.label} has a constant {row.name.shown} already"))
             constants.append(Constant(row.name.text, row.mask, row.value))
     return by_mux

@@ -1,7 +1,7 @@
-"""A description around a dictionary that came without one: of CSV files, of a simulated device, made by hand.
+"""Make a description around a dictionary that has none: one from CSV files, of a simulated device, or made by hand.
 
-What a file has to say of a device beyond its objects follows from the objects as far as it can: the three lists,
-the number of PDOs, the identity. The rest (vendor, bit rates, boot-up) is the caller's to say; nothing is made up.
+The objects give the three lists, the number of PDOs and the identity. The caller adds the rest (vendor, bit rates, boot-up);
+nothing is made up.
 
 Source: CiA 306-1 v1.4.0, 4.4 to 4.6.
 """
@@ -17,7 +17,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import ObjectDictionary
 
 EDS_VERSION: Final = "4.0"
-"""Of the files that are written: "4.0" is what CiA 306 names."""
+"""EDSVersion of the files that are written, as CiA 306 names it."""
 MANDATORY: Final = (0x1000, 0x1001, 0x1018)
 """The objects that every device has. CiA 301 v4.2.0, 7.5.1."""
 IDENTITY: Final = 0x1018
@@ -25,15 +25,15 @@ MANUFACTURER: Final = range(0x2000, 0x6000)
 _RPDOS: Final = range(0x1400, 0x1600)
 _TPDOS: Final = range(0x1800, 0x1A00)
 _PDO_GRANULARITY: Final = 8
-"""Bits: entries of a mapping that are whole bytes. CiA 306-1: 0 is no mapping at all, 1 single bits."""
+"""Bits: mapping entries are whole bytes. CiA 306-1: 0 means no mapping at all, 1 single bits."""
 
 
 def describe(
     dictionary: ObjectDictionary, *, device_info: DeviceInfo | None = None, file_info: FileInfo | None = None
 ) -> DeviceDescription:
-    """The description of a device with these objects; its kind is CSV, "no file of the standard".
+    """Return the description of a device with these objects; its kind is CSV, "no file of the standard".
 
-    device_info: what it says is taken; where it does not, identity, number of PDOs and granularity come from the dictionary.
+    device_info: taken as given; identity, number of PDOs and granularity that it lacks come from the dictionary.
     """
     info = device_info or DeviceInfo()
     indices = tuple(sorted(dictionary.objects))
@@ -63,8 +63,8 @@ def describe(
 
 
 def identified(description: DeviceDescription) -> ObjectDictionary:
-    """The dictionary with the identity (0x1018:01 to 03) that the file names for the device as a whole, where the object itself
-    says none: many files leave it out there, and a device made of them would be nobody's."""
+    """Return the dictionary with the identity (0x1018:01 to 03) from the file's device information, if the object itself has
+    none. Many files leave it out there, and a device made of them would have no identity."""
     dictionary, info = description.dictionary, description.device_info
     identity = dictionary.objects.get(IDENTITY)
     if identity is None:
@@ -78,7 +78,7 @@ def identified(description: DeviceDescription) -> ObjectDictionary:
 
 
 def _identity(dictionary: ObjectDictionary, subindex: int) -> int | None:
-    """A number of the identity object (0x1018), where the dictionary says it."""
+    """Return a number of the identity object (0x1018), where the dictionary says it."""
     variable = dictionary.get(IDENTITY, subindex)
     value: Value | None = None if variable is None else variable.default
     return value if isinstance(value, int) else None

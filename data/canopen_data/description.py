@@ -1,14 +1,14 @@
-"""What a device's file says: its objects, and the device as a whole.
+"""The content of a device's file: its objects, and the device as a whole.
 
 Theory of operation
 -------------------
 An EDS describes a type of device, a DCF one device of that type with its node-ID and its settings (CiA 306-1 v1.4.0); an XDD and
-an XDC are the same in XML (CiA 311). All four are read into a `DeviceDescription`: the `ObjectDictionary`, which is all that the
-protocol needs, and around it what tools need: who made the file, what the device can do, how it is commissioned.
+an XDC are the same in XML (CiA 311). All four are read into a `DeviceDescription`. Its `ObjectDictionary` is all that the
+protocol needs; the other fields are for tools: the file's author, the device's features, its commissioning.
 
-A description never changes once it is read; `dataclasses.replace` makes another one. `document` remembers the file as it stood
-(order, spelling, the form of each number), so that a writer changes only what has changed, and a finding about an object can name
-its line. It says nothing that the other fields do not, except for sections that no standard knows.
+A description never changes once it is read; `dataclasses.replace` makes another one. `document` keeps the original file (order,
+spelling, the form of each number), so that a writer rewrites only what has changed, and a finding about an object can name its
+line. Apart from sections that no standard knows, it holds no facts of its own.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from canopen_data.findings import Finding
 from canopen_proto.dictionary.model import ObjectDictionary
 
 BIT_RATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
-"""kbit/s: the ones that an EDS can name (CiA 306-1, DeviceInfo)."""
+"""kbit/s: the bit rates that an EDS can name (CiA 306-1, DeviceInfo)."""
 
 
 class FileKind(StrEnum):
-    """What sort of file a description came from."""
+    """The kind of file that a description came from."""
 
     EDS = "EDS"
     DCF = "DCF"
@@ -37,7 +37,7 @@ class FileKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FileInfo:
-    """[FileInfo]: the file itself. Times and dates are text as it stands there ("01:33PM", "05-23-2013"). last_eds: of a DCF."""
+    """[FileInfo]: the file itself. Times and dates are the file's text ("01:33PM", "05-23-2013"). last_eds: only in a DCF."""
 
     file_name: str = ""
     file_version: int = 0
@@ -55,8 +55,8 @@ class FileInfo:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """[DeviceInfo]: the type of device. bit_rates: kbit/s, of BIT_RATES. compact_pdo: which sub-objects of the PDO records are
-    left out of the file, as a bit field. None: the file does not say."""
+    """[DeviceInfo]: the type of device. bit_rates: kbit/s, from BIT_RATES. compact_pdo: a bit field of the sub-objects that the
+    file leaves out of its PDO records. None: not in the file."""
 
     vendor_name: str = ""
     vendor_number: int | None = None
@@ -78,7 +78,7 @@ class DeviceInfo:
 
 @dataclass(frozen=True, slots=True)
 class Commissioning:
-    """[DeviceCommissioning] of a DCF: one device in its network. bit_rate: kbit/s. None: the file does not say."""
+    """[DeviceCommissioning] of a DCF: one device in its network. bit_rate: kbit/s. None: not in the file."""
 
     node_id: int | None = None
     node_name: str = ""
@@ -91,9 +91,10 @@ class Commissioning:
 
 @dataclass(frozen=True, slots=True)
 class DynamicChannel:
-    """One segment of [DynamicChannels]: where a programmable device makes objects of a type on request. direction: ro, wo, rww...
+    """One segment of [DynamicChannels]: the indices where a programmable device creates objects of one type. direction: ro, wo,
+    rww...
 
-    first, last: indices; pp_offset: of its first object in the process picture.
+    first, last: indices; pp_offset: offset of the first object in the process picture.
     """
 
     data_type: int
@@ -107,8 +108,8 @@ class DynamicChannel:
 class Module:
     """A module of a modular device: [MnModuleInfo] and what it adds (CiA 306-1, modular devices).
 
-    fixed_objects: objects that come with it, whole; sub_extensions: by index, what each module of this type adds to that object,
-    as the file's keys and values.
+    fixed_objects: indices of whole objects that come with it; sub_extensions: by index, the file's keys and values that each
+    module of this type adds to that object.
     """
 
     number: int
@@ -122,23 +123,23 @@ class Module:
 
 
 class Document(Protocol):
-    """The file as it stood."""
+    """The original file."""
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
-        """Line and column, from 1, of an object (subindex None), a sub-object, or one field by the file's name for it.
+        """Return line and column, from 1, of an object (subindex None), a sub-object, or one field by its name in the file.
 
-        Of a field ("DefaultValue") the column is that of its value. Where the file does not have it, the place of the next larger
-        thing; (0, 0) where it has nothing of all this.
+        The column of a field ("DefaultValue") is that of its value. If the file lacks the field, the place of its object is
+        returned, and (0, 0) if it lacks that, too.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceDescription:
-    """All that a file says of a device. source: the file's name, for people.
+    """The whole content of a device's file. source: the file's name, for people.
 
-    dummies: which data types (by index) may stand in a mapping as dummy entries; None: the file does not say. comments: lines.
-    mandatory, optional, manufacturer: the three lists of objects, in the file's order. connected_modules: numbers of `modules`,
-    in the order of their slots. findings: all that was wrong with the file; `encoding`: how its bytes were read.
+    dummies: whether a data type (by index) may be a dummy entry of a mapping; None: not in the file. comments: lines. mandatory,
+    optional, manufacturer: the three lists of objects, in the file's order. connected_modules: numbers of `modules`, in the order
+    of their slots. findings: everything wrong with the file; `encoding`: how its bytes were read.
     """
 
     dictionary: ObjectDictionary
@@ -160,5 +161,5 @@ class DeviceDescription:
     document: Document | None = field(default=None, compare=False, repr=False)
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
-        """Line and column of an object in the file; see Document.place_of. (0, 0) where there is no file."""
+        """Return line and column of an object in the file; see Document.place_of. (0, 0) if there is no file."""
         return (0, 0) if self.document is None else self.document.place_of(index, subindex, field)

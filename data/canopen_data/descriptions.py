@@ -1,7 +1,7 @@
 """Device descriptions from files: EDS, DCF, XDD and XDC, a user's own or one of the samples that come with this package.
 
-The samples were written for this project. A sample is named without a folder (`sample_io.xdd`), and a file of that name in the
-current folder goes before it. As all of this package: files are read here, `canopen_proto` takes their bytes, nothing prints.
+The samples were written for this project. A sample is named without a folder (`sample_io.xdd`); a file of that name in the
+current folder takes precedence. Files are read here, `canopen_proto` takes their bytes, and nothing prints.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ __all__ = ["load_description", "load_description_with_names", "read_file", "samp
 SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
 DRIVE_PROFILE: Final = 402
 PROFILE_AREA: Final = 0x6000
-"""From here on, what an index means depends on the device profile (CiA 301 v4.2.0, table 41)."""
+"""From here on, the meaning of an index depends on the device profile (CiA 301 v4.2.0, table 41)."""
 
 _SAMPLES: Final = resources.files("canopen_data") / "samples"
 
 
 def samples() -> list[str]:
-    """The names of the samples."""
+    """Return the names of the samples."""
     return sorted(each.name for each in _SAMPLES.iterdir() if each.name.endswith(SUFFIXES))
 
 
 def read_file(path: str | Path) -> bytes:
-    """The bytes of a description's file, or of a sample. Raises DataError where there is none, or where it cannot be read."""
+    """Return the bytes of a description's file, or of a sample. Raises DataError if there is none, or if it cannot be read."""
     own = expanded(path)
     content = content_of(own, str(own))
     if content is None and str(path) in samples():
@@ -44,9 +44,9 @@ def read_file(path: str | Path) -> bytes:
 
 
 def load_description(path: str | Path, *, strict: bool = False) -> DeviceDescription:
-    """The description in a file, whatever is wrong with it: see its findings.
+    """Return the description in a file. Its findings list everything wrong with the file.
 
-    Raises DataError where it cannot be read; with strict, DictionaryError for the first error in it.
+    Raises DataError if it cannot be read; with strict, DictionaryError for the first error in it.
     """
     return read_description(read_file(path), str(path), strict=strict)
 
@@ -54,20 +54,21 @@ def load_description(path: str | Path, *, strict: bool = False) -> DeviceDescrip
 def load_description_with_names(
     path: str | Path, *, overlay: bool = True, directory: str | Path | None = None
 ) -> DeviceDescription:
-    """As `load_description`, with aliases and constants of the data files laid over its dictionary; see `with_names`.
+    """Do as `load_description`, and lay aliases and constants of the data files over the dictionary; see `with_names`.
 
-    overlay: False for the file's own names only. directory: of the user's data files; see `load_dictionary`, which also tells
-    what else may be raised.
+    overlay: False keeps only the file's own names. directory: of the user's data files. Raises also what `load_dictionary`
+    raises.
     """
     description = load_description(path)
     return with_names(description, load_dictionary(directory)[0]) if overlay else description
 
 
 def with_names(description: DeviceDescription, names: ObjectDictionary) -> DeviceDescription:
-    """The description with names, aliases and constants of another dictionary laid over its own, which stay as further aliases.
+    """Return the description with names, aliases and constants of another dictionary laid over its own, which stay as further
+    aliases.
 
-    Communication objects mean the same in all devices. Objects of the profile area are named only where the device is a drive,
-    as the objects of the data files are.
+    Communication objects mean the same in all devices. Objects of the profile area are named only if the device is a drive: the
+    data files describe drives.
     """
     whole = description.dictionary
     if _is_drive(whole):
@@ -84,7 +85,7 @@ def with_names(description: DeviceDescription, names: ObjectDictionary) -> Devic
 
 
 def _is_drive(dictionary: ObjectDictionary) -> bool:
-    """Whether it is that of a drive: by its device type, and where the file does not say it, by controlword and statusword."""
+    """Return whether this is a drive: by its device type, or by controlword and statusword if the file has no device type."""
     device_type = dictionary.get(0x1000)
     value = None if device_type is None else device_type.default if device_type.configured is None else device_type.configured
     if isinstance(value, int):

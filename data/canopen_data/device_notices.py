@@ -1,20 +1,20 @@
-"""Say what of a device's description does not work in its `LocalNode`, and why: for a user with a file from elsewhere.
+"""Tell which parts of a device's description do not work in its `LocalNode`, and why: for a user with somebody else's file.
 
 Theory of operation
 -------------------
-Any dictionary makes a device that boots and answers. What is wrong in it costs just the service that it is wrong about, in
-silence on the bus: a peer can do nothing for it. `notices_of` is where it is told. It looks at the description and at the values
-as they are now (before `boot`: as at power-on), and names
+Any dictionary makes a device that boots and answers. A fault in it disables just the service that it concerns. The bus shows
+nothing of this, since a peer could not help; `notices_of` reports it. It looks at the description and at the present values
+(before `boot`: those at power-on), and names
 
-    values        a default that its type cannot hold, and what stands there instead
-    types         a communication object that the standard describes as another type: it may have no room for what is written to
-                  it (a COB-ID of 16 bits), or be nothing that a service can use (text)
-    COB-IDs       a CAN-ID that its service may not have; two services of the device on one CAN-ID
-    PDOs          a record without COB-ID, a mapping that cannot be or is empty, a reserved transmission type
-    SDO           a record of a further channel (0x1201 and on) with CAN-IDs that are not its own
+    values        a default that its type cannot hold, and the value used instead
+    types         a communication object whose type is not the standard's: it may be too small (a COB-ID of 16 bits), or be
+of no use to the service (text)
+    COB-IDs       a CAN-ID that its service must not use; two services of the device on one CAN-ID
+    PDOs          a record without COB-ID, a mapping that is impossible or empty, a reserved transmission type
+    SDO           a record of a further channel (0x1201 and on) with CAN-IDs that it must not use
     storage       0x1010 and 0x1011 without a subindex that stores
 
-What is merely bad style in a file (names, mandatory objects, limits) is not looked at: that is the linter's business.
+Mere bad style (names, mandatory objects, limits) is left to the linter.
 
 Source: CiA 301 v4.2.0, 7.3.5 and 7.5.2.
 """
@@ -41,13 +41,13 @@ from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, communication_
 from canopen_proto.sdo.channels import TO_CLIENT, TO_SERVER, SdoChannels, channel_of
 
 MAX_NOTICES: Final = 100
-"""More than anybody reads. A file of another kind, taken for an EDS, could have one for each of its thousands of objects."""
+"""More than anybody reads. A file that is not an EDS at all could have one for each of its thousands of objects."""
 
 _EFFECTIVE: Final = frozenset({
     0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x100C, 0x100D, 0x1010, 0x1011, 0x1012, 0x1014, 0x1015, 0x1016, 0x1017, 0x1019,
     0x1028, 0x1029,
 })  # fmt: skip
-"""The communication objects that do something in a LocalNode, besides those of PDOs and SDO channels."""
+"""The communication objects that a LocalNode obeys, besides those of PDOs and SDO channels."""
 
 _COB_ID_SYNC: Final = 0x1005 << 8
 _COB_ID_TIME: Final = 0x1012 << 8
@@ -57,7 +57,7 @@ _TIME_IN_USE: Final = 0xC000_0000
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """One thing that does not work. index, subindex: of the object that it is about; None where it is the whole object."""
+    """One thing that does not work. index, subindex: of the object concerned; subindex None: the whole object."""
 
     index: int
     subindex: int | None
@@ -69,7 +69,7 @@ class Notice:
 
 
 def notices_of(node: LocalNode) -> tuple[Notice, ...]:
-    """Return what does not work in a device with its values as they are now: by index, MAX_NOTICES at most."""
+    """Return what does not work in a device with its present values: by index, MAX_NOTICES at most."""
     checks: tuple[Callable[[int, Values, DevicePdos], Iterator[Notice]], ...] = (
         _values,
         _types,
@@ -86,12 +86,12 @@ def _values(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
     for variable in values.unfit:
         value = variable.initial_of(node_id)
         is_text = isinstance(nearest(variable, value), str) and isinstance(value, str)
-        instead = "its UTF-8 bytes stand there" if is_text else "it is zero instead"
+        instead = "its UTF-8 bytes are used instead" if is_text else "it is zero instead"
         yield _about(variable, f"{variable.data_type.name} cannot hold {_show(value)}, its value at power-on: {instead}")
 
 
 def _show(value: Value) -> str:
-    """A value, cut: texts and numbers of a file may be long."""
+    """Return a value as short text: texts and numbers of a file may be long."""
     if isinstance(value, int):
         return f"{value:#x}" if value.bit_length() <= 64 else f"an integer of {value.bit_length()} bits"
     return repr(value)[:40]
@@ -110,7 +110,7 @@ def _types(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
         elif _size(variable.data_type) < _size(standard.data_type) or is_signed(variable.data_type):
             effect = "it has no room for every value"
         else:
-            continue  # wider: all values have room, and a service takes what it can
+            continue  # wider: every value fits, and a service takes what it can
         yield _about(variable, f"{variable.data_type.name}, not {standard.data_type.name} as in CiA 301: {effect}")
 
 
@@ -119,7 +119,7 @@ def _size(data_type: DataType) -> int:
 
 
 def _cob_ids(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
-    """CAN-IDs that their services may not have, and those that two services share."""
+    """Yield a notice for each CAN-ID that its service must not use, or that two services share."""
     store = values.store
     used: dict[int, tuple[str, bool]] = {}
 

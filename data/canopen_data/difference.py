@@ -1,15 +1,15 @@
-"""What is different between two descriptions, by meaning: two files that say the same in other words do not differ.
+"""Compare two descriptions by meaning: two files that say the same in another form do not differ.
 
 Theory of operation
 -------------------
-`compare` goes through the objects of both by index, then through their variables by subindex, then field by field; what the
-files say of the device as a whole is compared too. A `Difference` is plain data: the place, the field, and both values as they
-are in the description (numbers as numbers). None for a value means that the file does not say, or does not have the thing.
+`compare` goes through the objects of both by index, then through their variables by subindex, then field by field. It also
+compares the facts about the device as a whole. A `Difference` is plain data: the place, the field, and both values as they are in
+the description (numbers as numbers). A value of None means that the file does not have it.
 
-What is no difference: the order of objects and sections, how a number is written, the spelling of access rights, comments, the
-file's own dates and names (`FileInfo`), and where a file is from.
+These are no differences: the order of objects and sections, the form of a number, the spelling of access rights, comments, the
+file's own dates and names (`FileInfo`), and the file's origin.
 
-Values that depend on the node-ID are one value with it (`Relative`): $NODEID+0x180 is not 0x180.
+A value that depends on the node-ID is a `Relative`: $NODEID+0x180 differs from 0x180.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 
 
 class Change(StrEnum):
-    """What happened to a thing on the way from the first description to the second."""
+    """How the second description differs from the first in one thing."""
 
     ADDED = "added"
     REMOVED = "removed"
@@ -33,7 +33,7 @@ class Change(StrEnum):
 
 
 class Relative(NamedTuple):
-    """A value to which the node-ID is added."""
+    """A value that the node-ID is added to."""
 
     value: int
 
@@ -43,10 +43,10 @@ class Relative(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One thing that is different.
+    """One difference.
 
-    index, subindex: of which object; None: of the device as a whole, or of an object as a whole. name: of the object. field: by
-    the name that it has in an EDS ("DefaultValue"), "" where the whole thing was added or removed. before, after: both values.
+    index, subindex: of the object; None: the device as a whole, or an object as a whole. name: of the object. field: its name in
+    an EDS ("DefaultValue"), "" if the whole thing was added or removed. before, after: both values.
     """
 
     change: Change
@@ -95,12 +95,12 @@ _OF_HEAD: Final = ("dummies", "modules", "connected_modules", "dynamic_channels"
 
 
 def compare(before: DeviceDescription, after: DeviceDescription) -> list[Difference]:
-    """All differences: first of the device as a whole, then by index and subindex. Empty where both say the same."""
+    """Return all differences: first of the device as a whole, then by index and subindex. Empty if both say the same."""
     return [*_of_device(before, after), *compare_dictionaries(before.dictionary, after.dictionary)]
 
 
 def compare_dictionaries(before: ObjectDictionary, after: ObjectDictionary) -> list[Difference]:
-    """As `compare`, of the objects alone."""
+    """Compare the objects alone; see `compare`."""
     found: list[Difference] = []
     for index in sorted(before.objects.keys() | after.objects.keys()):
         old, new = before.objects.get(index), after.objects.get(index)
@@ -138,7 +138,8 @@ def _of_object(old: Object, new: Object) -> Iterator[Difference]:
 
 
 def _of_variable(old: Object, new: Object) -> Mapping[str, str]:
-    """The fields to compare; where the whole object was renamed, that its sub-objects carry its name is said once."""
+    """Return the fields to compare. If a renamed object's name is part of its sub-objects' names, only the object's is
+    reported."""
     if old.name == new.name or list(old.variables) == [0]:
         return _OF_VARIABLES
     before = [_own_name(old, each) for each in old.variables.values()]
@@ -162,7 +163,7 @@ def _fields(
 
 
 def _same(was: object, now: object) -> bool:
-    """Also of a REAL that is no number, which is not equal to itself."""
+    """Return whether both are equal; two NaN count as equal here."""
     return was == now or (was != was and now != now)
 
 
@@ -189,7 +190,7 @@ def _of_device(before: DeviceDescription, after: DeviceDescription) -> Iterator[
 
 
 def shown(value: Any) -> str:
-    """A value for people: data types and access by name, whole numbers also in hexadecimal, "-" for none."""
+    """Return a value for people: data types and access by name, whole numbers also in hexadecimal, "-" for none."""
     match value:
         case None:
             return "-"

@@ -1,13 +1,13 @@
-"""The simulated drive behind the dictionary of a real one's file: what it needs there, and what it fills in.
+"""Put the simulated drive behind the dictionary from a real drive's file.
 
-A drive's EDS describes what the drive holds in its own memory, and often has no defaults for it: no supported modes, no speeds.
-A simulated drive that took these for 0 would have no mode and stand still, so `drive_dictionary_of` gives such objects the values
-of the simulated drive (see `drive_dictionary`). What a file does say stays, a 0 too: where a 0 would keep the drive from moving,
-the drive shows it and moves by its own values (servo.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master
-believes that object.
+A drive's EDS often has no defaults for values that the drive keeps in its memory: no supported modes, no speeds. A simulated
+drive that took these as 0 would have no mode and stand still. So `drive_dictionary_of` gives such objects the values of the
+simulated drive (see `drive_dictionary`). A value in the file stays, even 0: if that 0 would keep the drive from moving, the drive
+shows it and moves by its own values (servo.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master believes that
+object.
 
-The drive shows its state in objects of the types that CiA 402 gives them. A file that has other types for these cannot have it,
-and `drive_obstacle` says so.
+The drive shows its state in objects with the types of CiA 402. A file with other types for these cannot have the simulated drive;
+`drive_obstacle` says why.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
@@ -38,7 +38,7 @@ SHOWN: Final = (
     objects.FOLLOWING_ERROR_ACTUAL_VALUE,
     objects.DIGITAL_INPUTS,
 )
-"""What the drive writes into its dictionary."""
+"""The objects that the drive writes."""
 
 _DEVICE_TYPE: Final = 0x1000_00
 
@@ -46,7 +46,7 @@ NEEDED: Final = (objects.CONTROLWORD, objects.STATUSWORD)
 
 
 def drive_obstacle(dictionary: ObjectDictionary) -> str:
-    """Why the simulated drive cannot stand behind a dictionary; empty where it can."""
+    """Return why the simulated drive cannot stand behind a dictionary; empty if it can."""
     for key in SHOWN:
         variable, standard = dictionary.get(key >> 8, key & 0xFF), find_standard(key >> 8, key & 0xFF)
         assert standard is not None  # CiA 402 has all of them
@@ -62,7 +62,8 @@ def drive_obstacle(dictionary: ObjectDictionary) -> str:
 
 
 def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[ObjectDictionary, list[Variable]]:
-    """The dictionary with values for what the drive needs and the file does not say; and these variables as they are now."""
+    """Return the dictionary with values for the objects that the drive needs and the file has no value for; and these
+    variables."""
     simulated = drive_dictionary(shape)
     filled: dict[int, dict[int, Variable]] = {}
     for key in (_DEVICE_TYPE, objects.VENDOR_ID, *FALLBACKS, objects.SUPPORTED_DRIVE_MODES):
@@ -81,13 +82,13 @@ def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[Obj
 
 
 def _is_open(variable: Variable) -> bool:
-    """Whether the file leaves the value to us."""
+    """Return whether the file leaves the value open."""
     said = variable.default if variable.configured is None else variable.configured
     return said is None or (said == 0 and variable.mux == objects.SUPPORTED_DRIVE_MODES)
 
 
 def _with_default(variable: Variable, default: Value) -> Variable | None:
-    """With that value, within the file's type and limits; None where there is no such."""
+    """Return the variable with that value, within the file's type and limits; None if the value cannot fit."""
     numbers = range_of(variable.data_type)
     if numbers is None or not isinstance(default, int):
         return None

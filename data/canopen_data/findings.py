@@ -1,4 +1,4 @@
-"""What reading a description brings to light: errors, all collected before one exception is raised, warnings, and notices."""
+"""The findings of reading a description: errors, collected and raised as one exception; warnings; notices."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typing import Final
 from canopen_proto.machine import LocalProtocolError
 
 MAX_SHOWN: Final = 12
-"""Errors that the text of one exception lists; the rest is counted (a binary file read by mistake has thousands)."""
+"""Errors listed in the text of one exception; the rest is counted (a binary file read by mistake has thousands)."""
 
 
 class Severity(StrEnum):
-    """An error makes the description unusable; a warning is legal but dangerous; a notice tells what was done, and why."""
+    """The weight of a finding. Error: the description is unusable; warning: legal but dangerous; notice: what was done, and
+    why."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -38,7 +39,7 @@ class Finding:
 
 
 class DictionaryError(LocalProtocolError, ValueError):
-    """A description cannot be used. Holds every error that was found; the text lists the first ones, each with its place."""
+    """A description that cannot be used. Holds every error found; the text lists the first ones, each with its place."""
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         self.findings: tuple[Finding, ...] = tuple(findings)

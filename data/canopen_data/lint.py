@@ -1,22 +1,22 @@
-"""Warnings of what is legal in the CSV files, but dangerous.
+"""Warn of things in the CSV files that are legal but dangerous.
 
 Theory of operation
 -------------------
-Each rule is a function over the rows of one file that yields findings; `lint` runs them all. A rule is here, and not an error of
-csv.py, where a device exists or may exist for which the row is right. The code of each finding is the rule's name to programs.
+Each rule is a function over the rows of one file that yields findings; `lint` runs them all. A row that may be right for some
+device gets a warning here, not an error in csv.py. The code of each finding is the rule's name for programs.
 
-    decimal-looking      the value 10 is sixteen: a number without 0x that decimal readers take for another one
+    decimal-looking      a number without 0x, such as 10 for sixteen: people may read it as decimal
     read-only            `rw` where the standard says that the object can only be read (the manual's torque_actual_value)
     length-differs       not the length that the standard gives the object
     two-aliases          two aliases for one object
-    alias-number         an alias that reads like an index, alias-case: two aliases that only case tells apart
+    alias-number         an alias that looks like an index; alias-case: two aliases that differ in case only
     reserved-index       an index that no object can have
-    outside-mask         a constant with bits outside its mask: no value ever bears it
+    outside-mask         a constant with bits outside its mask: no value ever matches it
     constant-too-wide    a constant that does not fit its object
     pdo-short            a PDO of less than 8 bytes; legal, but not what the manual's devices have
-    pdo-direction        an alias that contradicts the COB-ID, which counts
+    pdo-direction        an alias that contradicts the COB-ID; the COB-ID counts
     pdo-access           an object that the device cannot send, or cannot receive, in a PDO of that direction
-    cob-id               a COB-ID of another service, or one that has a node-ID in it already
+    cob-id               a COB-ID of another service, or one that already contains a node-ID
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _LIKE_A_NUMBER: Final = re.compile(r"(0[xX])?[0-9A-Fa-f]{4}([:.](0[xX])?[0-9A-Fa
 
 
 def lint(indices: Sequence[IndexRow], constants: Sequence[ConstantRow], pdos: Sequence[PdoRow]) -> list[Finding]:
-    """All warnings, in the order of the files and lines. The rows must be free of errors among themselves (see csv.py)."""
+    """Return all warnings, in the order of the files and lines. The rows must be free of errors among themselves (see csv.py)."""
     by_alias = {row.alias.text: row for row in indices}
     return [*_of_indices(indices), *_of_constants(constants, by_alias), *_of_pdos(pdos, by_alias)]
 

@@ -1,9 +1,10 @@
-"""Side files: units, factors, names of values and bits, and aliases, which no EDS has, in TOML.
+"""Side files in TOML: units, factors, names of values and bits, and aliases, which no EDS has.
 
 Theory of operation
 -------------------
-An EDS says that 0x6064 is an INTEGER32; that it counts thousandths of a degree stands in the manual. A side file says it, and is
-laid over the dictionary of any file. Its one table, `objects`, has a table for each object by index, index and subindex, or name:
+An EDS says that 0x6064 is an INTEGER32; only the manual says that it counts thousandths of a degree. A side file says it too, and
+is laid over the dictionary of any file. Its one table, `objects`, has a table for each object by index, index and subindex, or
+name:
 
     [objects.6064]
     aliases = ["position"]              # further names
@@ -19,13 +20,13 @@ laid over the dictionary of any file. Its one table, `objects`, has a table for 
     moving = 8
     mode_ready = {mask = 0x3000, value = 0x1000}        # ... or of a value of several bits
 
-Numbers of objects are hexadecimal without 0x, as everywhere; all other numbers are TOML's. A name counts in place of one that the
-object has already.
+Numbers of objects are hexadecimal without 0x, as everywhere; all other numbers are TOML's. A name replaces one that the object
+has already.
 
-A text that is no TOML has one error, with its line and column. Whatever else is wrong is found in one pass, and named by its path
+A text that is not TOML gives one error, with its line and column. All other faults are found in one pass, each with its path
 ("objects.6041.bits.moving"). An object that the dictionary lacks is a warning: one side file may serve several devices.
 
-`tomllib` of the standard library reads; it takes no file here but a text.
+The standard library's `tomllib` parses the text; no file is read here.
 
 Source: the format is ours. TOML v1.0.0.
 """
@@ -45,7 +46,7 @@ from canopen_proto.datatypes import is_integer, is_number
 from canopen_proto.dictionary.model import Constant, NotInDictionary, ObjectDictionary, Variable, did_you_mean
 
 MAX_TEXT: Final = 1 << 20
-"""Characters of a side file: some thousand objects with all their names. More is another file, taken by mistake."""
+"""Characters of a side file: enough for a thousand objects with all their names. A larger file was chosen by mistake."""
 
 _FIELDS: Final = ("aliases", "unit", "factor", "description", "values", "bits")
 _PLACE: Final = re.compile(r".*\(at line ([0-9]+), column ([0-9]+)\)", re.DOTALL)
@@ -54,7 +55,7 @@ _SHOWN: Final = 40
 
 @dataclass
 class _Reading:
-    """What is found while a side file is read."""
+    """The findings while a side file is read."""
 
     source: str
     findings: list[Finding] = field(default_factory=list)
@@ -67,7 +68,7 @@ class _Reading:
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The tables of a TOML text. Raises DictionaryError with line and column for what is no TOML."""
+    """Return the tables of a TOML text. Raises DictionaryError with line and column if it is not TOML."""
     if len(text) > MAX_TEXT:
         raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
     try:
@@ -81,7 +82,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def lay_over(dictionary: ObjectDictionary, text: str, source: str = "overlay") -> tuple[ObjectDictionary, list[Finding]]:
-    """The dictionary with what a side file adds, and warnings. source: what findings call the text.
+    """Return the dictionary with the additions of a side file, and warnings. source: the name of the text in findings.
 
     Raises DictionaryError, which holds every error.
     """
@@ -91,7 +92,7 @@ def lay_over(dictionary: ObjectDictionary, text: str, source: str = "overlay") -
 def lay_tables_over(
     dictionary: ObjectDictionary, tables: Mapping[str, Any], source: str = "overlay"
 ) -> tuple[ObjectDictionary, list[Finding]]:
-    """As `lay_over`, for tables that are read already."""
+    """Do as `lay_over`, with tables that are parsed already."""
     reading = _Reading(source)
     for name in tables.keys() - {"objects"}:
         reading.error(_path(name), f"there is no such table{did_you_mean(name, ['objects'])}")
@@ -126,7 +127,7 @@ def _failure(source: str, message: str, line: int = 0, column: int = 0) -> Dicti
 
 
 def _path(*keys: str) -> str:
-    """A path as it would be written in the file, cut where a key is long."""
+    """Return a path as the file would have it, with long keys cut."""
     return ".".join(key[:_SHOWN] if re.fullmatch("[A-Za-z0-9_-]+", key) else repr(key[:_SHOWN]) for key in keys)
 
 
@@ -144,7 +145,7 @@ def _show(value: object) -> str:
 def _changed(
     reading: _Reading, path: str, variable: Variable, table: Mapping[str, Any], dictionary: ObjectDictionary
 ) -> Variable:
-    """The variable with what its table says."""
+    """Return the variable with the additions of its table."""
     for key in table.keys() - set(_FIELDS):
         reading.error(f"{path}.{_path(key)}", f"there is no such entry{did_you_mean(key, _FIELDS)}")
     changes: dict[str, Any] = {}
@@ -164,7 +165,7 @@ def _changed(
 
 
 def _check_free(reading: _Reading, path: str, names: list[str], variable: Variable, dictionary: ObjectDictionary) -> None:
-    """A name of something else would lead astray."""
+    """Report each name that another object has already."""
     for name in names:
         if name in dictionary and (other := dictionary.variable(name)).mux != variable.mux:
             reading.error(path, f"{_show(name)} means {other.label} already")
@@ -202,7 +203,7 @@ _CHECKS: Final[dict[str, Callable[[object, Variable], str]]] = {
 
 
 def _constants(reading: _Reading, path: str, variable: Variable, table: object) -> list[Constant]:
-    """The constants of `values` and `bits`."""
+    """Return the constants of `values` and `bits`."""
     if not isinstance(table, dict) or not table.keys() & {"values", "bits"}:
         return []
     bits = variable.bit_length

@@ -1,10 +1,10 @@
-"""A device description from bytes of any of the four sorts: EDS, DCF, XDD, XDC.
+"""Read a device description from the bytes of an EDS, DCF, XDD or XDC.
 
 Theory of operation
 -------------------
-What a file is, its content says, not its name: XML begins with `<`, whatever stands before it of byte order mark and white space;
-a text of sections never does. Whether a text is an EDS or a DCF, and XML an XDD or an XDC, the readers find out: the one that
-commissions a device, or sets values, is the second. This module takes bytes; `canopen_data.descriptions` reads files.
+The content decides the kind of file, not its name. XML begins with `<`, after any byte order mark and white space; a text of
+sections never does. The readers tell an EDS from a DCF, and an XDD from an XDC: a DCF or XDC commissions a device or sets values.
+This module takes bytes; `canopen_data.descriptions` reads files.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _BEFORE_XML: Final = b"\xef\xbb\xbf\xff\xfe\x00 \t\r\n"
 
 
 def read_description(data: bytes, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
-    """Read a device description, whatever sort it is. source: the file's name, for findings. encoding: of an EDS or DCF (XML says
-    its own), "" = to be found out.
+    """Read a device description of any kind. source: the file's name, for findings. encoding: of an EDS or DCF (XML names its
+    own), "" = guess it.
 
-    Never raises for what stands in it: all that is wrong is in the description's findings. With strict, the first error is raised
+    Never raises for faulty content: the description's findings hold everything wrong with it. With strict, raises the first error
     as a DictionaryError.
     """
     if data.lstrip(_BEFORE_XML).startswith(b"<"):

@@ -1,21 +1,21 @@
-"""An EDS or DCF with faults, repaired as far as that can be done without guessing.
+"""Repair the faults of an EDS or DCF that can be repaired without guessing.
 
 Theory of operation
 -------------------
-The lenient reader takes a faulty file for what it most likely means, and says so. `repair` writes that down: every repair makes
-the file say to a strict reader what it says to ours already. What nobody can know (a missing default, a wrong limit, a mapping
-of an object that is not there) is left alone; `checks` tells of it.
+The lenient reader takes a faulty file in its most likely meaning, and says so. `repair` writes that meaning down: after it, a
+strict reader understands the file as ours does already. Faults whose remedy is unknown (a missing default, a wrong limit, a
+mapping of a missing object) stay; `checks` reports them.
 
-    duplicate-section   a section that stands there twice, word for word, is taken out once
-    list                lists of objects name each object that has a section, once, and no others; a missing list is added
-    count               SupportedObjects, SubNumber, NrOfEntries, Lines are what they count
+    duplicate-section   the second of two identical sections is removed
+    list                lists of objects name each object that has a section once, and no others; a missing list is added
+    count               SupportedObjects, SubNumber, NrOfEntries, Lines are set to the number of entries
     missing-key         ObjectType, DataType and AccessType are written down as they were read
-    number              a number that is none of CiA 306 ("$NodeID + 0x200", "0x07 ;") is written as one
+    number              a number that is not in a form of CiA 306 ("$NodeID + 0x200", "0x07 ;") is rewritten
     access-form         AccessType in small letters
     encoding            UTF-8 without byte order mark
 
-Everything else of the file stays as it is, letter for letter. The repaired text is read again before it is given out: it says
-the same as the file did, or the repairs are not made.
+The rest of the file stays as it is, letter for letter. The repaired text is read again before it is returned: if it does not say
+the same as the file did, the repairs are dropped.
 
 Source: CiA 306-1 v1.4.0, 4.
 """
@@ -51,7 +51,8 @@ MAX_TOLD: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Repaired:
-    """text: the repaired file, to be written as UTF-8. repairs: each with its place in the old file. description: of the text."""
+    """A repaired file. text: to be written as UTF-8. repairs: each with its place in the old file. description: read from the
+    text."""
 
     text: str
     repairs: tuple[Finding, ...]
@@ -59,7 +60,7 @@ class Repaired:
 
 
 def repair(description: DeviceDescription) -> Repaired:
-    """Repair the file that a description was read from. Raises LocalProtocolError where it is of no EDS or DCF."""
+    """Repair the file that a description was read from. Raises LocalProtocolError if that is not an EDS or DCF."""
     document = description.document
     if not isinstance(document, EdsDocument):
         raise LocalProtocolError(f"only an EDS or a DCF can be repaired, no {description.kind}")
@@ -86,7 +87,8 @@ def repair(description: DeviceDescription) -> Repaired:
 
 
 def _with_right_lists(description: DeviceDescription) -> DeviceDescription:
-    """With lists that name no object twice, and none that is not there. Those that no list names, `sections_of` adds."""
+    """Return the description with its object lists repaired: no duplicates, no missing objects. `sections_of` adds objects that
+    no list names."""
     seen: set[int] = set()
     lists = []
     for listed in (description.mandatory, description.optional, description.manufacturer):
@@ -98,7 +100,7 @@ def _with_right_lists(description: DeviceDescription) -> DeviceDescription:
 
 
 class _Repairs:
-    """What is repaired in one file."""
+    """The repairs of one file."""
 
     def __init__(self, description: DeviceDescription) -> None:
         self.description = description
@@ -108,7 +110,7 @@ class _Repairs:
         self.repairs.append(Finding(Severity.NOTICE, code, message, self.description.source, line, column))
 
     def encoding(self) -> None:
-        """The file is written as UTF-8."""
+        """Report the change to UTF-8, if there is one."""
         encoding = self.description.encoding
         if encoding == "utf-8-sig":
             self._tell("encoding", "the byte order mark at its beginning is taken out")
@@ -116,7 +118,7 @@ class _Repairs:
             self._tell("encoding", f"written as UTF-8; it was {encoding}")
 
     def without_duplicates(self, document: EdsDocument) -> str:
-        """The text without sections that say again what the same section said before."""
+        """Return the text without sections that only repeat an earlier one."""
         lines: list[str] = _LINE.findall(document.text)
         first: dict[str, Section] = {}
         for section in document.sections:
@@ -125,7 +127,7 @@ class _Repairs:
                 continue
             last = max([section.line, *(entry.line for entry in section.entries)])
             if any(line.lstrip().startswith(";") for line in lines[section.line : last]):
-                continue  # it may tell something
+                continue  # its content may matter
             while last < len(lines) and not lines[last].strip():
                 last += 1
             for number in range(section.line, last + 1):
@@ -135,12 +137,12 @@ class _Repairs:
         return "".join(lines)
 
     def changes(self, document: EdsDocument, goal: Sections) -> tuple[Sections, Sections]:
-        """What the file says now and what it is to say, alike but for what is repaired."""
+        """Return the file's content before and after, which differ in the repairs only."""
         standing: dict[str, dict[str, tuple[str, int, int]]] = {}
         lines: dict[str, int] = {}
         for section in document.sections:
             if fold(section.name) in standing:
-                continue  # the first counts
+                continue  # the first one counts
             lines[fold(section.name)] = section.line
             entries = standing[fold(section.name)] = {}
             for entry in section.entries:
@@ -164,7 +166,7 @@ class _Repairs:
         return before, after
 
     def _list(self, name: str, wanted: Entries, there: dict[str, tuple[str, int, int]], line: int, old: Entries) -> None:
-        """A list whose numbers or count are not right is written anew, entry by entry."""
+        """Rewrite a list whose numbers or count are wrong, entry by entry."""
         numbered = {key: value for key, (value, _, _) in there.items() if key.isdecimal()}
         named = {key: text for key, text in wanted.items() if key.isdecimal()}
         is_same = numbered.keys() == named.keys() and all(_same_number(numbered[key], named[key]) for key in named)
@@ -175,7 +177,7 @@ class _Repairs:
             come = [f"0x{number:04X}" for number in has if number not in had]
             parts = [f"{_some(come)} added"] if come else []
             parts += [f"{_some(gone)} taken out, which has no section or is in another list"] if gone else []
-            parts += ["numbered anew"] if not parts else []
+            parts += ["renumbered"] if not parts else []
             self._tell("list", f"[{name}]: {', '.join(parts)}", line, 1)
             old.clear()
             old.update(numbered)
@@ -203,7 +205,7 @@ class _Repairs:
         old: Entries,
         new: Entries,
     ) -> None:
-        """One key of a section that is no list: as it is, or repaired."""
+        """Keep or repair one key of a section that is not a list."""
         found = there.get(key.casefold())
         place = _PLACE.fullmatch(name)
         if key in _COUNTS:
@@ -234,7 +236,7 @@ class _Repairs:
             old[key] = value
 
     def _is_counted(self, place: re.Match[str] | None, there: dict[str, tuple[str, int, int]]) -> bool:
-        """Whether an object's section says all of itself: not where the file has it in a compact form."""
+        """Return whether an object's section says everything about it, that is, whether it has no compact form."""
         if place is None or place[2] is not None:
             return True
         compact = there.get(_COMPACT)
@@ -243,7 +245,7 @@ class _Repairs:
         return not (self.description.device_info.compact_pdo and int(place[1], 16) in _PDO_RECORDS)
 
     def _is_number(self, place: re.Match[str], key: str) -> bool:
-        """Whether a key holds a whole number in this object."""
+        """Return whether a key holds a whole number in this object."""
         if key not in _VALUES:
             return True
         variable: Variable | None = self.description.dictionary.get(int(place[1], 16), int(place[2] or "0", 16))
@@ -255,7 +257,7 @@ def _said(section: Section) -> list[tuple[str, str]]:
 
 
 def _number_of(text: str) -> int | None:
-    """A number of CiA 306: decimal, hexadecimal with 0x, octal with 0."""
+    """Return a number in a form of CiA 306: decimal, hexadecimal with 0x, octal with 0."""
     folded = text.strip().lower()
     base = 16 if folded.startswith("0x") else 8 if folded.startswith("0") and len(folded) > 1 else 10
     try:

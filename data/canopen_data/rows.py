@@ -1,20 +1,20 @@
-"""The rows of the product's three CSV files, each checked for itself.
+"""Read the rows of the product's three CSV files, and check each by itself.
 
 Theory of operation
 -------------------
-The files are tables of the manual (indices.csv, constants.csv, PDOs.csv). One row a line; any white space separates columns; a
-column that begins with `#` ends the line as a comment; blank lines count as nothing. Numbers, with or without 0x, are hexadecimal
-always, as the manual warns; only the length of an object is decimal.
+The files are tables of the manual (indices.csv, constants.csv, PDOs.csv). Each line is a row; any white space separates columns;
+a column that begins with `#` begins a comment; blank lines are skipped. Numbers are always hexadecimal, with or without 0x, as
+the manual warns; only the length of an object is decimal.
 
     indices.csv     alias  index  subindex  length  mode       statusword 0x6041 0x0 2 ro
     constants.csv   alias of the object  name  mask  value     statusword operation_enable 0x6F 0x27
     PDOs.csv        alias  COB-ID  alias of an object ...      schunk_default_tPDO 0x180 statusword torque_actual_value ...
 
-length: 1 to 8 bytes, or `-` where it varies (texts). mode: what the device permits, ro, rw or wo (rwr, rww and const of CiA 306
-are taken too); it never chooses the direction of a transfer.
+length: 1 to 8 bytes, or `-` if it varies (texts). mode: what the device permits, ro, rw or wo (rwr, rww and const of CiA 306 are
+accepted too); it never decides the direction of a transfer.
 
-What concerns one row is checked here; what concerns several rows or files, in csv.py; what is legal but dangerous, in lint.py.
-A row with an error is left out, and reading goes on, so that one pass tells everything.
+This module checks single rows; csv.py checks rows and files against each other; lint.py warns of what is legal but dangerous. A
+row with an error is left out, and reading goes on, so that one pass finds everything.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _HEX: Final = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{1,16}", re.ASCII)
 _LENGTH: Final = re.compile(r"[1-8]", re.ASCII)
 
 FILLER_INDEX: Final = 0xFFFF
-"""The index of fillers in indices.csv; CiA 301 v4.2.0, table 41, keeps it unused."""
+"""The index of fillers in indices.csv; CiA 301 v4.2.0, table 41, leaves it unused."""
 
 PREDEFINED_PDOS: Final[Mapping[int, tuple[Direction, int]]] = {
     0x180: (Direction.TPDO, 1),
@@ -52,14 +52,14 @@ MAX_COB_BASE: Final = 0x780
 
 
 def direction_in(alias: str) -> Direction | None:
-    """The direction that the alias of a PDO speaks of; None where it speaks of none, or of both."""
+    """Return the direction that the alias of a PDO names; None if it names none, or both."""
     lower = alias.lower()
     spoken = [direction for direction in Direction if direction.lower() in lower]
     return spoken[0] if len(spoken) == 1 else None
 
 
 class Cell(NamedTuple):
-    """One column of one line, and where it stands."""
+    """One column of one line, and its place."""
 
     text: str
     source: str
@@ -74,7 +74,7 @@ class Cell(NamedTuple):
 
     @property
     def shown(self) -> str:
-        """The text in an error message, cut to a bearable length."""
+        """The text for an error message, cut if it is long."""
         return ascii(self.text) if len(self.text) <= 60 else f"{self.text[:57]!a}..."
 
 
@@ -91,7 +91,7 @@ class IndexRow:
 
     @property
     def own(self) -> tuple[Cell, ...]:
-        """The cells that no other row may have."""
+        """The cells that must be unique among the rows."""
         return (self.alias,)
 
 
@@ -107,7 +107,7 @@ class ConstantRow:
 
     @property
     def own(self) -> tuple[Cell, ...]:
-        """The cells that no other row may have."""
+        """The cells that must be unique among the rows."""
         return self.alias, self.name
 
 
@@ -122,17 +122,17 @@ class PdoRow:
 
     @property
     def own(self) -> tuple[Cell, ...]:
-        """The cells that no other row may have."""
+        """The cells that must be unique among the rows."""
         return (self.alias,)
 
     @property
     def place(self) -> tuple[Direction | None, int | None]:
-        """Direction and number: by the COB-ID where that is of the predefined connection set, else the direction in the alias."""
+        """Direction and number: from the COB-ID if that is of the predefined connection set, else the direction in the alias."""
         return PREDEFINED_PDOS.get(self.cob_base, (direction_in(self.alias.text), None))
 
 
 def read_indices(text: str, source: str, findings: list[Finding]) -> list[IndexRow]:
-    """The sound rows of indices.csv; errors go to `findings`."""
+    """Return the valid rows of indices.csv; errors go to `findings`."""
     rows = []
     for cells in _lines(text, source):
         if not _has_columns(cells, ("alias", "index", "subindex", "length", "mode"), findings):
@@ -155,7 +155,7 @@ def read_indices(text: str, source: str, findings: list[Finding]) -> list[IndexR
 
 
 def read_constants(text: str, source: str, findings: list[Finding]) -> list[ConstantRow]:
-    """The sound rows of constants.csv; errors go to `findings`."""
+    """Return the valid rows of constants.csv; errors go to `findings`."""
     rows = []
     for cells in _lines(text, source):
         if not _has_columns(cells, ("alias of an object", "name", "mask", "value"), findings):
@@ -168,7 +168,7 @@ def read_constants(text: str, source: str, findings: list[Finding]) -> list[Cons
 
 
 def read_pdos(text: str, source: str, findings: list[Finding]) -> list[PdoRow]:
-    """The sound rows of PDOs.csv; errors go to `findings`."""
+    """Return the valid rows of PDOs.csv; errors go to `findings`."""
     rows = []
     for cells in _lines(text, source):
         if len(cells) < 3:
@@ -183,7 +183,7 @@ def read_pdos(text: str, source: str, findings: list[Finding]) -> list[PdoRow]:
 
 
 def _lines(text: str, source: str) -> Iterator[tuple[Cell, ...]]:
-    """The columns of each line that has any. A byte order mark, which some editors put in front, is no column."""
+    """Yield the columns of each line that has any. A byte order mark, which some editors write first, is skipped."""
     for number, line in enumerate(text.removeprefix("\ufeff").split("\n"), 1):
         cells = []
         for match in _COLUMN.finditer(line):

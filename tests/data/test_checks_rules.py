@@ -46,7 +46,7 @@ CASES: list[tuple[str, str, str, Change]] = [
      with_variable(replace(OFFSET, index=0xC000, name="Far"))),
     ("no-entries", "[2004]", "it is a RECORD without any sub-object",
      with_object(Object(0x2004, "Empty", ObjectType.RECORD, {}))),
-    ("count-missing", "[2003]", "it has no sub 0 to tell its highest subindex",
+    ("count-missing", "[2003]", "it has no sub 0, which gives its highest subindex",
      whole(0x2003, variables={1: TABLE.variables[1], 2: TABLE.variables[2]})),
     ("count-type", "[2003sub0]", "sub 0 is of type UNSIGNED16; it is an UNSIGNED8 in every device",
      field(0x2003, 0, data_type=DataType.UNSIGNED16)),

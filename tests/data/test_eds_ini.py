@@ -58,7 +58,7 @@ def test_what_is_odd() -> None:
     _, found = opened("early\nkey=1\n# hash\n[A] tail\njunk\nOne=1\none=2\n=3\n# again\n[B\nx=1\n[C] ; fine\n[a]\nOne=4\n")
     assert found == [
         "x.eds:1:1: warning: 'early' is neither a section nor key=value nor a comment; left out [junk]",
-        "x.eds:2:1: warning: 'key=1' stands before the first section; left out [junk]",
+        "x.eds:2:1: warning: 'key=1' is before the first section; left out [junk]",
         f"x.eds:3:1: notice: {HASH} [comment]",
         "x.eds:4:4: warning: 'tail' behind [A] was left out [junk]",
         "x.eds:5:1: warning: 'junk' is neither a section nor key=value nor a comment; left out [junk]",

@@ -108,7 +108,7 @@ def test_values_that_depend_on_the_node_id(text: str, base: int) -> None:
 @pytest.mark.parametrize(
     ("text", "data_type", "value", "remark"),
     [
-        ("255", DataType.INTEGER8, -1, "'255': read as -1, of which it is the two's complement"),
+        ("255", DataType.INTEGER8, -1, "'255': read as -1, its two's complement"),
         ("-1", DataType.UNSIGNED16, 0xFFFF, "'-1': an UNSIGNED16 is not negative; read as 0xFFFF"),
         ("TRUE", DataType.BOOLEAN, True, "'TRUE': a BOOLEAN is 0 or 1"),
         ("0x3F800000", DataType.REAL32, 1.0, "'0x3F800000': read as the bits of 1.0"),

@@ -140,7 +140,7 @@ def test_what_is_guessed_is_told() -> None:
         "[2000]\nDataType=x\n[1008]\nDataType=9\nAccessType=write\n[2001]\nDataType=0x7;\nAccessType=wo; never read\n"
     ) == [
         "1:1: warning: in [2000]: AccessType is missing; taken as rw [access]",
-        "2:10: warning: in [2000]: DataType 'x' is none that a value can have; taken as OCTET_STRING [data-type]",
+        "2:10: warning: in [2000]: DataType 'x' is not a type for values; taken as OCTET_STRING [data-type]",
         "5:12: warning: in [1008]: AccessType 'write' is none of ro, wo, rw, rwr, rww, const; taken as const [access]",
         "7:10: warning: in [2001]: DataType '0x7;': the comment behind it was left out; a comment has a line of its own [number]",
         "8:12: warning: in [2001]: the comment behind AccessType was left out [access]",
@@ -155,7 +155,7 @@ def test_object_type_var_is_the_default() -> None:
 @pytest.mark.parametrize("text", ["10", "x", "0x77"])
 def test_an_object_type_that_is_none(text: str) -> None:
     assert told(VAR.replace("ObjectType=7", f"ObjectType={text}")) == [
-        f"3:12: warning: in [2000]: ObjectType {text!r} is none that there is; taken as VAR [object-type]"
+        f"3:12: warning: in [2000]: ObjectType {text!r} does not exist; taken as VAR [object-type]"
     ]
 
 

@@ -213,7 +213,7 @@ def test_a_default_beyond_its_type_is_told_shortly() -> None:
     assert bench.read(0x2000) == b"\x00"
     bench = bench_of(var(0x2000, TEXT, "€"))
     assert told(var(0x2000, TEXT, "€")) == [
-        "0x2000:00: o2000: VISIBLE_STRING cannot hold '€', its value at power-on: its UTF-8 bytes stand there"
+        "0x2000:00: o2000: VISIBLE_STRING cannot hold '€', its value at power-on: its UTF-8 bytes are used instead"
     ]
     assert bench.read(0x2000) == "€".encode()
 

@@ -34,7 +34,7 @@ def test_a_clean_file_stays_as_it_is() -> None:
         ("4=0x2003\n", "", "list", "[ManufacturerObjects]: 0x2003 added"),
         ("4=0x2003\n", "4=0x2003\n5=0x2009\n", "list",
          "[ManufacturerObjects]: 0x2009 taken out, which has no section or is in another list"),
-        ("4=0x2003\n", "5=0x2003\n", "list", "[ManufacturerObjects]: numbered anew"),
+        ("4=0x2003\n", "5=0x2003\n", "list", "[ManufacturerObjects]: renumbered"),
         ("SubNumber=3\n", "SubNumber=7\n", "count", "[1016]: SubNumber=7 is 3"),
         ("SubNumber=3\n", "", "count", "[1016]: SubNumber=3 added"),
         ("AccessType=rw\nDefaultValue=5\n", "DefaultValue=5\n", "missing-key",

@@ -1,19 +1,20 @@
-"""The linter of device descriptions: what in an EDS, DCF, XDD or XDC contradicts the standards, or itself, or common sense.
+"""The linter of device descriptions: it finds what contradicts the standards, the file itself, or common sense.
 
 Theory of operation
 -------------------
-The readers report what they could not read as it stands. `check` looks at what was read: it takes a `DeviceDescription` of any
-kind and tells what is wrong with the device that it describes. Each rule has a code, a severity and a line of text (`RULES`):
+The readers report what they could not read. `check` judges what was read: it takes a `DeviceDescription` from any kind of file
+(EDS, DCF, XDD, XDC) and reports the faults of the device that it describes. Each rule has a code, a severity and a line of text
+(`RULES`):
 
-    error      a tool or master that believes the file will fail, or this device cannot work so
+    error      a tool or master that believes the file will fail, or the device cannot work like this
     warning    legal or tolerable, but somebody will be surprised
-    notice     form
+    notice     a matter of form
 
-Every rule has come from the standards or from files in the field; what real devices do for good reason is not reported. The
+Every rule comes from the standards or from files in the field; things that real devices do for good reason are not reported. The
 families are structure (objects, lists, names), values (defaults, limits), profiles (standard objects), mappings (PDOs), cob_ids
 and device (identity, commissioning, the file's head).
 
-The CSV files of the product have a linter of their own (lint.py): their rows know neither limits nor defaults.
+The CSV files of the product have a linter of their own (lint.py): their rows have neither limits nor defaults.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ _CHECKS: Final = tuple(each for family in _FAMILIES for each in family.CHECKS)
 
 
 def check(description: DeviceDescription) -> list[Finding]:
-    """All findings of all rules, in the order of the file where there is one. What the reader found is not repeated.
+    """Return all findings of all rules, in the order of the file if there is one. The reader's findings are not repeated.
 
-    A line that stands for many sub-objects (CompactSubObj) has one finding of each rule, which tells how many it is about.
+    A line that stands for many sub-objects (CompactSubObj) has one finding per rule, which gives the number of sub-objects.
     """
     subject = Subject(description, RULES)
     found = [finding for each in _CHECKS for finding in each(subject)]
@@ -49,7 +50,7 @@ def check(description: DeviceDescription) -> list[Finding]:
 
 
 def _once(found: Iterable[Finding], shared: Collection[tuple[str, int, int]]) -> Iterator[Finding]:
-    """One finding for each place in `shared`, and all others."""
+    """Yield one finding for each place in `shared`, and all others."""
     first: dict[tuple[str, int, int], Finding] = {}
     more: Counter[tuple[str, int, int]] = Counter()
     for finding in found:

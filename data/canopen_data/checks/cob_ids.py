@@ -1,7 +1,7 @@
-"""Checks of COB-IDs: none on a CAN-ID that is restricted, no two services of the device on one CAN-ID.
+"""Check COB-IDs: none uses a restricted CAN-ID, and no two services of the device share one.
 
-The CAN-IDs are compared as they are after start-up, in a device of the commissioned node-ID. Where none is commissioned, those
-that depend on the node-ID are compared among themselves, and those that do not.
+The CAN-IDs are compared as they are after start-up, in a device with the commissioned node-ID. If none is commissioned, CAN-IDs
+that depend on the node-ID are compared only among themselves, and so are the fixed ones.
 
 Source: CiA 301 v4.2.0, 7.3.5 (predefined connection set, restricted CAN-IDs) and 7.5.2.
 """
@@ -24,14 +24,14 @@ SDO_CLIENTS: Final = range(0x1280, 0x1300)
 DEFAULT_SDO: Final = 0x1200
 DEFAULT_REQUESTS: Final = range(0x601, 0x680)
 DEFAULT_RESPONSES: Final = range(0x581, 0x600)
-"""The SDO channel that each node has; a client that is to speak to one has these CAN-IDs."""
+"""The default SDO channel of each node; a client for it uses these CAN-IDs."""
 
 PREDEFINED: Final = {
     0x1014: 0x080,
     **{0x1400 + number: 0x200 + 0x100 * number for number in range(4)},
     **{0x1800 + number: 0x180 + 0x100 * number for number in range(4)},
 }
-"""To which the node-ID is added by default (CiA 301 v4.2.0, 7.3.5, table 39)."""
+"""CAN-IDs that the node-ID is added to by default (CiA 301 v4.2.0, 7.3.5, table 39)."""
 
 RULES: Final = (
     Rule("cob-id-restricted", ERROR, "a COB-ID on a CAN-ID that is kept for something else"),
@@ -41,8 +41,7 @@ RULES: Final = (
 
 
 class _Use(NamedTuple):
-    """One COB-ID in use. restricts: whether restricted CAN-IDs are forbidden to it. also: those that it may have all
-    the same."""
+    """One COB-ID in use. restricts: whether restricted CAN-IDs are forbidden to it. also: the exceptions, which it may have."""
 
     variable: Variable
     cob_id: Number
@@ -52,12 +51,12 @@ class _Use(NamedTuple):
 
     @property
     def can_id(self) -> int:
-        """With the frame bit, so that 11 and 29 bits are two things."""
+        """The CAN-ID with the frame bit, so that 11 and 29 bits differ."""
         return self.cob_id.value & (0x1FFF_FFFF | COB_ID_EXTENDED)
 
 
 def check_cob_ids(subject: Subject) -> Iterator[Finding]:
-    """All COB-IDs that are in use after start-up."""
+    """Check all COB-IDs that are in use after start-up."""
     seen: dict[tuple[int, bool], _Use] = {}
     for use in _uses(subject):
         if use.restricts:
@@ -72,7 +71,7 @@ def check_cob_ids(subject: Subject) -> Iterator[Finding]:
 
 
 def _uses(subject: Subject) -> Iterator[_Use]:
-    """Every COB-ID in use: the services that a device has once first."""
+    """Yield every COB-ID in use, beginning with the services that a device has once."""
     for index, service, bits in ((0x1005, "SYNC", 0), (0x1012, "TIME", 0), (0x1014, "EMCY", COB_ID_INVALID)):
         yield from _use(subject, index, 0, service, bits)
     for index in subject.dictionary.objects:
@@ -88,7 +87,7 @@ def _uses(subject: Subject) -> Iterator[_Use]:
 
 
 def _use(subject: Subject, index: int, subindex: int, service: str, unused: int, restricts: bool = True) -> Iterator[_Use]:
-    """unused: the bit that says that the COB-ID is not in use. A value of 0 says so too: many files fill with it."""
+    """Yield a COB-ID if it is in use. unused: the bit that means "not in use". So does a value of 0: many files have it there."""
     cob_id = subject.number(index, subindex)
     if cob_id is None or cob_id.value & unused or not (cob_id.value or cob_id.adds_node_id):
         return
@@ -110,7 +109,7 @@ def _check_restricted(subject: Subject, use: _Use) -> Iterator[Finding]:
 
 
 def _check_fixed(subject: Subject, use: _Use) -> Iterator[Finding]:
-    """In a file that describes a type of device: a CAN-ID of one node-ID is in it."""
+    """Check a file of a device type for CAN-IDs that are right for one node-ID only."""
     if use.cob_id.adds_node_id or subject.description.kind in (FileKind.DCF, FileKind.XDC):
         return
     base = PREDEFINED.get(use.variable.index)

@@ -1,4 +1,4 @@
-"""Checks of what the file says of the device as a whole, and of itself: identity, bit rates, commissioning, dates.
+"""Check the facts about the device as a whole and about the file: identity, bit rates, commissioning, dates.
 
 Source: CiA 306-1 v1.4.0, [FileInfo], [DeviceInfo], [DeviceCommissioning]; CiA 301 v4.2.0, 7.5.2.21 (identity).
 """
@@ -39,7 +39,7 @@ _VERSION: Final = re.compile(r"[0-9]\.[0-9]", re.ASCII)
 
 
 def check_identity(subject: Subject) -> Iterator[Finding]:
-    """0x1018 against [DeviceInfo]."""
+    """Check 0x1018 against [DeviceInfo]."""
     info = subject.description.device_info
     if IDENTITY in subject.dictionary.objects and subject.dictionary.get(IDENTITY, 1) is None:
         yield subject.of_object("identity-missing", IDENTITY, "it has no sub 1 (vendor-ID)")
@@ -59,7 +59,7 @@ def check_identity(subject: Subject) -> Iterator[Finding]:
 
 
 def check_device(subject: Subject) -> Iterator[Finding]:
-    """Bit rates, granularity and commissioning."""
+    """Check bit rates, granularity and commissioning."""
     description = subject.description
     info, commissioning = description.device_info, description.commissioning
     if not info.bit_rates:
@@ -82,7 +82,7 @@ def check_device(subject: Subject) -> Iterator[Finding]:
 
 
 def check_file(subject: Subject) -> Iterator[Finding]:
-    """[FileInfo] of an EDS or DCF; XML has forms of its own."""
+    """Check [FileInfo] of an EDS or DCF; XML has forms of its own."""
     if not subject.has_lists:
         return
     description, info = subject.description, subject.description.file_info

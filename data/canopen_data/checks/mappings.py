@@ -1,7 +1,7 @@
-"""Checks of PDOs: both records there, and a mapping that the device can send or receive.
+"""Check PDOs: both records exist, and the device can send or receive the mapping.
 
-What is looked at are the PDOs as they stand after start-up. Entries behind the number of mapped objects are kept for later use
-and say nothing yet; a number of 0xFE or 0xFF makes a multiplexed PDO, which has no mapping.
+PDOs are checked as they are after start-up. Entries beyond the number of mapped objects are reserves and are not checked; a
+number of 0xFE or 0xFF makes a multiplexed PDO, which has no mapping.
 
 Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38; CiA 306-1 v1.4.0, PDOMapping, DummyUsage and NrOfRXPDO.
 """
@@ -46,7 +46,7 @@ _ONE_WAY: Final = {Direction.RPDO: "rwr", Direction.TPDO: "rww"}
 
 
 def check_pdos(subject: Subject) -> Iterator[Finding]:
-    """Every PDO of the file."""
+    """Check every PDO of the file."""
     objects = subject.dictionary.objects
     for index in objects:
         place = place_of(index)
@@ -79,13 +79,13 @@ def _check_transmission_type(subject: Subject, place: PdoPlace, index: int) -> I
 
 
 def is_valid(subject: Subject, communication: int) -> bool:
-    """Whether a PDO exists after start-up: bit 31 of its COB-ID is 0."""
+    """Return whether a PDO exists after start-up: bit 31 of its COB-ID is 0."""
     cob_id = subject.number(communication, COB_ID)
     return cob_id is not None and not cob_id.value & COB_ID_INVALID
 
 
 def entries_of(subject: Subject, mapping: int) -> list[tuple[Variable, Number]]:
-    """The entries of a mapping that are in use, where the file tells them."""
+    """Return the entries of a mapping that are in use and that the file gives."""
     count = subject.number(mapping)
     found = []
     for subindex in range(1, (0 if count is None else min(count.value, MAX_ENTRIES)) + 1):
@@ -159,7 +159,7 @@ def _check_dummy(subject: Subject, place: PdoPlace, variable: Variable, entry: i
 
 
 def check_pdo_counts(subject: Subject) -> Iterator[Finding]:
-    """NrOfRXPDO and NrOfTXPDO of [DeviceInfo] against the records that are there."""
+    """Check NrOfRXPDO and NrOfTXPDO of [DeviceInfo] against the records in the file."""
     info = subject.description.device_info
     for direction, told, entry in (
         (Direction.RPDO, info.rpdo_count, "NrOfRXPDO"),

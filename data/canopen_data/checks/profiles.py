@@ -1,6 +1,7 @@
-"""Checks of standard objects against the standards: CiA 301, and CiA 402 where 0x1000 says that the device is a drive.
+"""Check standard objects against the standards: CiA 301, and CiA 402 if 0x1000 says that the device is a drive.
 
-What may be less than the standard has it (a PDO parameter that cannot be written, a fixed COB-ID) is no fault: CiA 301 allows it.
+An object that can do less than the standard's (a PDO parameter that cannot be written, a fixed COB-ID) is no fault: CiA 301
+allows it.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ STATUSWORD: Final = 0x6041
 ERROR_CONTROL: Final = (0x1017, 0x100C)
 
 _BYTES: Final = {DataType.DOMAIN, DataType.OCTET_STRING}
-"""By SDO the same: CiA 301 lets a device choose in most places."""
+"""The same thing by SDO: in most places CiA 301 lets a device choose."""
 
 _TO_WRITE: Final[dict[int, Access | None]] = {0x1003_00: None, 0x1017_00: Access.CONST}
-"""Objects that have to be writable, and what else they may be: writing 0 clears the history, and switches the heartbeat off.
-CiA 301 v4.2.0, 7.5.2.4 and 7.5.2.20."""
+"""Objects that must be writable, with the other access allowed: writing 0 clears the history, and switches the heartbeat off. CiA
+301 v4.2.0, 7.5.2.4 and 7.5.2.20."""
 _RESERVED_BITS: Final = {0x1014: 0x4000_0000, 0x1016: 0xFF00_0000, 0x1028: 0x4000_0000}
 """By index: COB-ID EMCY, heartbeat and EMCY consumers (CiA 301 v4.2.0, 7.5.2.17, 7.5.2.19, 7.5.2.31)."""
 _TPDOS: Final = range(0x1800, 0x1A00)
 _RESERVED_SUBINDEX: Final = 4
 _CONSUMER: Final = 0x1016
 _CONSUMER_RANGE: Final = (0, 0x007F_FFFF)
-"""Not in use, and node 127 with the longest time."""
+"""The range that an entry must take: "not in use" up to node 127 with the longest time."""
 
 RULES: Final = (
     Rule("standard-type", ERROR, "a communication object of another length than the standard's: masters use it wrongly"),
@@ -52,7 +53,7 @@ RULES: Final = (
 
 
 def check_standard_objects(subject: Subject) -> Iterator[Finding]:
-    """Data type, access and kind of every object that a standard knows."""
+    """Check data type, access and kind of every object of a standard."""
     is_drive = subject.profile == DRIVE_PROFILE
     for each in subject.dictionary.objects.values():
         if each.index not in COMMUNICATION_AREA and not (is_drive and each.index in PROFILE_AREA):
@@ -92,7 +93,7 @@ def _check_against(subject: Subject, variable: Variable, standard: Variable) -> 
 
 
 def check_reserved(subject: Subject) -> Iterator[Finding]:
-    """Reserved sub-indices and bits of communication objects, and limits that leave out what an object has to take."""
+    """Check reserved sub-indices and bits of communication objects, and limits that forbid necessary values."""
     for variable in subject.dictionary:
         index, subindex = variable.index, variable.subindex
         if index in _TPDOS and subindex == _RESERVED_SUBINDEX:
@@ -118,7 +119,7 @@ def _check_consumer_limits(subject: Subject, variable: Variable) -> Iterator[Fin
 
 
 def check_profile(subject: Subject) -> Iterator[Finding]:
-    """What a drive has at least."""
+    """Check that a drive has controlword and statusword."""
     objects = subject.dictionary.objects
     if subject.profile == DRIVE_PROFILE:
         for index, name in ((CONTROLWORD, "controlword"), (STATUSWORD, "statusword")):
@@ -128,7 +129,7 @@ def check_profile(subject: Subject) -> Iterator[Finding]:
 
 
 def check_error_control(subject: Subject) -> Iterator[Finding]:
-    """Heartbeat and node guarding (CiA 301 v4.2.0, 7.2.8.2: one of the two is mandatory, both at a time forbidden)."""
+    """Check heartbeat and node guarding (CiA 301 v4.2.0, 7.2.8.2: one of the two is mandatory, both at a time forbidden)."""
     objects = subject.dictionary.objects
     if not any(index in objects for index in ERROR_CONTROL):
         text = "there is neither a producer heartbeat time (0x1017) nor a guard time (0x100C)"

@@ -1,4 +1,4 @@
-"""Checks of the objects as a whole: which there are, in which lists, with which sub-objects, called what.
+"""Check the objects as a whole: their existence, their lists, their sub-objects, their names.
 
 Source: CiA 306-1 v1.4.0, the lists of objects and the sections of objects; CiA 301 v4.2.0, 7.4.1 (areas) and 7.5.1 (mandatory).
 """
@@ -14,20 +14,20 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Object, ObjectType, Variable
 
 MANDATORY: Final = {0x1000: "device type", 0x1001: "error register", 0x1018: "identity object"}
-"""What every CANopen device has (CiA 301 v4.2.0, 7.5.2)."""
+"""The objects that every CANopen device has (CiA 301 v4.2.0, 7.5.2)."""
 
 MAX_NAME: Final = 241
 """Characters of a ParameterName (CiA 306-1)."""
 
 MAX_TOLD: Final = 4
-"""Places that one finding lists."""
+"""Objects that one finding lists."""
 
 COMMUNICATION_AREA: Final = range(0x1000, 0x2000)
 OBJECT_AREA: Final = range(0x1000, 0xC000)
 TYPE_AREA: Final = range(0x0001, 0x1000)
 MANUFACTURER_AREA: Final = range(0x2000, 0x6000)
 STRUCTURE: Final = 0xFF
-"""The subindex that tells an object's type, not one of its entries (CiA 301 v4.2.0, 7.4.1)."""
+"""The subindex that describes an object's type; it is not an entry (CiA 301 v4.2.0, 7.4.1)."""
 
 RULES: Final = (
     Rule("mandatory-missing", ERROR, "an object that every CANopen device has is missing"),
@@ -37,7 +37,7 @@ RULES: Final = (
     Rule("list-other", NOTICE, "an object is in a list where its area does not belong"),
     Rule("reserved-index", WARNING, "an index at which no device may have an object"),
     Rule("no-entries", ERROR, "an ARRAY or RECORD without sub-objects"),
-    Rule("count-missing", ERROR, "an ARRAY or RECORD without sub 0, which tells its highest subindex"),
+    Rule("count-missing", ERROR, "an ARRAY or RECORD without sub 0, which gives its highest subindex"),
     Rule("count-type", WARNING, "sub 0 of an ARRAY or RECORD is not an UNSIGNED8"),
     Rule("count-default", WARNING, "sub 0 is not the highest subindex that the object has"),
     Rule("var-with-entries", WARNING, "a VAR with sub-objects"),
@@ -49,7 +49,7 @@ RULES: Final = (
 
 
 def check_lists(subject: Subject) -> Iterator[Finding]:
-    """Mandatory objects, and [MandatoryObjects], [OptionalObjects], [ManufacturerObjects] against the sections."""
+    """Check mandatory objects, and [MandatoryObjects], [OptionalObjects], [ManufacturerObjects] against the sections."""
     objects = subject.dictionary.objects
     for index, name in MANDATORY.items():
         if index not in objects:
@@ -90,7 +90,7 @@ def _list_of(index: int) -> str:
 
 
 def check_objects(subject: Subject) -> Iterator[Finding]:
-    """Each object by itself: its index, its sub-objects, and what sub 0 says of them."""
+    """Check each object by itself: its index, its sub-objects, and its sub 0."""
     for each in subject.dictionary.objects.values():
         is_type = each.object_type in (ObjectType.DEFTYPE, ObjectType.DEFSTRUCT)
         if each.index not in (TYPE_AREA if is_type else OBJECT_AREA):
@@ -112,7 +112,7 @@ def _check_entries(subject: Subject, each: Object) -> Iterator[Finding]:
         yield subject.of_object("no-entries", each.index, f"it is {kind} without any sub-object")
         return
     if count is None:
-        yield subject.of_object("count-missing", each.index, "it has no sub 0 to tell its highest subindex")
+        yield subject.of_object("count-missing", each.index, "it has no sub 0, which gives its highest subindex")
     elif count.data_type is not DataType.UNSIGNED8:
         text = f"sub 0 is of type {count.data_type.name}; it is an UNSIGNED8 in every device"
         yield subject.of_variable("count-type", count, text, "DataType")
@@ -131,13 +131,13 @@ def _check_entries(subject: Subject, each: Object) -> Iterator[Finding]:
 
 
 def _counts_used(index: int) -> bool:
-    """Whether sub 0 counts what is in use, not what there is: the error history and PDO mappings."""
+    """Return whether sub 0 counts the entries in use, not those that exist: in the error history and in PDO mappings."""
     return index == 0x1003 or index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00)
 
 
 def check_names(subject: Subject) -> Iterator[Finding]:
-    """Names: there, not too long, and each one once. The standard itself gives the records of all PDOs one name,
-    and the entries of an ARRAY are told apart by their number."""
+    """Check that names exist, are not too long, and occur once. Exceptions: the standard itself gives the records of all PDOs one
+    name, and the entries of an ARRAY differ by their number."""
     by_name: dict[str, list[int]] = {}
     for each in subject.dictionary.objects.values():
         if not each.name.strip():
@@ -170,13 +170,13 @@ def _check_field_names(subject: Subject, each: Object) -> Iterator[Finding]:
 
 
 def _enumerated(places: Sequence[str]) -> str:
-    """The first ones, and how many more there are."""
+    """Return the first MAX_TOLD places, and the number of further ones."""
     hidden = len(places) - MAX_TOLD
     return ", ".join(places) if hidden <= 0 else f"{', '.join(places[:MAX_TOLD])} and {hidden} more"
 
 
 def field_name(each: Object, name: str) -> str:
-    """A sub-object's own name, without its object's."""
+    """Return a sub-object's own name, without its object's."""
     return name.removeprefix(f"{each.name}:")
 
 

@@ -1,10 +1,10 @@
-"""What all checks share: the description that is looked at, and how a finding about it is made.
+"""Shared by all checks: the description under examination, and the making of findings about it.
 
-A family of checks is a module with a table of rules (`Rule`: code, severity, what it is about) and functions that take a
-`Subject` and yield findings. The severity of a finding is its rule's, so that the table tells all there is to know.
+A family of checks is a module with a table of rules (`Rule`: code, severity, text) and functions that take a `Subject` and yield
+findings. A finding has its rule's severity.
 
-Values are looked at as the device would hold them after start-up: what a DCF has configured, else the default. The node-ID is
-that of the commissioning; where there is none, values that depend on it are known but for it (`Number.adds_node_id`).
+Values are checked as the device would hold them after start-up: a DCF's configured value, else the default. The node-ID is that
+of the commissioning; without one, values that depend on it are known only up to it (`Number.adds_node_id`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PROFILE_AREA: Final = range(0x6000, 0xA000)
 
 
 class Rule(NamedTuple):
-    """One thing that may be wrong. code: its name to programs. text: what it is about, for people."""
+    """One thing that may be wrong. code: its name for programs. text: its meaning, for people."""
 
     code: str
     severity: Severity
@@ -35,7 +35,7 @@ class Rule(NamedTuple):
 
 
 class Number(NamedTuple):
-    """A whole number that stands in an object at first. adds_node_id: the node-ID, which is not known, is to be added."""
+    """The first value of an object, a whole number. adds_node_id: the unknown node-ID is to be added."""
 
     value: int
     adds_node_id: bool = False
@@ -45,8 +45,8 @@ class Number(NamedTuple):
 
 
 class Subject:
-    """A description under examination. node_id: 1..127 where it is commissioned, else None. shared: findings about a line that
-    stands for many sub-objects (CompactSubObj), each by code, line and column."""
+    """A description under examination. node_id: 1..127 if commissioned, else None. shared: findings about a line that stands for
+    many sub-objects (CompactSubObj), by code, line and column."""
 
     __slots__ = ("_rules", "description", "dictionary", "node_id", "shared")
 
@@ -65,12 +65,12 @@ class Subject:
 
     @property
     def profile(self) -> int | None:
-        """The device profile's number, of the low half of 0x1000; None where the file does not say."""
+        """The device profile's number, from the low half of 0x1000; None if the file does not say."""
         device_type = self.number(0x1000)
         return None if device_type is None else device_type.value & 0xFFFF
 
     def number(self, index: int, subindex: int = 0) -> Number | None:
-        """What stands there at first, or None: no such object, no number, or the file does not say."""
+        """Return the first value of an object, or None: no such object, not a number, or not in the file."""
         variable = self.dictionary.get(index, subindex)
         if variable is None:
             return None
@@ -84,23 +84,23 @@ class Subject:
     # ---- findings ----
 
     def of_object(self, code: str, index: int, text: str, field: str = "") -> Finding:
-        """A finding about a whole object. field: the file's name of what is wrong there."""
+        """Return a finding about a whole object. field: the file's name of the faulty field."""
         known = self.dictionary.objects.get(index)
         name = known.name if known is not None else ""
         return self._finding(code, f"in {self._section(index)}{f' {name}' if name else ''}: {text}", index, None, field)
 
     def of_variable(self, code: str, variable: Variable, text: str, field: str = "") -> Finding:
-        """A finding about a sub-object, or a VAR."""
+        """Return a finding about a sub-object, or a VAR."""
         index, subindex = variable.index, variable.subindex
         name = f" {variable.name}" if variable.name else ""
         return self._finding(code, f"in {self._section(index, subindex)}{name}: {text}", index, subindex, field)
 
     def of_value(self, code: str, variable: Variable, text: str) -> Finding:
-        """A finding about what a sub-object holds at first."""
+        """Return a finding about the first value of a sub-object."""
         return self.of_variable(code, variable, text, "DefaultValue" if variable.configured is None else "ParameterValue")
 
     def of_entry(self, code: str, section: str, entry: str, text: str) -> Finding:
-        """A finding about an entry of a section that is no object: [DeviceInfo] and the like."""
+        """Return a finding about an entry of a section that is not an object: [DeviceInfo] and the like."""
         where = f"in [{section}]: " if self.has_lists else ""
         document = self.description.document
         found = document.section(section) if isinstance(document, EdsDocument) else None
@@ -113,7 +113,7 @@ class Subject:
         return self._at(code, message, line, column)
 
     def _is_made(self, index: int, subindex: int, line: int) -> bool:
-        """Whether what stands in this line is said of all entries of a compact array, and not of one."""
+        """Return whether this line is about all entries of a compact array, and not about one."""
         document = self.description.document
         if not isinstance(document, EdsDocument) or subindex in document.subs.get(index, {}):
             return False
@@ -125,7 +125,7 @@ class Subject:
         return Finding(self._rules[code].severity, code, message, self.description.source, line, column)
 
     def _section(self, index: int, subindex: int | None = None) -> str:
-        """How the file itself calls the place."""
+        """Return the file's own name of the place."""
         if not self.has_lists:
             return f"{index:04X}" if subindex is None else f"{index:04X}:{subindex:02X}"
         known = self.dictionary.objects.get(index)

@@ -1,4 +1,4 @@
-"""Checks of what objects hold: defaults, configured values and limits, against type and access.
+"""Check the values of objects: defaults, configured values and limits, against type and access.
 
 Source: CiA 306-1 v1.4.0, the entries of an object's section; CiA 301 v4.2.0, 7.4.8.
 """
@@ -34,7 +34,7 @@ RULES: Final = (
 
 
 def check_values(subject: Subject) -> Iterator[Finding]:
-    """All variables, each by itself."""
+    """Check all variables, each by itself."""
     for variable in subject.dictionary:
         yield from _check_limits(subject, variable)
         if variable.default is not None:
@@ -86,7 +86,7 @@ def _infinite(subject: Subject, variable: Variable, field: str) -> Finding:
 
 
 def _candidates(subject: Subject, value: Value, adds_node_id: bool) -> tuple[Value, ...]:
-    """The value in a device, or at both ends where it depends on a node-ID that is not known."""
+    """Return the value in a device, or those for the lowest and highest node-ID if it depends on an unknown one."""
     if not adds_node_id or not isinstance(value, int):
         return (value,)
     return (value + subject.node_id,) if subject.node_id is not None else (value + 1, value + MAX_NODE_ID)

@@ -1,17 +1,17 @@
-"""What an EDS does not write out: arrays in compact form, and the PDO parameters of a device that has many.
+"""Make the objects that an EDS abbreviates: arrays in compact form, and the PDO parameters of a device that has many.
 
 Theory of operation
 -------------------
 CompactSubObj=n in the section of an object stands for subindex 0, which holds n, and for subindices 1 to n, which are all like
-the object's own section. [1234Name], [1234Value] and [1234Denotation] give single ones a name, a value and a denotation of their
-own (the value is that of a DCF: it configures); a sub-object that has a section of its own is as that says. An entry without a
-name is called as the object, with its number behind.
+the object's own section. [1234Name], [1234Value] and [1234Denotation] give single ones a name, a configured value (in a DCF) and
+a denotation. A sub-object with a section of its own is read from that. An entry without a name has the object's name with its
+number added.
 
-CompactPDO in [DeviceInfo], if it is not 0, stands for the communication and mapping parameters of NrOfRXPDO and NrOfTXPDO PDOs,
-in so far as they have no sections: bit n - 1 for subindex n of the communication parameter record. Their values are those of the
-predefined connection set for the first four PDOs; all others begin invalid. The mapping is empty, and has MAPPED entries.
+CompactPDO in [DeviceInfo], if it is not 0, stands for the communication and mapping parameters of NrOfRXPDO and NrOfTXPDO PDOs
+that have no sections: bit n - 1 for subindex n of the communication parameter record. Their values are those of the predefined
+connection set for the first four PDOs; all others begin invalid. The mapping is empty, and has MAPPED entries.
 
-A small file could stand for millions of variables so: all of them together are bounded.
+A small file could stand for millions of variables in this way, so their total is bounded.
 
 Source: CiA 306-1 v1.4.0, 4.4.2 and 4.6 (compact storage).
 """
@@ -30,13 +30,13 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
 
 MAX_MADE: Final = 100_000
-"""Variables that are in no section of their own. A device with all 512 PDOs both ways has 15 000 of them."""
+"""Variables without a section of their own. A device with all 512 PDOs both ways has 15 000 of them."""
 MAX_SUBINDEX: Final = 254
-"""255 tells the structure of an object (CiA 301 v4.2.0, 7.4.1)."""
+"""Subindex 255 describes the structure of an object (CiA 301 v4.2.0, 7.4.1)."""
 MAX_PDOS: Final = 512
 """In each direction (CiA 301 v4.2.0, table 41)."""
 MAPPED: Final = 8
-"""Objects that a PDO may carry at the least granularity of 8 bits."""
+"""Objects that a PDO can carry at a granularity of 8 bits."""
 
 _COUNT: Final = "NrOfObjects"
 _INVALID: Final = 0x8000_0000
@@ -50,7 +50,7 @@ _COMMUNICATION: Final = (
 
 
 class Compact:
-    """Makes the variables that a file does not write out, until there are too many."""
+    """The maker of the variables that a file abbreviates. It stops at MAX_MADE."""
 
     def __init__(self, document: EdsDocument, variables: Variables, findings: Findings) -> None:
         self._document = document
@@ -60,7 +60,7 @@ class Compact:
         self._refused = False
 
     def array(self, section: Section, index: int, own: dict[int, Variable]) -> dict[int, Variable]:
-        """All variables of an object with CompactSubObj. own: those that have sections."""
+        """Return all variables of an object with CompactSubObj. own: those that have sections."""
         count = self._variables.number(section, "CompactSubObj", 0xFFFF_FFFF)
         if count > MAX_SUBINDEX:
             message = f"CompactSubObj is {count}; there are {MAX_SUBINDEX} subindices"
@@ -100,7 +100,7 @@ class Compact:
         return variables | own
 
     def pdos(self, info: DeviceInfo, known: dict[int, Object]) -> Iterator[Object]:
-        """The PDO parameters that CompactPDO stands for, without those that the file has."""
+        """Yield the PDO parameters that CompactPDO stands for, without those that the file has."""
         if not info.compact_pdo:
             return
         bases = ((0x1400, 0x200, info.rpdo_count, "RPDO"), (0x1800, 0x180, info.tpdo_count, "TPDO"))

@@ -1,10 +1,10 @@
-"""What an EDS or DCF says of the device as a whole: all its sections but those of objects.
+"""Read the facts about the device as a whole: all sections of an EDS or DCF except those of objects.
 
-Each function reads one sort of section into a part of `DeviceDescription`. A key that is missing gives the field's default, and
-no finding: files differ much in what they say of the device, and the linter asks for what is needed. A number or flag that cannot
-be read is a warning, and gives the default too.
+Each function reads one kind of section into a part of `DeviceDescription`. A missing key gives the field's default, without a
+finding: files differ much here, and the linter asks for the keys that are needed. A number or flag that cannot be read gives the
+default, with a warning.
 
-Lists count from 1, and tell in a key how many entries there are; what counts is the entries that are there.
+Lists count from 1, and a key gives the number of entries; the entries present decide.
 
 Source: CiA 306-1 v1.4.0, 4.4 (file and device information), 4.5 (lists), 4.7 (modules), 5 (DCF).
 """
@@ -24,7 +24,7 @@ from canopen_proto.frame import MAX_NODE_ID
 
 UNSIGNED32: Final = 0xFFFF_FFFF
 NO_NODE_ID: Final = 0xFF
-"""What a device has as node-ID until LSS gives it one (CiA 305 v3.0.0, 3.6)."""
+"""The node-ID of a device until LSS gives it one (CiA 305 v3.0.0, 3.6)."""
 MAX_MODULES: Final = 1000
 """Types of modules in one file; catalogues of modular devices have some dozens."""
 
@@ -49,18 +49,18 @@ class Fields:
         self.values = {} if section is None else section.values
 
     def warn(self, code: str, message: str, key: str = "", severity: Severity = Severity.WARNING) -> None:
-        """Something odd about the section, or about one of its values."""
+        """Add a finding about the section, or about one of its values."""
         if self._section is not None and not self._findings.full(severity):
             line, column = self._section.place_of(key)
             message = f"in [{quoted(self._section.name)}]: {message}"
             self._findings.add(severity, code, message, line, column)
 
     def text(self, key: str) -> str:
-        """A text; "" where there is none."""
+        """Return a text; "" if there is none."""
         return self.values.get(key.lower(), "")
 
     def number(self, key: str, *, most: int = UNSIGNED32) -> int | None:
-        """A number 0..most; None where there is none."""
+        """Return a number 0..most; None if there is none."""
         text = self.text(key)
         if not text:
             return None
@@ -74,7 +74,7 @@ class Fields:
         return number
 
     def flag(self, key: str) -> bool:
-        """A flag; False where there is none."""
+        """Return a flag; False if there is none."""
         text = self.text(key)
         flag = _FLAGS.get(text)
         if flag is None and (flag := _FLAG_WORDS.get(text.lower())) is None:
@@ -85,14 +85,14 @@ class Fields:
         return flag
 
     def numbered(self, count_key: str) -> list[tuple[int, str]]:
-        """A list: its entries with their numbers, in the order of the numbers. A count that is wrong is a warning."""
+        """Return a list: its entries with their numbers, in the order of the numbers. A wrong count is a warning."""
         found = [(int(key), text) for key, text in self.values.items() if _NUMBERED.fullmatch(key)]
         found.sort()
         self._check(count_key, len(found))
         return found
 
     def indices(self, count_key: str) -> tuple[int, ...]:
-        """A list of objects."""
+        """Return a list of objects."""
         found = []
         for number, text in self.numbered(count_key):
             index, remark = read_number(text)
@@ -105,7 +105,7 @@ class Fields:
         return tuple(found)
 
     def comments(self) -> tuple[str, ...]:
-        """The lines of comments."""
+        """Return the lines of comments."""
         lines = sorted((int(found[1]), text) for key, text in self.values.items() if (found := _COMMENT.fullmatch(key)))
         self._check("Lines", len(lines))
         return tuple(text for _, text in lines)
@@ -123,7 +123,7 @@ class Fields:
 
 
 def file_info(document: EdsDocument, findings: Findings) -> FileInfo:
-    """[FileInfo]."""
+    """Return the contents of [FileInfo]."""
     fields = Fields(document.named.get("fileinfo"), findings)
     return FileInfo(
         fields.text("FileName"),
@@ -142,7 +142,7 @@ def file_info(document: EdsDocument, findings: Findings) -> FileInfo:
 
 
 def device_info(document: EdsDocument, findings: Findings) -> DeviceInfo:
-    """[DeviceInfo]."""
+    """Return the contents of [DeviceInfo]."""
     fields = Fields(document.named.get("deviceinfo"), findings)
     return DeviceInfo(
         fields.text("VendorName"),
@@ -165,7 +165,7 @@ def device_info(document: EdsDocument, findings: Findings) -> DeviceInfo:
 
 
 def commissioning(document: EdsDocument, findings: Findings) -> Commissioning | None:
-    """[DeviceCommissioning], in either spelling; None where there is none."""
+    """Return the contents of [DeviceCommissioning], in either spelling; None if there is none."""
     section = document.named.get("devicecomissioning")
     if section is None:
         return None
@@ -190,7 +190,7 @@ def commissioning(document: EdsDocument, findings: Findings) -> Commissioning | 
 
 
 def dummies(document: EdsDocument, findings: Findings) -> MappingProxyType[int, bool] | None:
-    """[DummyUsage]: by data type; None where there is none. A type that is not named is not said to be usable."""
+    """Return the contents of [DummyUsage], by data type; None if there is none. Types that it does not name are left out."""
     section = document.named.get("dummyusage")
     if section is None:
         return None
@@ -200,7 +200,7 @@ def dummies(document: EdsDocument, findings: Findings) -> MappingProxyType[int, 
 
 
 def modules(document: EdsDocument, findings: Findings) -> tuple[Module, ...]:
-    """[SupportedModules] and the sections of each module."""
+    """Return the modules of [SupportedModules], each from its sections."""
     numbers = sorted({int(found[1]) for name in document.named if (found := _MODULE.fullmatch(name))})
     section = document.named.get("supportedmodules")
     told = Fields(section, findings).number("NrOfEntries")
@@ -236,7 +236,7 @@ def _module(number: int, document: EdsDocument, extensions: dict[int, Section], 
 
 
 def _as_spelt(section: Section) -> dict[str, str]:
-    """Keys as the file has them, and values."""
+    """Return the entries, with the keys spelt as in the file."""
     spelt: dict[str, str] = {}
     seen: set[str] = set()
     for entry in section.entries:
@@ -247,7 +247,7 @@ def _as_spelt(section: Section) -> dict[str, str]:
 
 
 def connected_modules(document: EdsDocument, findings: Findings) -> tuple[int, ...]:
-    """[ConnectedModules]: of each slot."""
+    """Return [ConnectedModules]: the module's number for each slot."""
     fields = Fields(document.named.get("connectedmodules"), findings)
     return tuple(
         number for key, _ in fields.numbered("NrOfEntries") if (number := fields.number(str(key), most=0xFFFF)) is not None
@@ -255,7 +255,7 @@ def connected_modules(document: EdsDocument, findings: Findings) -> tuple[int, .
 
 
 def dynamic_channels(document: EdsDocument, findings: Findings) -> tuple[DynamicChannel, ...]:
-    """[DynamicChannels]: its segments."""
+    """Return the segments of [DynamicChannels]."""
     section = document.named.get("dynamicchannels")
     return () if section is None else tuple(_channels(Fields(section, findings)))
 

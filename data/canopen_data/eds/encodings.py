@@ -1,16 +1,16 @@
-"""The characters of a file: which encoding its bytes are in.
+"""Decode the bytes of a file, and find out their encoding.
 
 Theory of operation
 -------------------
-CiA 306 names no encoding. Bytes become text as UTF-8 (with or without a byte order mark), or UTF-16 with its mark. A file that is
-neither is in one of the old encodings of Windows, and does not say in which. GBK (Chinese) and cp932 (Japanese) are guessed where
-the bytes are plausible for one of them and for no western text: two or more of its common characters side by side, since western
-texts have theirs one by one among ASCII letters. All else is Windows-1252, or Latin-1 where a byte has no meaning there. Every
-byte has a character then: nothing is refused. Each reading other than UTF-8 is a finding, and the caller may name the encoding.
+CiA 306 names no encoding. Bytes become text as UTF-8 (with or without a byte order mark), or UTF-16 with its mark. Any other file
+is in one of the old encodings of Windows, and does not name it. GBK (Chinese) or cp932 (Japanese) is guessed if the bytes are
+plausible for it and for no western text: two or more of its common characters side by side. Western texts have single ones, among
+ASCII letters. Everything else is Windows-1252, or Latin-1 if a byte has no meaning there. So every byte has a character, and no
+file is refused. Each encoding other than UTF-8 is a finding, and the caller may name the encoding.
 
-A guess must give the file's own bytes when it is written again.
+A guess is taken only if encoding the text again gives the same bytes.
 
-Source: the encodings as the standard library has them; the rest is experience with files.
+Source: the standard library's encodings; the rest is experience with files.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _KANA_AND_KANJI: Final = re.compile("[\u3000-\u30ff\u4e00-\u9fff\uff01-\uff5e]")
 _NOT_ASCII_RUN: Final = re.compile(r"[^\x00-\x7f]+")
 _COMMON: Final = 0.8
-"""Share of the characters beyond ASCII that have to be common ones, and of those that have to stand side by side, for a guess."""
+"""For a guess, the least share of common characters among those beyond ASCII, and of characters that stand side by side."""
 _NAMES: Final = {"cp1252": "Windows-1252", "latin-1": "Latin-1 (ISO 8859-1)", "gbk": "GBK (Chinese)", "cp932": "cp932 (Japanese)"}
 
 
 def is_encoding(name: str) -> bool:
-    """Whether there is a text encoding of that name: "gbk", "cp932", "cp1251", "latin-1"."""
+    """Return whether there is a text encoding of that name: "gbk", "cp932", "cp1251", "latin-1"."""
     try:
         return isinstance(b"a".decode(name), str)
     except (LookupError, UnicodeError):
@@ -36,10 +36,10 @@ def is_encoding(name: str) -> bool:
 
 
 def text_of(data: bytes, encoding: str = "") -> tuple[str, str, tuple[str, int, int] | None]:
-    """A file's text, the encoding that it was read with, and what is to be said of it: a message, with line and column (from 1)
-    of the first character that is not UTF-8; None if there is nothing to be said.
+    """Return a file's text, the encoding used, and a remark: a message, with line and column (from 1) of the first character that
+    is not UTF-8. The remark is None for plain UTF-8.
 
-    encoding: what somebody says it is, "" = nobody does; characters that it does not have are replaced, and that is said.
+    encoding: the one to use, "" = guess. Bytes that it does not have are replaced, and the remark says so.
     """
     if encoding:
         try:
@@ -65,7 +65,7 @@ def _remark(data: bytes, error: UnicodeDecodeError, message: str) -> tuple[str, 
 
 
 def _guess(data: bytes) -> str:
-    """An East Asian encoding that the bytes are plausible for; "" where there is none."""
+    """Return an East Asian encoding that the bytes are plausible for; "" if there is none."""
     for encoding, is_common in (("gbk", _is_common_chinese), ("cp932", _is_common_japanese)):
         try:
             text = data.decode(encoding)
@@ -83,7 +83,7 @@ def _guess(data: bytes) -> str:
 
 
 def _is_common_chinese(character: str) -> bool:
-    """One of the first level of GB 2312 (the 3755 usual ones), or a symbol of it: the rows up to D7 of GBK."""
+    """Return whether it is a symbol or one of the 3755 usual characters (level 1) of GB 2312: the rows up to D7 of GBK."""
     octets = character.encode("gbk")
     return 0xA1 <= octets[0] <= 0xD7 and octets[-1] >= 0xA1
 

@@ -1,22 +1,22 @@
-"""The form of an EDS or DCF: sections, keys, lines and columns, of whatever bytes.
+"""Parse the form of an EDS or DCF: sections, keys, lines and columns. Any text is accepted.
 
 Theory of operation
 -------------------
 An EDS is an INI file of Windows (CiA 306-1 v1.4.0, 4.2): `[section]`, `key=value`, and comments, which are lines that begin with
-a semicolon. That format has no standard; its one authority is the reading function of Windows. So it is here:
+a semicolon. That format has no standard; the reading function of Windows is its only authority. So here, too:
 
-- case of letters makes no difference in names of sections and in keys, nor do blanks around names, keys and values;
-- of two sections of one name, and of two equal keys in a section, the first counts; the other is not looked at (an error);
-- all behind the first `=` is the value, semicolons included.
+- names of sections and keys are the same in any case; blanks around names, keys and values do not count;
+- of two sections with one name, and of two equal keys in a section, the first counts; the other is not read (an error);
+- everything after the first `=` is the value, semicolons included.
 
-Beyond that: a line that begins with `#` is a comment too (a notice: other tools take it for a key), what stands behind the
-bracket of a section is left out, and a line that is none of these is a warning. Lines end with LF, CR LF or CR, in any mix.
+Beyond that: a line that begins with `#` is a comment too (a notice: other tools take it for a key); text after the bracket of a
+section is left out; any other line is a warning. Lines end with LF, CR LF or CR, in any mix.
 
-How bytes become text is told in encodings.py.
+encodings.py turns bytes into text.
 
-Speed: most of a file is repetition. From half to nine tenths of the sections of a maker's file say what another one says, but for
-their names; so all that stands behind a first line `ParameterName=` is taken apart once (`Body`), and of the rest each distinct
-line (`_Lines`). Keys as they are spelt, and columns, are found when somebody asks.
+Speed: most of a file is repetition. In a maker's file, half to nine tenths of the sections repeat another one except for their
+name. So the text after a first line `ParameterName=` is parsed once for all equal sections (`Body`), and otherwise each distinct
+line once (`_Lines`). The spelling of keys, and columns, are found on request.
 """
 
 from __future__ import annotations
@@ -30,20 +30,21 @@ from canopen_data.findings import Finding, Severity
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
 """Bytes. The largest EDS in the field are below 2 MiB."""
 MAX_LINES: Final = 1_000_000
-"""A file of MAX_FILE_SIZE with lines as short as those of an EDS (17 characters in the mean) has as many."""
+"""A file of MAX_FILE_SIZE has this many lines if they are as short as those of an EDS (17 characters on average)."""
 MAX_SECTIONS: Final = 100_000
-"""Of one file, and so of the variables that have sections. A section takes up to 1500 bytes of memory with what is made of it."""
+"""Of one file; it also bounds the variables with sections. A section and the objects made of it take up to 1500 bytes of
+memory."""
 MAX_FINDINGS: Final = 1000
-"""Kept of one file; further ones are counted."""
+"""Findings kept of one file; further ones are counted."""
 MAX_QUOTED: Final = 60
-"""Characters of the file that the text of a finding repeats."""
+"""Characters of the file that a finding quotes."""
 
 _SECTION: Final = re.compile(r"\n[ \t]*\[")
 _OBJECT: Final = re.compile(r"([0-9a-f]{4})(?:sub([0-9a-f]{1,8})|(name|value|denotation))?", re.ASCII)
 _HASH_LINE: Final = re.compile(r"\n([ \t]*)#")
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _OTHER_SPELLING: Final = {"devicecommissioning": "devicecomissioning"}
-"""The standard prints the name with one m; half of the tools correct it."""
+"""The standard prints the name with one m; half of the tools write two."""
 
 _ODD: Final = "\n"
 """The key of lines that make no sense; no line has a line feed in it."""
@@ -57,7 +58,7 @@ _SUBINDICES: Final = {
 
 
 class Findings:
-    """What is wrong with one file, each with its place; bounded."""
+    """The findings about one file, each with its place; bounded."""
 
     def __init__(self, source: str) -> None:
         self.source = source
@@ -66,7 +67,7 @@ class Findings:
         self._worst = Severity.NOTICE
 
     def full(self, severity: Severity) -> bool:
-        """Whether there is no room for another one, which is then counted: who would tell it need not make up its text."""
+        """Return whether there is no room for another finding, and count it if so: its text need not be made."""
         if len(self._list) < MAX_FINDINGS:
             return False
         self._hidden += 1
@@ -74,12 +75,12 @@ class Findings:
         return True
 
     def add(self, severity: Severity, code: str, message: str, line: int = 0, column: int = 0) -> None:
-        """One more. line, column: from 1; 0 = the whole file."""
+        """Add a finding. line, column: from 1; 0 = the whole file."""
         if not self.full(severity):
             self._list.append(Finding(severity, code, message, self.source, line, column))
 
     def all(self) -> tuple[Finding, ...]:
-        """In the order of the file."""
+        """Return the findings in the order of the file."""
         found = sorted(self._list, key=lambda each: (each.line, each.column))
         if self._hidden:
             found.append(Finding(self._worst, "too-many", f"{self._hidden} more findings are not listed", self.source))
@@ -87,7 +88,7 @@ class Findings:
 
 
 class Entry(NamedTuple):
-    """One `key=value` as it stands in the file. line, column: of the value, from 1."""
+    """One `key=value` as in the file. line, column: of the value, from 1."""
 
     key: str
     value: str
@@ -96,9 +97,9 @@ class Entry(NamedTuple):
 
 
 class Body:
-    """What sections say that differ in their names only. values: by key in small letters; the last key comes first.
+    """The shared content of sections that differ in their names only. values: by key in small letters; the last key comes first.
 
-    made: what was made of it, for whoever reads many sections; None = nothing.
+    made: what a reader has made of it, for use with the next such section; None = nothing.
     """
 
     __slots__ = ("made", "values")
@@ -109,9 +110,9 @@ class Body:
 
 
 class Section:
-    """One section. name: as it is spelt, without blanks around it. line: of the name, from 1.
+    """One section. name: as spelt in the file, without blanks around it. line: of the name, from 1.
 
-    title: its ParameterName, where that is the first key; body: all other keys. `values` has all of them.
+    title: its ParameterName, if that is the first key; body: all other keys. `values` has all of them.
     """
 
     __slots__ = ("_text", "body", "line", "name", "title")
@@ -121,16 +122,16 @@ class Section:
         self.line = line
         self.body = body
         self.title = title
-        self._text = text  # from the name to the line before the next section
+        self._text = text  # from the name up to the line before the next section
 
     @property
     def values(self) -> Mapping[str, str]:
-        """By key in small letters, without blanks around; the first of two equal keys. The last key comes first."""
+        """The values by key in small letters, without blanks around; of two equal keys, the first. The last key comes first."""
         return self.body.values if self.title is None else {**self.body.values, _TITLE: self.title}
 
     @property
     def entries(self) -> Iterator[Entry]:
-        """All entries in the order of the file, those that do not count included."""
+        """Yield all entries in the order of the file, including those that do not count."""
         known = _Lines()
         for number, line in enumerate(self._text.split("\n")[1:], start=self.line + 1):
             folded, value = known[line]
@@ -139,11 +140,11 @@ class Section:
                 yield Entry(key.strip(), value, number, len(line) - len(behind.lstrip()) + 1)
 
     def get(self, key: str) -> str | None:
-        """A value by its key, in any case of letters. None: there is no such key."""
+        """Return the value of a key, in upper or lower case. None if there is no such key."""
         return self.values.get(key.lower())
 
     def place_of(self, key: str) -> tuple[int, int]:
-        """Line and column of a value; of the section's name where there is no such key."""
+        """Return line and column of a value; of the section's name if there is no such key."""
         folded = key.lower()
         if folded:
             for number, line in enumerate(self._text.split("\n")[1:], start=self.line + 1):
@@ -154,7 +155,7 @@ class Section:
 
 
 class EdsDocument:
-    """A file as it stood; see `description.Document`. text: all of it, without a byte order mark. encoding: as `codecs` names it.
+    """The original file; see `description.Document`. text: all of it, without a byte order mark. encoding: as `codecs` names it.
 
     sections: all of them in the file's order. named: by name in small letters (see `fold`), the first of each name, without the
     objects. objects: sections of objects, by index; subs: of sub-objects, by index and subindex; lists: of names, values and
@@ -180,12 +181,12 @@ class EdsDocument:
 
     @property
     def newline(self) -> str:
-        """How the first line ends; a line feed where none does."""
+        """The line end of the first line; a line feed if there is none."""
         found = _LINE_END.search(self.text)
         return "\n" if found is None else found[0]
 
     def section(self, name: str) -> Section | None:
-        """The section of that name, in any spelling (`fold`), that counts."""
+        """Return the section of that name, in any spelling (`fold`), that counts."""
         folded = fold(name)
         found = _OBJECT.fullmatch(folded)
         if found is None:
@@ -196,7 +197,8 @@ class EdsDocument:
         return self.objects.get(index) if found[3] is None else self.lists.get((index, found[3]))
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
-        """See `description.Document`. Of a sub-object in compact form: where its name or its value stands, if it has its own."""
+        """Return the place; see `description.Document`. For a sub-object in compact form it is that of its own name or value, if
+        any."""
         section = self.objects.get(index)
         if subindex is not None:
             sub = self.subs.get(index, {}).get(subindex)
@@ -212,7 +214,7 @@ class EdsDocument:
         return section.place_of(field)
 
     def _read(self, text: str, findings: Findings) -> None:
-        """Take the text apart. Lines before the first section belong to none."""
+        """Parse the text. Lines before the first section belong to none."""
         known = _Lines()
         bodies: dict[str, Body] = {}
         indices: dict[str, int] = {}
@@ -229,7 +231,7 @@ class EdsDocument:
             if behind or not bracket:
                 name = _odd_header(name, bracket, behind, line, findings)
             name = name.strip()
-            title = first[14:].strip() if first[:14] == "ParameterName=" else None  # the usual spelling, shortly
+            title = first[14:].strip() if first[:14] == "ParameterName=" else None  # a short cut for the usual spelling
             body = bodies.get(tail) if title is not None else None
             if body is None:
                 if title is None:
@@ -250,7 +252,8 @@ class EdsDocument:
             _report_hash(text, findings)
 
     def _place(self, section: Section, indices: dict[str, int]) -> Section:
-        """Note a section by what it is about. The section that counts: this one, or an earlier one. indices: what was read."""
+        """File a section by its subject. Return the section that counts: this one, or an earlier one. indices: those read so
+        far."""
         name = section.name
         digits = name[:4]
         index = indices.get(digits)
@@ -277,7 +280,7 @@ _LIST_OF: Final = {"parametername": "name", "defaultvalue": "value", "parameterv
 
 
 class _Lines(dict[str, tuple[str, str]]):
-    """Each distinct line, taken apart. hash: whether one begins with `#`."""
+    """Each distinct line, parsed. hash: whether one begins with `#`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -307,16 +310,16 @@ def _body(
     bodies: dict[str, Body],
     findings: Findings,
 ) -> Body:
-    """The body of a section. first: its first line, with its title if it has one; tail: what follows.
+    """Return the body of a section. first: its first line, with its title if it has one; tail: what follows.
 
-    bodies: by tail, those that are without a fault and of which a title was taken off.
+    bodies: by tail, those of sections with a title and without a fault.
     """
     if title is not None and (body := bodies.get(tail)) is not None:
         return body
     lines = tail.split("\n")
     if title is None:
         lines.insert(0, first)
-    values = dict(map(known.__getitem__, reversed(lines)))  # reversed: the first of two equal keys is to stay
+    values = dict(map(known.__getitem__, reversed(lines)))  # reversed: of two equal keys the first must stay
     values.pop("", None)
     body = Body(values)
     shorter = len(values) != len(lines) - lines.count("")
@@ -332,12 +335,12 @@ def _body(
 
 
 def _repeats(lines: list[str], values: dict[str, str], known: _Lines) -> bool:
-    """Whether there is a key twice. Comments may be there as often as they like."""
+    """Return whether a key occurs twice. Comments may repeat."""
     return len(values) != sum(1 for key, _ in map(known.__getitem__, lines) if key)
 
 
 def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings, section: str) -> None:
-    """Find what is wrong with lines, which belong to a section ("": none). number: of the first."""
+    """Report the faults in the lines of a section ("": before the first section). number: of the first line."""
     seen: dict[str, int] = {}
     for line_number, line in enumerate(lines, start=number):
         key, _ = pair = known[line]
@@ -345,7 +348,7 @@ def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings
             continue
         if pair is _JUNK or not section:
             if not findings.full(Severity.WARNING):
-                fault = "is neither a section nor key=value nor a comment" if pair is _JUNK else "stands before the first section"
+                fault = "is neither a section nor key=value nor a comment" if pair is _JUNK else "is before the first section"
                 findings.add(Severity.WARNING, "junk", f"{quoted(line)!r} {fault}; left out", line_number, _first_column(line))
             continue
         first = seen.setdefault(key, line_number)
@@ -355,7 +358,7 @@ def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings
 
 
 def _report_hash(text: str, findings: Findings) -> None:
-    """Tell of the first comment that begins with `#`."""
+    """Report the first comment that begins with `#`."""
     found = _HASH_LINE.search(text)
     if found is not None:
         line = text.count("\n", 0, found.end())
@@ -368,7 +371,7 @@ def _first_column(line: str) -> int:
 
 
 def _odd_header(name: str, bracket: str, rest: str, line: int, findings: Findings) -> str:
-    """The name in a line `[name] rest` or `[name`."""
+    """Return the name in a line `[name] rest` or `[name`."""
     if bracket:
         rest = rest.strip()
         if rest and rest[0] not in ";#":
@@ -380,7 +383,7 @@ def _odd_header(name: str, bracket: str, rest: str, line: int, findings: Finding
 
 
 def fold(name: str) -> str:
-    """A section's name without the freedoms that files take: case, leading zeros of a subindex, "commissioning"."""
+    """Return a section's name in one spelling: small letters, no leading zeros of a subindex, "comissioning" with one m."""
     folded = name.strip().lower()
     found = _OBJECT.fullmatch(folded)
     if found is None or found[2] is None:
@@ -389,7 +392,7 @@ def fold(name: str) -> str:
 
 
 def quoted(text: str) -> str:
-    """A piece of the file for the text of a finding: bounded, one line, printable."""
+    """Return a piece of the file for the text of a finding: bounded, one line, printable."""
     text = text.strip()
     if len(text) > MAX_QUOTED:
         text = f"{text[:MAX_QUOTED]}..."

@@ -1,19 +1,19 @@
-"""Numbers and values as an EDS writes them.
+"""Read numbers and values as an EDS writes them.
 
 Theory of operation
 -------------------
 CiA 306-1 v1.4.0, 4.2: a number is decimal, hexadecimal with 0x, or octal with a leading 0. A value may depend on the node-ID:
-`$NODEID+0x180`, or the other way round. Text stands as it is, octets are pairs of hexadecimal digits.
+`$NODEID+0x180`, or the other way round. Text is written as it is, octets as pairs of hexadecimal digits.
 
-What devices' files have beyond that is read where only one reading is likely, with a remark, of which the reader makes a finding:
+Other forms in devices' files are read if only one meaning is likely, with a remark, which the reader reports as a finding:
 
-- `08`, which is no octal number, is decimal; `010`, which is one, is 8, though who wrote it may have meant 10;
-- `0000 0080h` is hexadecimal, its digits may be in groups;
-- what stands behind `#` or `;` in a number is a comment;
-- a signed number may be written as its two's complement (0xFFFFFFFF is -1); an unsigned one as the negative of it (-1);
-- a REAL may be written as the bits of it: 0x and as many digits as it has (0x3F800000 is 1.0).
+- `08` is not octal, so it is read as decimal; `010` is octal, so it is 8, though the author may have meant 10;
+- `0000 0080h` is hexadecimal; its digits may be in groups;
+- text after `#` or `;` in a number is a comment;
+- a signed number may be written as its two's complement (0xFFFFFFFF is -1); an unsigned one as a negative number (-1);
+- a REAL may be written as its bits: 0x and all its digits (0x3F800000 is 1.0).
 
-A time is a number of 48 bits, or six octets. What is none of these, or does not fit its type, is no value; there the remark is
+A time is a number of 48 bits, or six octets. Any other text, or one that does not fit its type, gives no value, and the remark is
 an error.
 """
 
@@ -37,7 +37,7 @@ _REAL: Final = re.compile(
 )
 _BITS: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
 _NO_DATA: Final = ("0", "0x0", "0x00")
-"""What tools write as the default of a DOMAIN, which has none."""
+"""Texts that tools write as the default of a DOMAIN, which has no default."""
 _COMMENT: Final = re.compile(r"[#;]")
 
 _LIMITS: Final = {data_type: range_of(data_type) for data_type in DataType}
@@ -48,14 +48,14 @@ _WORDS: Final = {"true": 1, "false": 0}
 
 
 Reading: TypeAlias = tuple[Value | None, bool, str, bool]
-"""What a text was read as: the value (None = nothing); whether the node-ID is added to it; a remark, what is odd about it, or "";
-whether something was lost, which is why there is no value."""
+"""The result of reading a text: the value (None = nothing); whether the node-ID is added to it; a remark on what is odd about it,
+or ""; whether a value was lost, so that there is none."""
 
 NOTHING: Final[Reading] = (None, False, "", False)
 
 
 def read_number(text: str) -> tuple[int | None, str]:
-    """A whole number, and what is odd about it ("" = nothing). None: it is none, and the remark says so."""
+    """Return a whole number, and a remark on what is odd about it ("" = nothing). None, with a remark, if it is not a number."""
     match = _NUMBER.fullmatch(text)
     if match is not None:
         sign, digits, decimal = match.groups()
@@ -83,7 +83,7 @@ def read_number(text: str) -> tuple[int | None, str]:
 
 
 def read_value(text: str, data_type: DataType) -> Reading:
-    """A default or configured value of that type. An empty text is nothing."""
+    """Return a default or configured value of that type. An empty text gives NOTHING."""
     if not text:
         return NOTHING
     limits = _LIMITS[data_type]
@@ -116,7 +116,7 @@ def _integer(text: str, data_type: DataType, low: int, high: int) -> Reading:
         if low < 0 and high < number < size:
             number -= size
             if text[:2].lower() != "0x" and not remark:
-                remark = f"read as {number}, of which it is the two's complement"
+                remark = f"read as {number}, its two's complement"
         elif low == 0 and -size // 2 <= number < 0 and data_type is not DataType.BOOLEAN:
             number += size
             remark = f"an {data_type.name} is not negative; read as 0x{number:X}"
@@ -132,7 +132,7 @@ def _with(text: str, remark: str) -> str:
 
 
 def _relative(text: str) -> tuple[int | None, str]:
-    """What is added to the node-ID."""
+    """Return the number that is added to the node-ID."""
     parts = _NODE_ID.split(text)
     if len(parts) != 2:
         return None, "is no number"
@@ -173,7 +173,7 @@ def _real(text: str, data_type: DataType) -> Reading:
 
 
 def _time(text: str, data_type: DataType) -> Value | None:
-    """A number of 48 bits, as 0x000000000000."""
+    """Return a time written as a number of 48 bits, as 0x000000000000."""
     number = int(text, 16) if (bits := _BITS.fullmatch(text)) is not None and len(bits[1]) <= 12 else None
     if number is None:
         return None

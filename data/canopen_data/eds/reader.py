@@ -1,22 +1,23 @@
-"""EDS and DCF: CANopen device descriptions as sections, keys and values (CiA 306-1).
+"""Read EDS and DCF: CANopen device descriptions as sections, keys and values (CiA 306-1).
 
 Theory of operation
 -------------------
-An EDS describes a type of device, a DCF one device of it, with its node-ID and what its objects are to be set to
-(ParameterValue). Both are read into a `DeviceDescription`: the objects here and in variables.py and compact.py, the rest in
-device.py, out of the sections of ini.py.
+An EDS describes a type of device, a DCF one device of it, with its node-ID and the values to set in its objects (ParameterValue).
+Both are read into a `DeviceDescription`, from the sections that ini.py gives: the objects here, in variables.py and compact.py,
+the rest in device.py.
 
-Files in the field are hardly ever quite right. The reader loads what it can, and tells in one pass all that is wrong:
+Few files in the field are quite right. The reader loads what it can, and reports everything wrong in one pass:
 
-- error: something was left out, a section, a key or a value;
-- warning: something was read, but the file does not say it as CiA 306 wants it, or something had to be guessed;
-- notice: what was done, where two readings are possible and tools differ.
+- error: a section, a key or a value was left out;
+- warning: something was read, but its form is not that of CiA 306, or something had to be guessed;
+- notice: which of two possible readings was taken, if tools differ.
 
-An object is what has a section, whether a list names it or not; the order of sections does not matter. A sub-object without its
-object makes one, without a name. ObjectType, where it is missing, is VAR, as the standard has it, or RECORD where there are
-sub-objects. Everything that a file can multiply is bounded (ini.py, compact.py), so that 5 MiB of anything take seconds.
+Each section of an object gives an object, whether a list names it or not; the order of sections does not matter. A sub-object
+without its object gives an object without a name. A missing ObjectType is taken as VAR, the standard's default, or as RECORD if
+there are sub-objects. Everything that a file can multiply is bounded (ini.py, compact.py), so that 5 MiB of anything take
+seconds.
 
-Left out: [Tools] and object links, which are for people; fixed objects of modules, but for their indices.
+Left out: [Tools] and object links, which are for people; fixed objects of modules, except for their indices.
 
 Source: CiA 306-1 v1.4.0.
 """
@@ -49,12 +50,12 @@ _NO_SUBS: Final[dict[int, Section]] = {}
 
 
 def read_eds(data: bytes | str, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
-    """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = to be found out.
+    """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = guess it.
 
-    All that is wrong with it stands in the description's findings, whatever the bytes are; with strict, the first error is raised
-    as a DictionaryError. The kind is DCF where the file commissions a device or configures one of its objects. An object without
-    a default has None; a default that depends on the node-ID is kept as what is added to it.
-    Source: CiA 306-1 v1.4.0.
+    Any bytes are accepted: the description's findings hold everything wrong with them. With strict, raises the first error as a
+    DictionaryError. The kind is DCF if the file commissions a device or configures one of its objects. The default of an object
+    that has none is None; for a default relative to the node-ID, the number added to the node-ID is kept. Source: CiA 306-1
+    v1.4.0.
     """
     findings = Findings(source)
     if len(data) > MAX_FILE_SIZE:
@@ -108,7 +109,7 @@ def _list(document: EdsDocument, name: str, findings: Findings) -> tuple[int, ..
 
 
 class _Objects:
-    """Reads the objects. found: by index."""
+    """The reader of objects. found: by index."""
 
     def __init__(self, document: EdsDocument, variables: Variables, findings: Findings) -> None:
         self.found: dict[int, Object] = {}
@@ -118,7 +119,7 @@ class _Objects:
         self._findings = findings
 
     def read(self) -> None:
-        """All objects that have a section, then those of which only sub-objects have."""
+        """Read all objects that have a section, then those with sections of sub-objects only."""
         subs_of = self._document.subs
         for index, section in self._document.objects.items():
             subs = subs_of.get(index, _NO_SUBS)
@@ -139,7 +140,7 @@ class _Objects:
         self.found[each.index] = each
 
     def _object(self, section: Section, index: int, subs: dict[int, Section], object_type: ObjectType) -> Object:
-        """An object that is no plain VAR."""
+        """Return an object that is not a plain VAR."""
         values = section.body.values
         is_compact = values.get("compactsubobj", "0") not in ("0", "", "0x0")
         name = section.title if section.title is not None else values.get("parametername", "")
@@ -186,7 +187,7 @@ class _Objects:
         return dict(sorted(found.items()))
 
     def _orphans(self, index: int, subs: dict[int, Section]) -> None:
-        """Sub-objects of an object that has no section."""
+        """Make an object of sub-objects whose object has no section."""
         first = next(iter(subs.values()))
         if not index:
             self._refuse(first)
@@ -201,7 +202,7 @@ class _Objects:
             self._findings.add(Severity.ERROR, "no-object", message, section.line, 1)
 
     def _object_type(self, section: Section, has_subs: bool) -> ObjectType:
-        """The object type where its text is none that the table has."""
+        """Return the object type for a text that the table lacks."""
         text = section.body.values.get("objecttype", "")
         is_compact = "compactsubobj" in section.body.values
         likely = ObjectType.ARRAY if is_compact else ObjectType.RECORD if has_subs else ObjectType.VAR
@@ -215,12 +216,12 @@ class _Objects:
             if remark:
                 self._variables.warn(section, "ObjectType", "number", f"ObjectType {quoted(text)!r}: {remark}")
             return ObjectType(number)
-        message = f"ObjectType {quoted(text)!r} is none that there is; taken as {likely.name}"
+        message = f"ObjectType {quoted(text)!r} does not exist; taken as {likely.name}"
         self._variables.warn(section, "ObjectType", "object-type", message)
         return likely
 
     def _check_count(self, section: Section, object_type: ObjectType, found: dict[int, Variable]) -> None:
-        """SubNumber: how many sub-objects there are, without 255, which tells the structure."""
+        """Check SubNumber: the number of sub-objects, without 255, which describes the structure."""
         text = section.body.values.get("subnumber", "")
         if not text:
             if object_type in _WITH_SUBS:
@@ -237,5 +238,5 @@ class _Objects:
 
 
 def _of_single(variable: Variable) -> tuple[int, int, str]:
-    """What an object has in common with its only variable."""
+    """Return the facts that an object shares with its only variable."""
     return int(variable.data_type), variable.object_flags, variable.denotation

@@ -1,10 +1,10 @@
-"""Sections that nobody has read: a finding for each, since an object may be lost in one.
+"""Report each section that was not read, since an object may be lost in one.
 
 Theory of operation
 -------------------
-What a section is, its name says. The name of an object that is spelt in another way (`[0x2002]`, `[2002h]`), and one that is much
-like a name of the standard (`[OptionalObject]`, `[DeviceInfos]`), are errors: what stands there is left out, though it was meant.
-Sections that CiA 306 has and we do not read (tools, object links) are as they should be. All others are a maker's own: a notice.
+The name of a section tells its purpose. The index of an object in another spelling (`[0x2002]`, `[2002h]`), and a name much like
+one of the standard (`[OptionalObject]`, `[DeviceInfos]`), are errors: the section was meant, but is left out. Sections of CiA 306
+that we do not read (tools, object links) give no finding. All others are a maker's own: a notice.
 
 Source: CiA 306-1 v1.4.0, 4.4 to 4.8 and 5.
 """
@@ -50,7 +50,7 @@ _ALIKE: Final = 0.8
 
 
 def report_unused(document: EdsDocument, findings: Findings, types: Collection[int]) -> None:
-    """Tell of each section that the reader has no use for. types: the data types that were looked up; a tool names their sections
+    """Report each section that the reader does not use. types: the data types that were looked up; one tool names their sections
     without leading zeros."""
     for name, section in document.named.items():
         short = _SHORT.fullmatch(name)

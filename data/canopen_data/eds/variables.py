@@ -1,20 +1,20 @@
-"""One variable out of the section that describes it: its type, access, values and limits.
+"""Make a variable from the section that describes it: its type, access, values and limits.
 
 Theory of operation
 -------------------
-The section of a VAR, of a sub-object, and of an array in compact form have the same keys (CiA 306-1 v1.4.0, 4.6). What is missing
-or makes no sense is made good, each with a finding:
+The section of a VAR, of a sub-object, and of an array in compact form have the same keys (CiA 306-1 v1.4.0, 4.6). A key that is
+missing or makes no sense is replaced, with a finding:
 
-- DataType: of subindex 0 of an array or record UNSIGNED8; of an entry of an array that of the array; else the type that the
-  standards give the object; else OCTET_STRING, which can hold whatever a device sends;
-- AccessType: that of the standards; else `rw` (the device refuses what it does not allow);
+- DataType: UNSIGNED8 for subindex 0 of an array or record; the array's type for its entries; else the type that the standards
+  give the object; else OCTET_STRING, which can hold anything that a device sends;
+- AccessType: that of the standards; else `rw` (the device refuses an access that it does not allow);
 - a value that cannot be read, or does not fit the type, is left out;
 - PDOMapping is 0.
 
-The first three are warnings, a value that is lost is an error. A name that is missing is the linter's business.
+The first three are warnings; a lost value is an error. A missing name is left to the linter.
 
-Speed: most sections say what another one says, but for their names (ini.py), and what they come to is made once, unless there was
-a finding, which has its own place each time. Texts repeat too: what each means is looked up in a table that fills as they occur.
+Speed: most sections repeat another one except for their name (ini.py). Their result is made once, unless there was a finding,
+which has its own place each time. Texts repeat too: their meanings are kept in a table that fills as they occur.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from canopen_proto.dictionary.standard import find_standard
 PROFILES: Final = 0x2000
 """Below it an object means the same in all devices (CiA 301 v4.2.0, table 41)."""
 OBJECT_FLAGS: Final = 0xFFFF_FFFF
-"""ObjFlags is an UNSIGNED32."""
+"""The greatest ObjFlags: it is an UNSIGNED32."""
 
 _COMMON: Final = frozenset(
     ("parametername", "objecttype", "datatype", "accesstype", "defaultvalue", "pdomapping", "lowlimit", "highlimit")
@@ -58,14 +58,14 @@ _KNOWN: Final = _COMMON | _RARE
 _BYTES: Final = BYTES_KEY.lower()
 _NOT_READ: Final = NOT_READ_KEY.lower()
 _FOREIGN: Final = "_"
-"""A key that begins so, or with a semicolon, is a maker's own by custom."""
+"""By custom, a key that begins with this or a semicolon is a maker's own."""
 _ACCESSES: Final = {spelling: each for each in Access for spelling in (each.value, each.value.upper(), each.value.title())}
 _FLAGS: Final[dict[str | None, bool]] = {"0": False, "0x0": False, "": False, None: False, "1": True, "0x1": True}
 _NUMBERS: Final = {
     each: (is_number(each), limits[1] if (limits := range_of(each)) is not None and each is not DataType.BOOLEAN else -1)
     for each in DataType
 }
-"""Whether a type has limits, and the greatest whole number of it."""
+"""By type: whether it has limits, and its greatest whole number."""
 _DECIMAL: Final = re.compile(r"[1-9][0-9]{0,18}", re.ASCII)
 _TYPES: Final = {int(each): each for each in DataType}
 _TEXTS_OF_TYPES: Final[Mapping[str, DataType]] = {
@@ -74,7 +74,7 @@ _TEXTS_OF_TYPES: Final[Mapping[str, DataType]] = {
 
 
 class _Readings(dict[str, Reading]):
-    """What each text means for one data type. has_limits: it is a number."""
+    """The meaning of each text for one data type. has_limits: the type is a number."""
 
     def __init__(self, data_type: DataType) -> None:
         super().__init__()
@@ -82,7 +82,7 @@ class _Readings(dict[str, Reading]):
         self.has_limits, self._highest = _NUMBERS[data_type]
 
     def __missing__(self, text: str) -> Reading:
-        if _DECIMAL.fullmatch(text) and (number := int(text)) <= self._highest:  # the usual case, shortly
+        if _DECIMAL.fullmatch(text) and (number := int(text)) <= self._highest:  # a short cut for the usual case
             reading: Reading = number, False, "", False
         else:
             reading = read_value(text, self.data_type)
@@ -91,14 +91,14 @@ class _Readings(dict[str, Reading]):
 
 
 class Variables:
-    """Makes variables out of sections. has_configured: whether one of them had a ParameterValue. types: the codes of data types
-    that were looked up in the file itself."""
+    """The maker of variables from sections. has_configured: whether one of them had a ParameterValue. types: the codes of data
+    types that were looked up in the file itself."""
 
     def __init__(self, document: EdsDocument, findings: Findings) -> None:
         self.has_configured = False
         self.types: set[int] = set()
         self._document = document
-        self._told = 0  # findings; what is made without one can be made again
+        self._told = 0  # findings; a variable made without one can be reused
         self._findings = findings
         self._readings: dict[DataType, _Readings] = {}
         self._by_text: dict[str, _Readings] = {}
@@ -106,7 +106,7 @@ class Variables:
     def read(
         self, section: Section, index: int, subindex: int, likely: DataType | None = None, *, in_array: bool = False
     ) -> Variable:
-        """The variable of a section. likely: its type where the section has none. in_array: subindex 0 counts the others."""
+        """Return the variable of a section. likely: its type if the section has none. in_array: subindex 0 counts the others."""
         body = section.body
         name = section.title
         told = self._told
@@ -151,7 +151,7 @@ class Variables:
         return readings
 
     def _rest(self, section: Section, data_type: DataType) -> tuple[Any, ...]:
-        """The fields of a variable that few sections have."""
+        """Return the fields of a variable that few sections have."""
         get = section.body.values.get
         self.foreign(section)
         configured: Value | None = None
@@ -177,7 +177,8 @@ class Variables:
         )
 
     def _exact(self, section: Section, octets: str, text: str, data_type: DataType) -> Value | None:
-        """The value whose bytes stand in the file; None, and a warning, where they are none or ParameterValue says otherwise."""
+        """Return the value whose bytes the file holds; None, with a warning, if they make no value or disagree with
+        ParameterValue."""
         try:
             value = decode(bytes.fromhex(octets), data_type)
         except ValueError:
@@ -190,14 +191,14 @@ class Variables:
         return None
 
     def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
-        """A value that stands somewhere in a section, and whether the node-ID is added to it."""
+        """Return the value of a text in a section, and whether the node-ID is added to it."""
         value, adds_node_id, remark, lost = self._readings_of(data_type)[text]
         if remark:
             self._remark(section, key, remark, lost)
         return value, adds_node_id
 
     def number(self, section: Section, key: str, most: int) -> int:
-        """A whole number 0..most; 0, and a warning, where it cannot be read."""
+        """Return a whole number 0..most; 0, with a warning, if it cannot be read."""
         text = section.body.values.get(key.lower(), "")
         if not text:
             return 0
@@ -209,7 +210,7 @@ class Variables:
         return number
 
     def foreign(self, section: Section) -> None:
-        """A notice of keys that CiA 306 does not have: one of them may be a misspelt one."""
+        """Add a notice of keys that CiA 306 does not have: one may be misspelt."""
         values = section.body.values
         if values.keys() <= _KNOWN:
             return
@@ -221,7 +222,7 @@ class Variables:
             self._findings.add(Severity.NOTICE, "unknown-key", message, *section.place_of(keys[0]))
 
     def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
-        """A finding about a key of a section."""
+        """Add a finding about a key of a section."""
         self._told += 1
         if not self._findings.full(severity):
             line, column = section.place_of(key)
@@ -239,10 +240,10 @@ class Variables:
             return None
         if remark:
             self._remark(section, key, remark, lost)
-        return value  # type: ignore[return-value]  # a number, as it has limits
+        return value  # type: ignore[return-value]  # a type with limits is a number
 
     def _idle_limit(self, section: Section, key: str, text: str) -> int | None:
-        """A limit of what is no number: it has no effect, but the linter shall see it."""
+        """Return a limit of a type that is not a number: it has no effect, but the linter is to see it."""
         number, _ = read_number(text)
         if number is None:
             self._remark(section, key, f"{quoted(text)!r} is no number; left out", True)
@@ -260,7 +261,7 @@ class Variables:
         return 1.0
 
     def _odd_type(self, section: Section, index: int, subindex: int, likely: DataType | None, in_array: bool) -> DataType:
-        """The type where the text is none that the table has."""
+        """Return the type for a text that the table lacks."""
         text = section.body.values.get("datatype", "")
         number, remark = read_number(text) if text else (None, "")
         if number in _TYPES:
@@ -279,12 +280,12 @@ class Variables:
         else:
             known = find_standard(index, subindex) if index < PROFILES else None
             guess = DataType.OCTET_STRING if known is None else known.data_type
-        reason = f"DataType {quoted(text)!r} is none that a value can have" if text else "DataType is missing"
+        reason = f"DataType {quoted(text)!r} is not a type for values" if text else "DataType is missing"
         self.warn(section, "DataType", "data-type", f"{reason}; taken as {guess.name}")
         return guess
 
     def _described_type(self, code: int) -> DataType | None:
-        """The type for which a DEFTYPE of this file stands. One of the tools gives it in the default of subindex 1."""
+        """Return the type that a DEFTYPE of this file stands for. One of the tools gives it in the default of subindex 1."""
         text = None
         self.types.add(code)
         if (sub := self._document.subs.get(code, {}).get(1) or self._document.section(f"{code:X}sub1")) is not None:

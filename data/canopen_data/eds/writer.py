@@ -1,14 +1,13 @@
-"""EDS and DCF out of a description (CiA 306-1).
+"""Write an EDS or DCF from a description (CiA 306-1).
 
 Theory of operation
 -------------------
-`write_eds` writes everything that CiA 306 can say of a device. Where the description came from an EDS or DCF, the new text is the
-old one with only that changed which the description now says otherwise (writer_document.py); a description that nobody changed
-gives its own text back. Without such a document (CSV, XDD, a dictionary made by hand) it writes in the order and the forms of the
-standard (writer_sections.py).
+`write_eds` writes every fact that CiA 306 has a place for. If the description came from an EDS or DCF, the new text is the old
+one with only the changed facts replaced (writer_document.py); an unchanged description gives its own text back. Without such a
+document (CSV, XDD, a dictionary made by hand) it writes in the order and the forms of the standard (writer_sections.py).
 
-What was written is read again: if it does not say what it is to say (a file with such faults that a line put into it is read
-otherwise), the whole is written anew, without the old form but with the sections that a description has no field for.
+The text is read again. If it does not give the same description (some faulty files give an inserted line another meaning), the
+whole is written in the standard's form, with the old file's sections that a description has no field for.
 
 Source: CiA 306-1 v1.4.0; CiA 306 v1.3.0.
 """
@@ -37,16 +36,16 @@ def write_eds(
     node_id: int | None = None,
     file_info: FileInfo | None = None,
 ) -> str:
-    """The text of an EDS or a DCF.
+    """Return the text of an EDS or a DCF.
 
-    kind: EDS or DCF; None: which of the two the description is. An EDS of a DCF is without what is configured
-    (`without_configured`); for a DCF of an EDS see `with_configured`, too. node_id: of the DCF; None: that of its commissioning.
-    file_info: of the new file (its name, who changed it, when: the core has no clock); None: that of the description.
+    kind: EDS or DCF; None: the description's own. An EDS made of a DCF has no configured values (`without_configured`); for a DCF
+    made of an EDS see `with_configured`, too. node_id: of the DCF; None: that of its commissioning. file_info: of the new file
+    (its name, its author and date: the core has no clock); None: that of the description.
 
-    A variable that has the old file's name for it among its aliases keeps that name in the file. Line breaks, and blanks at the
-    ends of names and texts, have no place in these files; breaks become blanks.
+    A variable that has its name in the old file among its aliases keeps that name in the new one. These files cannot hold line
+    breaks, nor blanks at the ends of names and texts; breaks become blanks.
 
-    Raises LocalProtocolError for another kind, a node-ID that is none, and a DCF of something else whose node-ID nobody says.
+    Raises LocalProtocolError for another kind, an invalid node-ID, and a DCF made of another kind of file without a node-ID.
     """
     wanted = _of_kind(description, kind, node_id)
     if file_info is not None:
@@ -66,7 +65,7 @@ def write_eds(
 
 
 def _keep_names(after: Sections, before: Sections, description: DeviceDescription) -> None:
-    """A variable that goes by another name now (`with_names_of`), but has the file's name too, is called so in the file."""
+    """Keep the file's name of a variable that has another name now (`with_names_of`) but still has the file's among its names."""
     for variable in description.dictionary:
         if variable.aliases:
             own, whole = sub_name(variable.index, variable.subindex), f"{variable.index:04X}"
@@ -77,7 +76,7 @@ def _keep_names(after: Sections, before: Sections, description: DeviceDescriptio
 
 
 def text_of(sections: Sections) -> str:
-    """Sections as the text of a file."""
+    """Return sections as the text of a file."""
     blocks = (
         "\n".join([f"[{name}]", *(f"{key}={text}" for key, text in entries.items()), ""]) for name, entries in sections.items()
     )
@@ -85,12 +84,12 @@ def text_of(sections: Sections) -> str:
 
 
 def encode_eds(text: str, encoding: str = "utf-8") -> bytes:
-    """The bytes of a file: in the encoding that the old one had (`DeviceDescription.encoding`), or UTF-8 where that lacks a
+    """Return the bytes of a file in the old file's encoding (`DeviceDescription.encoding`), or in UTF-8 if that lacks a
     character."""
     try:
         return text.encode(encoding)
     except UnicodeEncodeError:
-        return text.encode("utf-8", "replace")  # half of a surrogate pair is no character
+        return text.encode("utf-8", "replace")  # half of a surrogate pair is not a character
 
 
 def _of_kind(description: DeviceDescription, kind: FileKind | None, node_id: int | None) -> DeviceDescription:

@@ -1,16 +1,16 @@
-"""A file as it stood, with what has changed: order, spelling, number forms, comments and blank lines stay.
+"""Write changes into an existing file: order, spelling, number forms, comments and blank lines stay.
 
 Theory of operation
 -------------------
-`before` and `after` are what the file said and what it is to say, as sections (writer_sections.py). Where both have the same text
-for a key, the file's line stays as it is, whatever it looks like: a fault that nobody touched stays, too. Else
+`before` and `after` are the old and the new content of the file, as sections (writer_sections.py). If both have the same text for
+a key, the file's line stays exactly as it is, faults included. Else
 
-- a changed text takes the place of the old one in its line; a hexadecimal number stays one, with as many digits;
-- a new key stands behind the one that it follows in the standard's order; a new section behind the section that it follows;
-- a key or section that is gone is taken out, each time that it stands in the file.
+- a changed text replaces the old one in its line; a hexadecimal number stays hexadecimal, with as many digits;
+- a new key goes after the one that it follows in the standard's order; a new section after the section that it follows;
+- a key or section that is gone is removed wherever it occurs in the file.
 
-What a compact form stands for (CompactSubObj, CompactPDO) is in no section of its own. Where that changes, the whole object is
-written anew, sub-object by sub-object, in its old place.
+Sub-objects in a compact form (CompactSubObj, CompactPDO) have no section of their own. If one changes, the whole object is
+rewritten, sub-object by sub-object, in its old place.
 
 Sections that the description has no field for (tools, object links, a maker's own) are never touched.
 """
@@ -30,7 +30,7 @@ _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 
 
 def changed_text(document: EdsDocument, before: Sections, after: Sections) -> str:
-    """The document's text with every difference between `before` and `after` in it."""
+    """Return the document's text with every difference between `before` and `after` applied."""
     editor = _Editor(document)
     changed = {name for name in {**before, **after} if before.get(name) != after.get(name)}
     rewritten = {_object_of(fold(name)) for name in changed if name in before and fold(name) not in editor.places} - {""}
@@ -54,7 +54,7 @@ def changed_text(document: EdsDocument, before: Sections, after: Sections) -> st
 
 
 def foreign_text(document: EdsDocument, known: Sections) -> str:
-    """The sections that a description has no field for, line by line as they stand in the file; lines end with a line feed."""
+    """Return the sections that a description has no field for, as they are in the file; lines end with a line feed."""
     editor = _Editor(document)
     names = {fold(name) for name in known}
     objects = {_object_of(name) for name in names} - {""}
@@ -67,13 +67,13 @@ def foreign_text(document: EdsDocument, known: Sections) -> str:
 
 
 def _object_of(folded: str) -> str:
-    """The index, as text, of the object that a section belongs to; "" for others."""
+    """Return the index, as text, of the object that a section belongs to; "" for others."""
     found = _OBJECT.fullmatch(folded)
     return "" if found is None else found[1]
 
 
 class _Editor:
-    """The lines of a file, and what is to be done with them. Lines count from 1; 0 is the place before the first."""
+    """The lines of a file, and the changes to make. Lines count from 1; 0 is the place before the first."""
 
     def __init__(self, document: EdsDocument) -> None:
         self.lines: list[str] = _LINE.findall(document.text)
@@ -84,11 +84,11 @@ class _Editor:
         self._removed: set[int] = set()
         self._keys_behind: dict[int, list[str]] = {}
         self._sections_behind: dict[int, list[str]] = {}
-        self._added: dict[str, int] = {}  # new sections, and the line behind which they stand
+        self._added: dict[str, int] = {}  # new sections, and the line after which they go
         self._newline = document.newline
 
     def text(self) -> str:
-        """All lines, changed."""
+        """Return the changed text of the file."""
         parts: list[str] = []
         for number, line in enumerate(["", *self.lines]):
             if number and number not in self._removed:
@@ -101,11 +101,11 @@ class _Editor:
 
     @staticmethod
     def end_of(section: Section) -> int:
-        """The section's last line that says something."""
+        """Return the line of the section's last entry, or of its name if it has none."""
         return max([section.line, *(entry.line for entry in section.entries)])
 
     def change(self, name: str, before: Entries, after: Entries) -> None:
-        """Make the section that counts say `after`."""
+        """Change the section that counts from `before` to `after`."""
         section = self.places[fold(name)][0]
         entries: dict[str, list[Entry]] = {}
         for entry in section.entries:
@@ -123,13 +123,13 @@ class _Editor:
             self._removed.update(entry.line for entry in entries.get(key.lower(), []))
 
     def _set(self, entry: Entry, text: str) -> None:
-        """Another text in the place of an entry's value, in the form of the old one."""
+        """Replace an entry's value, in the form of the old one."""
         line = self._replaced.get(entry.line, self.lines[entry.line - 1])
         start = entry.column - 1
         self._replaced[entry.line] = line[:start] + _in_form_of(entry.value, text) + line[start + len(entry.value) :]
 
     def add_section(self, name: str, entries: Entries, previous: str) -> None:
-        """A new section behind another one; "" at the beginning."""
+        """Add a section after `previous`; "" at the beginning."""
         folded = fold(previous)
         line = self._added.get(folded, 0)
         if self.places.get(folded):
@@ -137,7 +137,7 @@ class _Editor:
         self._add(line, [(name, entries)], closed=not line)
 
     def rewrite(self, index: str, after: Sections) -> None:
-        """Put an object's sections of `after` in the place of all that the file has of it."""
+        """Replace all sections of an object with those of `after`."""
         mine = [section for section in self._sections() if _object_of(fold(section.name)) == index]
         for section in mine:
             self._take_out(section)
@@ -145,7 +145,7 @@ class _Editor:
         self._add(mine[0].line - 1 if mine else 0, new, closed=True)
 
     def remove(self, name: str) -> None:
-        """Take a section out, each time that it stands in the file."""
+        """Remove a section wherever it occurs in the file."""
         for section in self.places.get(fold(name), ()):
             self._take_out(section)
 
@@ -153,14 +153,14 @@ class _Editor:
         return sorted((each for sections in self.places.values() for each in sections), key=lambda section: section.line)
 
     def _take_out(self, section: Section) -> None:
-        """With the blank lines that follow it, so that none pile up."""
+        """Remove a section with the blank lines that follow it, so that none pile up."""
         last = self.end_of(section)
         while last < len(self.lines) and not self.lines[last].strip():
             last += 1
         self._removed.update(range(section.line, last + 1))
 
     def _add(self, line: int, sections: list[tuple[str, Entries]], *, closed: bool) -> None:
-        """closed: a blank line follows the sections, which stand before another one. Else it goes before them."""
+        """Add sections after a line. closed: another section follows, so the blank line goes after them, else before them."""
         lines = self._sections_behind.setdefault(line, [])
         for name, entries in sections:
             block = [f"[{name}]", *(f"{key}={text}" for key, text in entries.items())]
@@ -171,7 +171,7 @@ class _Editor:
 
 
 def _in_form_of(old: str, new: str) -> str:
-    """A number in the form of another one, where both are plain numbers and the other is hexadecimal; else as it is."""
+    """Return a number in the form of another one, if both are plain numbers and the other is hexadecimal; else as it is."""
     form = _HEX.fullmatch(old)
     if form is None or not _NUMBER.fullmatch(new):
         return new

@@ -1,21 +1,21 @@
-"""A description as the sections, keys and texts of an EDS or DCF: what a writer writes, and by what descriptions are compared.
+"""Turn a description into the sections, keys and texts of an EDS or DCF, for writing and for comparing descriptions.
 
 Theory of operation
 -------------------
-`sections_of` gives every fact of a description that CiA 306 has a place for, in the order in which the standard names the
-sections, and in the standard's spelling ("DeviceComissioning" with one m: it prints it so, and there are tools that read nothing
-else). Each fact has one text only, whatever the file it came from looked like: so two descriptions say the same if their sections
-are equal, and a writer that keeps a file's form (writer_document.py) sees from them what has changed.
+`sections_of` gives every fact of a description that CiA 306 has a place for, in the standard's order of sections and in its
+spelling ("DeviceComissioning" has one m there, and some tools read nothing else). Each fact has exactly one text, whatever form
+its file had. So two descriptions say the same if their sections are equal, and a writer that keeps a file's form
+(writer_document.py) finds the changes by comparing them.
 
-Numbers have the form that files of the standard have: 0x and all digits for indices, types, identity, COB-IDs and mapping
-entries; decimal for the rest. What depends on the node-ID is "$NODEID+0x180". Sub-objects are written out, never compact.
+Numbers have the form of the standard's examples: 0x and all digits for indices, types, identity, COB-IDs and mapping entries;
+decimal for the rest. A value relative to the node-ID is "$NODEID+0x180". Sub-objects are written out, never compact.
 
-A fact that the description does not have gets no key; lists of objects name in addition each object of the dictionary that they
-lack, since an object that no list names does not exist to other tools.
+A fact that the description does not have gets no key. Lists of objects also name each object of the dictionary that they lack,
+since other tools do not see an object that no list names.
 
-Unit, Factor and Description are no keys of the standard, but other tools have them, too; they are written where a variable has
-them. _ParameterBytes and _NotRead are ours: see writer_values.py, and `Variable.not_read`. Left out: what CiA 306 has no place
-for (aliases, constants, PDO descriptions).
+Unit, Factor and Description are not keys of the standard, but other tools know them, too; they are written if a variable has
+them. _ParameterBytes and _NotRead are ours: see writer_values.py, and `Variable.not_read`. Left out, since CiA 306 has no place
+for them: aliases, constants, PDO descriptions.
 
 Source: CiA 306-1 v1.4.0 (and the public CiA 306 v1.3.0): 4.4 to 4.8, 5.
 """
@@ -49,7 +49,7 @@ _HAS_SUB_OBJECTS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFST
 
 
 def sections_of(description: DeviceDescription) -> Sections:
-    """Everything that CiA 306 can say of a device, section by section."""
+    """Return every fact that CiA 306 has a place for, section by section."""
     sections: Sections = {"FileInfo": _file_info(description.file_info), "DeviceInfo": _device_info(description)}
     if description.commissioning is not None:
         sections[COMMISSIONING] = _commissioning(description.commissioning)
@@ -74,7 +74,7 @@ def sections_of(description: DeviceDescription) -> Sections:
 
 
 def object_sections(each: Object) -> Sections:
-    """The sections of one object: its own, and one for each sub-object where it has them."""
+    """Return the sections of one object: its own, and one for each sub-object if it has them."""
     name = f"{each.index:04X}"
     single = each.variables.get(0)
     if single is not None and len(each.variables) == 1 and each.object_type not in _HAS_SUB_OBJECTS:
@@ -96,7 +96,7 @@ def object_sections(each: Object) -> Sections:
 
 
 def _object_type(each: Object) -> ObjectType:
-    """RECORD where a type that has no sub-objects has some: only a faulty compact form can say that."""
+    """Return the object's type, but RECORD for a VAR-like type with sub-objects: only a faulty compact form gives that."""
     if each.object_type in _HAS_SUB_OBJECTS or not each.variables:
         return each.object_type
     if each.object_type is ObjectType.VAR and each.variables.keys() <= {0, 0xFF}:
@@ -105,12 +105,12 @@ def _object_type(each: Object) -> ObjectType:
 
 
 def sub_name(index: int, subindex: int) -> str:
-    """The name of a sub-object's section: "1018sub1", "1A00subF"."""
+    """Return the name of a sub-object's section: "1018sub1", "1A00subF"."""
     return f"{index:04X}sub{subindex:X}"
 
 
 def _variable(variable: Variable, name: str, object_type: ObjectType, whole: Object | None = None) -> Entries:
-    """Keys in the standard's order. whole: the object, where this is all of it."""
+    """Return the keys in the standard's order. whole: the object, if the variable is all of it."""
     entries = {"ParameterName": one_line(name)}
     _add(entries, "Denotation", one_line(variable.denotation or (whole.denotation if whole else "")))
     entries["ObjectType"] = f"0x{object_type:X}"
@@ -223,7 +223,7 @@ def _dynamic_channels(description: DeviceDescription) -> Entries:
 
 
 def _lists(description: DeviceDescription) -> Iterator[tuple[int, ...]]:
-    """The three lists, with the objects that no list names."""
+    """Yield the three lists, with the objects that no list names added."""
     lists = description.mandatory, description.optional, description.manufacturer
     named = {index for each in lists for index in each}
     lost = sorted(index for index in description.dictionary.objects if index not in named)
@@ -237,7 +237,7 @@ def _comments(lines: tuple[str, ...]) -> Entries:
 
 
 def _counted(key: str, texts: Iterable[str]) -> Entries:
-    """A list: how many there are, then each by its number."""
+    """Return a list: the count, then each entry by its number."""
     numbered = {str(number): text for number, text in enumerate(texts, start=1)}
     return {key: str(len(numbered)), **numbered}
 

@@ -1,17 +1,16 @@
-"""Values as the texts of an EDS: the way back of numbers.py.
+"""Write values as texts of an EDS: the inverse of numbers.py.
 
 Theory of operation
 -------------------
-Numbers have the form that they have in the files of the standard: 0x and all digits where bits or digits mean something (device
-type, identity, COB-IDs, mapping entries: the UNSIGNED32 of the communication profile area, but for the times), decimal elsewhere.
-Octets (OCTET_STRING, DOMAIN) are pairs of hexadecimal digits. A line holds no line break, and blanks at the ends of a text are
-not its own: `one_line` turns the first into blanks and takes the second off.
+Numbers have the form of the standard's examples: 0x and all digits where single bits or digits have a meaning (device type,
+identity, COB-IDs, mapping entries: the UNSIGNED32 of the communication profile area, except for times), decimal elsewhere. Octets
+(OCTET_STRING, DOMAIN) are pairs of hexadecimal digits. A line cannot hold line breaks, nor blanks at the ends of a text:
+`one_line` turns the breaks into blanks and removes the blanks at the ends.
 
-So ParameterValue cannot carry every value: no empty text, no octets of length 0, no NaN, no text with line breaks, control
-characters or blanks at its ends, and other tools disagree about characters beyond ASCII. For these the file has one more key
-(`BYTES_KEY`, ours; CiA 306 tools skip it), which holds the bytes as SDO carries them. ParameterValue stands beside it as other
-tools and people can read it, or is left out. If somebody changes ParameterValue later, the two do not agree any more, and
-ParameterValue counts.
+So ParameterValue cannot carry an empty text, octets of length 0, NaN, or a text with line breaks, control characters or blanks at
+its ends; and other tools disagree about characters beyond ASCII. For these values the file has one more key (`BYTES_KEY`, ours;
+CiA 306 tools skip it), which holds the bytes as SDO carries them. ParameterValue is added in a form that other tools and people
+can read, or is left out. If somebody changes ParameterValue later, the two disagree, and ParameterValue counts.
 
 Source: CiA 306-1 v1.4.0, 4.2 (entry value interpretation).
 """
@@ -38,7 +37,7 @@ _TIMES: Final = (0x1006, 0x1007, 0x1013)
 
 
 def value_text(variable: Variable, value: Value, adds_node_id: bool) -> str:
-    """A default or configured value. "" for what has no text: an empty string, no octets, a REAL that is no number (NaN)."""
+    """Return a default or configured value as text. "" for an empty string, no octets, and NaN, which have no text."""
     if isinstance(value, str):
         return one_line(value)
     if isinstance(value, bytes | bytearray | memoryview):
@@ -53,7 +52,7 @@ def value_text(variable: Variable, value: Value, adds_node_id: bool) -> str:
 
 
 def bytes_text(variable: Variable, value: Value) -> str | None:
-    """The bytes of a value that `value_text` cannot carry, as pairs of hexadecimal digits; None where it carries the value."""
+    """Return the bytes of a value that `value_text` cannot carry, as pairs of hexadecimal digits; None if it can."""
     if isinstance(value, str):
         is_plain = _PLAIN_TEXT.fullmatch(value) is not None
     elif isinstance(value, bytes | bytearray | memoryview):
@@ -64,12 +63,13 @@ def bytes_text(variable: Variable, value: Value) -> str | None:
         return None
     try:
         return variable.encode(value).hex(" ").upper()
-    except ValueRangeError:  # no object can hold it, so no bytes stand for it
+    except ValueRangeError:  # no object can hold it, so it has no bytes
         return None
 
 
 def text_beside(value: Value, data_type: DataType) -> str:
-    """What ParameterValue says where `bytes_text` has the value: a text without what a line cannot hold; "" for all else."""
+    """Return the ParameterValue beside `bytes_text`: a text without characters that a line cannot hold; "" for all other
+    types."""
     if not isinstance(value, str):
         return ""
     shown = one_line(text_for_people(value, data_type))
@@ -77,14 +77,14 @@ def text_beside(value: Value, data_type: DataType) -> str:
 
 
 def limit_text(variable: Variable, limit: int | float | None) -> str:
-    """A limit, in the form of the values; "" for None."""
+    """Return a limit, in the form of the values; "" for None."""
     if limit is None:
         return ""
     return _integer(variable, limit) if isinstance(limit, int) else repr(limit)
 
 
 def one_line(text: str) -> str:
-    """The text as one line of a file can hold it."""
+    """Return the text in a form that one line of a file can hold."""
     return _LINE_END.sub(" ", text).strip()
 
 

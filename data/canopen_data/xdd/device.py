@@ -1,11 +1,11 @@
-"""What an XDD says of the device as a whole: the file, the identity, bit rates, features, dummies, commissioning.
+"""Read the facts about the device as a whole from an XDD: the file, identity, bit rates, features, dummies, commissioning.
 
 Theory of operation
 -------------------
-Each function takes the bodies of the profiles (ISO 15745-1 ProfileBody: one of the device, one of its communication) and gives
-one part of a `DeviceDescription`. What cannot be read is a warning, and counts as not said: no object depends on it.
+Each function takes the bodies of the profiles (ISO 15745-1 ProfileBody: one of the device, one of its communication) and returns
+one part of a `DeviceDescription`. A fact that cannot be read is a warning and is left out: no object depends on it.
 
-CiA 311 has no revision number of the device, no compact PDO and no serial number for LSS: these stay as if not said.
+CiA 311 has no revision number of the device, no compact PDO and no serial number for LSS: these keep their defaults.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ Bodies = Iterable[Element]
 
 
 def find(bodies: Bodies, *path: str) -> Element | None:
-    """The first element of that path in any of the bodies."""
+    """Return the first element of that path in any of the bodies."""
     return next(find_all(bodies, *path), None)
 
 
 def find_all(bodies: Bodies, *path: str) -> Iterator[Element]:
-    """All elements of that path in the bodies."""
+    """Return all elements of that path in the bodies."""
     found: Iterable[Element] = bodies
     for name in path:
         found = [child for each in found for child in each.all(name)]
@@ -44,7 +44,8 @@ def find_all(bodies: Bodies, *path: str) -> Iterator[Element]:
 
 
 def file_info(bodies: Bodies, findings: XddFindings) -> FileInfo:
-    """The file itself, from the attributes of the communication profile, else of the device's one. Dates as they stand there."""
+    """Return the file's own facts, from the attributes of the communication profile, else of the device profile. Dates stay as
+    written."""
     bodies = list(bodies)
     for body in reversed(bodies):
         if body.get("fileName") or body.get("fileVersion"):
@@ -86,7 +87,7 @@ def _product_text(bodies: Bodies) -> str:
 
 
 def device_info(bodies: Bodies, findings: XddFindings) -> DeviceInfo:
-    """The type of device: DeviceIdentity, the bit rates, and the features of network management."""
+    """Return the type of device: DeviceIdentity, the bit rates, and the features of network management."""
     bodies = list(bodies)
 
     def text(name: str) -> str:
@@ -139,7 +140,7 @@ _RATES: Final = ", ".join(str(each) for each in BIT_RATES)
 
 
 def _bit_rate(text: str) -> int | None:
-    """kbit/s of "250 Kbps"; of a bare number too, which is in kbit/s, or in bit/s where it is as large as that."""
+    """Return kbit/s of "250 Kbps". A bare number is in kbit/s, or in bit/s if it is 10 000 or more."""
     match = _BIT_RATE.fullmatch(text)
     if match is None:
         return None
@@ -148,7 +149,7 @@ def _bit_rate(text: str) -> int | None:
 
 
 def dummies(bodies: Bodies, findings: XddFindings) -> Mapping[int, bool] | None:
-    """Which data types may be dummy entries of a mapping; None where the file does not say."""
+    """Return which data types may be dummy entries of a mapping; None if the file does not say."""
     usage = find(bodies, "ApplicationLayers", "dummyUsage")
     if usage is None:
         return None
@@ -164,7 +165,7 @@ def dummies(bodies: Bodies, findings: XddFindings) -> Mapping[int, bool] | None:
 
 
 def dynamic_channels(bodies: Bodies, findings: XddFindings) -> tuple[DynamicChannel, ...]:
-    """The segments of dynamic channels. Those that cannot be read are left out."""
+    """Return the segments of dynamic channels. Those that cannot be read are left out."""
     channels: list[DynamicChannel] = []
     for element in find_all(bodies, "ApplicationLayers", "dynamicChannels", "dynamicChannel"):
         if len(channels) == MAX_CHANNELS:
@@ -183,7 +184,7 @@ def dynamic_channels(bodies: Bodies, findings: XddFindings) -> tuple[DynamicChan
 
 
 def commissioning(bodies: Bodies, findings: XddFindings) -> Commissioning | None:
-    """One device in its network, as an XDC has it; None where there is nothing of the kind."""
+    """Return an XDC's facts about one device in its network; None if there are none."""
     element = find(bodies, "NetworkManagement", "deviceCommissioning")
     if element is None:
         return None

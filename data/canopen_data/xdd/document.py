@@ -1,4 +1,4 @@
-"""Where in an XDD each object stands: what a finding about it points to."""
+"""Find the place of each object in an XDD, which a finding about it points to."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 from canopen_data.xdd.elements import Element, place_in
 
 _OF_EDS: Final = {"parametername": "name", "parametervalue": "actualvalue"}
-"""What CiA 306 calls otherwise than CiA 311; all other names differ in the case of letters only."""
+"""Names of CiA 306 that differ from those of CiA 311, apart from upper and lower case."""
 _OF_PARAMETER: Final = {
     "defaultvalue": ("defaultValue",),
     "actualvalue": ("actualValue",),
@@ -19,7 +19,7 @@ _OF_PARAMETER: Final = {
     "denotation": ("denotation",),
     "name": ("label",),
 }
-"""Where a parameter says what a CANopenObject may leave to it."""
+"""Where a parameter holds the fields that a CANopenObject may leave to it."""
 
 
 class XddDocument:
@@ -36,9 +36,10 @@ class XddDocument:
         self._parameters = parameters
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
-        """See `description.Document`. field: the name of CiA 311 or that of CiA 306 ("DefaultValue"), in any case of letters.
+        """Return the place; see `description.Document`. field: its name in CiA 311 or CiA 306 ("DefaultValue"), in upper or lower
+        case.
 
-        A field that a parameter of the device profile has stands there.
+        The place of a field that a parameter of the device profile holds is in that parameter.
         """
         for place in ((index, subindex), (index, None)):
             element = self._objects.get(place)

@@ -1,19 +1,19 @@
-"""XML to a small tree that knows its lines and columns, from bytes that nobody trusts.
+"""Parse XML from untrusted bytes into a small tree that knows its lines and columns.
 
 Theory of operation
 -------------------
-`parse` runs the standard library's expat over the whole file and keeps each element with its attributes, its text, and the place
-where it stands. Prefixes of namespaces are taken off: the files in the field declare the same namespace as q1, q2, as the default
-one, or not at all, and no name means two things in CiA 311.
+`parse` runs the standard library's expat over the whole file and keeps each element with its attributes, its text and its place.
+Namespace prefixes are removed: files in the field declare the same namespace as q1, q2, as the default one, or not at all, and no
+name means two things in CiA 311.
 
-What an XML file could do to its reader, and why it cannot here:
+Protection against hostile files:
 
 - a document type declaration ends the reading. It can only do harm (entities that expand to gigabytes, files and addresses that
-  are fetched), and no XDD has one. Without it there are only the five entities of XML itself;
+  are fetched), and no XDD has one. Without it only the five entities of XML itself exist;
 - the number of bytes, of elements, of attributes and the depth are bounded by constants;
-- bytes are decoded here, by a short list of encodings, and expat gets UTF-8: the file cannot name a codec to be loaded.
+- bytes are decoded here, by a short list of encodings, and expat gets UTF-8: the file cannot have a codec loaded.
 
-A file that is broken in the middle gives what stands before the break, and one error that says where it is.
+A broken file gives the content before the break, and one error with its place.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from canopen_data.eds.ini import MAX_FILE_SIZE, Findings
 from canopen_data.findings import Severity
 
 MAX_ELEMENTS: Final = 300_000
-"""A device of 2000 objects with parameters and texts has 20 000. An element takes some 300 bytes of memory."""
+"""A device of 2000 objects with parameters and texts has 20 000. An element takes about 300 bytes of memory."""
 MAX_DEPTH: Final = 64
 """CiA 311 nests 12 deep; its parameter groups and structures may nest in each other."""
 MAX_ATTRIBUTES: Final = 64
 """Of one element; CiA 311 has 14 for an object."""
 MAX_TAG: Final = 1 << 16
-"""Bytes of a tag in which the place of an attribute is looked for; in a longer one the findings point to its beginning."""
+"""Bytes of a tag that are searched for the place of an attribute; in a longer tag, findings point to its beginning."""
 _DECLARATION: Final = re.compile(rb"""<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
 _DECLARATION_16: Final = {b"<\x00?\x00": "utf-16-le", b"\x00<\x00?": "utf-16-be"}
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
@@ -48,7 +48,7 @@ _ENCODINGS: Final = {
     "iso-8859-15": "iso-8859-15",
     "windows-1252": "cp1252",
     "cp1252": "cp1252",
-    "utf-16": "utf-8",  # with no byte order mark and one byte a character: it cannot be
+    "utf-16": "utf-8",  # no byte order mark and one byte a character: it is not UTF-16
 }
 _NOT_CP1252: Final = re.compile(rb"[\x81\x8d\x8f\x90\x9d]")
 _ATTRIBUTE: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -56,7 +56,7 @@ _TAG: Final = re.compile(rb"""<[^\s<>"'/]*(?:"[^"]*"|'[^']*'|[^<>"'])*""")
 
 
 class Element:
-    """One element: its name and its attributes without prefixes, what it holds, and where its tag begins (from 1)."""
+    """One element: its name and its attributes without prefixes, its content, and line and column of its tag (from 1)."""
 
     __slots__ = ("_text", "attributes", "children", "column", "line", "name", "offset")
 
@@ -70,7 +70,7 @@ class Element:
         self._text: list[str] = []
 
     def add_text(self, text: str) -> None:
-        """More of its own text."""
+        """Add a piece of its own text."""
         self._text.append(text)
 
     @property
@@ -79,15 +79,15 @@ class Element:
         return "".join(self._text).strip()
 
     def get(self, attribute: str) -> str:
-        """An attribute without white space around it; "" where there is none."""
+        """Return the value of an attribute, without white space around it; "" if there is none."""
         return self.attributes.get(attribute, "").strip()
 
     def all(self, name: str) -> Iterator[Element]:
-        """Its children of that name."""
+        """Return its children of that name."""
         return (each for each in self.children if each.name == name)
 
     def first(self, *path: str) -> Element | None:
-        """The first child of that name; of several names, its first child of the next one, and so on."""
+        """Return the first child of that name; of several names, its first child of the next one, and so on."""
         found: Element | None = self
         for name in path:
             found = next(found.all(name), None) if found is not None else None
@@ -95,28 +95,28 @@ class Element:
 
 
 class XddFindings(Findings):
-    """What is wrong with one file, each with its place. text: the file as UTF-8."""
+    """The findings about one file, each with its place. text: the file as UTF-8."""
 
     def __init__(self, source: str) -> None:
         super().__init__(source)
         self.text = b""
 
     def about(self, severity: Severity, code: str, message: str, element: Element, attribute: str = "") -> None:
-        """One more, of an element, or of one of its attributes."""
+        """Add a finding about an element, or about one of its attributes."""
         if not self.full(severity):
             self.add(severity, code, message, *place_in(self.text, element, attribute))
 
     def error(self, code: str, message: str, element: Element, attribute: str = "") -> None:
-        """Something was left out."""
+        """Add an error: something was left out."""
         self.about(Severity.ERROR, code, message, element, attribute)
 
     def warning(self, code: str, message: str, element: Element, attribute: str = "") -> None:
-        """It was read, but it is not as it should be."""
+        """Add a warning: something was read, but is not in order."""
         self.about(Severity.WARNING, code, message, element, attribute)
 
 
 def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, int]:
-    """Line and column of an attribute's value in the file as UTF-8; of the element where it has no such attribute."""
+    """Return line and column of an attribute's value in the file as UTF-8; of the element if it has no such attribute."""
     tag = _TAG.match(text, element.offset, element.offset + MAX_TAG) if attribute in element.attributes else None
     if tag is not None:
         for match in _ATTRIBUTE.finditer(text, element.offset, tag.end()):
@@ -129,7 +129,7 @@ def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, i
 
 
 def parse(data: bytes, findings: XddFindings) -> tuple[Element | None, str]:
-    """The root element of a file, or None, and the encoding by which it was read. Never raises."""
+    """Return the root element of a file, or None, and the encoding used. Never raises."""
     if len(data) > MAX_FILE_SIZE:
         message = f"the file has {len(data)} bytes, more than {MAX_FILE_SIZE // 1024**2} MiB; nothing was read"
         findings.add(Severity.ERROR, "too-large", message)
@@ -151,7 +151,7 @@ def parse(data: bytes, findings: XddFindings) -> tuple[Element | None, str]:
 
 
 def _decode(data: bytes, findings: XddFindings) -> tuple[str, str]:
-    """The file's text without its byte order mark, and how it was read: as it says, else by what fits."""
+    """Return the file's text without its byte order mark, and the encoding: the one that it names, else one that fits."""
     encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "")
     if not encoding:
         declared = _DECLARATION.match(data[:300])
@@ -171,11 +171,11 @@ def _decode(data: bytes, findings: XddFindings) -> tuple[str, str]:
 
 
 class _Enough(Exception):
-    """Nothing more is to be read."""
+    """The signal to stop reading."""
 
 
 class _Builder:
-    """Takes what expat finds, and makes the tree."""
+    """The maker of the tree from expat's calls."""
 
     def __init__(self, parser: expat.XMLParserType, findings: XddFindings) -> None:
         self.root: Element | None = None

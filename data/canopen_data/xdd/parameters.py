@@ -1,17 +1,17 @@
-"""The application process of an XDD: parameters and their types, which objects refer to.
+"""Read the application process of an XDD: parameters and their types, which objects refer to.
 
 Theory of operation
 -------------------
-CiA 311 has two ways to describe an object. Its CANopenObject says all of it by itself, with the words of CiA 306; or it names by
-uniqueIDRef a parameter of the device profile, which then has type, access, default value, limits, unit and texts in the words of
-ISO 15745-1 and IEC 61131-3. Newer editors write the second form only. What a CANopenObject says itself goes before its parameter.
+CiA 311 has two ways to describe an object. Its CANopenObject says everything itself, in the terms of CiA 306; or it names a
+parameter of the device profile (uniqueIDRef), which has type, access, default value, limits, unit and texts in the terms of ISO
+15745-1 and IEC 61131-3. Newer editors write the second form only. An attribute of the CANopenObject itself takes precedence over
+its parameter.
 
-- A type is an elementary one (UDINT), or a reference to an enumeration, a derived type, an array or a structure. An object of
-  several subindices may have its sub-objects' types from an array or a structure only.
-- BITSTRING stands for OCTET_STRING and DOMAIN alike: with a default value it is the first, without one the second, as the editor
-  does that writes it so.
+- A type is elementary (UDINT), or refers to an enumeration, a derived type, an array or a structure. An object of several
+  subindices can take its sub-objects' types from an array or a structure only.
+- BITSTRING stands for OCTET_STRING if there is a default value, else for DOMAIN, as in the editor that writes it.
 - Engineering value = (value + offset) x multiplier. The multiplier is the factor of `Variable`; it has no offset.
-- Named values (allowedValues, enumerations) become constants; a range of allowed values, where it is the only one, the limits.
+- Named values (allowedValues, enumerations) become constants; a single range of allowed values becomes the limits.
 
 Left out: parameter groups, function types and instances, conditional support, references to external dictionaries of texts.
 """
@@ -50,7 +50,7 @@ ELEMENTARY: Final = {
     "STRING": DataType.VISIBLE_STRING,
     "WSTRING": DataType.UNICODE_STRING,
 }
-"""The elementary types of IEC 61131-3 as CiA 311 names them, and the data types of CiA 301."""
+"""The data types of CiA 301 by the elementary types of IEC 61131-3, as CiA 311 names them."""
 
 ACCESS: Final = {
     "const": Access.CONST,
@@ -60,9 +60,9 @@ ACCESS: Final = {
     "readwriteinput": Access.RWR,
     "readwriteoutput": Access.RWW,
 }
-"""Access of a parameter, in small letters; noAccess is none."""
+"""Access by the word of a parameter, in small letters; noAccess is missing."""
 MAX_REFERENCES: Final = 16
-"""Types that are defined by way of each other; more is a circle."""
+"""Depth of types that refer to each other; beyond it there is a circle."""
 MAX_NAMED_VALUES: Final = 256
 """Of one parameter."""
 MAX_MEMBERS: Final = 255
@@ -86,10 +86,10 @@ _FROM_TEMPLATE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """What a parameter says, as text where it is a value. "" or None: it does not say.
+    """The content of a parameter; values are text. "" or None: not given.
 
-    members: the types of what a structure consists of, in order. entry: the type of each element of an array. default, actual,
-    low_limit, high_limit: the elements that hold these values in their attribute `value`.
+    members: the types of a structure's parts, in order. entry: the type of each element of an array. default, actual, low_limit,
+    high_limit: the elements that hold these values in their attribute `value`.
     """
 
     element: Element
@@ -111,7 +111,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class _Type:
-    """What a type comes to. members, entry: see `Parameter`."""
+    """A resolved type. members, entry: see `Parameter`."""
 
     data_type: DataType | None = None
     members: tuple[DataType | None, ...] = ()
@@ -120,7 +120,7 @@ class _Type:
 
 
 class ApplicationProcess:
-    """The parameters of a device by their unique ID. Each parameter and each type is read once, however many refer to it."""
+    """The parameters of a device by their unique ID. Each parameter and each type is read once."""
 
     def __init__(self, processes: Iterable[Element], findings: XddFindings) -> None:
         self._findings = findings
@@ -137,7 +137,7 @@ class ApplicationProcess:
                     self._parameters |= {each.get("uniqueID"): each for each in part.children}
 
     def parameter(self, unique_id: str) -> Parameter | None:
-        """The parameter of that ID, or None. What it does not say comes from its template."""
+        """Return the parameter of that ID, or None. Its template supplies what it lacks."""
         if unique_id not in self._known:
             own = self._own_of(unique_id)
             template = None if own is None else self._own_of(own.element.get("templateIDRef"))
@@ -145,7 +145,7 @@ class ApplicationProcess:
         return self._known[unique_id]
 
     def _own_of(self, unique_id: str) -> Parameter | None:
-        """A parameter or a template by itself."""
+        """Return a parameter or a template by itself."""
         if unique_id not in self._own:
             element = self._parameters.get(unique_id) if unique_id else None
             self._own[unique_id] = None if element is None else self._read(element)
@@ -193,7 +193,7 @@ class ApplicationProcess:
         return 1.0
 
     def _limits(self, allowed: Element | None) -> tuple[Element | None, Element | None]:
-        """The lowest and the highest of the allowed ones, where they are one range."""
+        """Return the lowest and the highest allowed value, if they form one range."""
         if allowed is None:
             return None, None
         ranges = list(allowed.all("range"))
@@ -202,7 +202,7 @@ class ApplicationProcess:
         return ranges[0].first("minValue"), ranges[0].first("maxValue")
 
     def _type_of(self, element: Element, depth: int) -> _Type:
-        """The type of a parameter, of a declared variable, or of what another type is made of."""
+        """Return the type of a parameter, of a declared variable, or of a part of another type."""
         for child in element.children:
             if child.name in ELEMENTARY:
                 return _Type(ELEMENTARY[child.name])
@@ -236,7 +236,7 @@ class ApplicationProcess:
 
 
 def _merged(own: Parameter, template: Parameter) -> Parameter:
-    """A parameter with what its template has and it has not."""
+    """Return a parameter with the fields that it lacks taken from its template."""
     absent = {name: value for name in _FROM_TEMPLATE if not getattr(own, name) and (value := getattr(template, name))}
     if own.factor == 1.0:
         absent["factor"] = template.factor
@@ -248,7 +248,7 @@ def _named(allowed: Element | None) -> Iterator[tuple[str, str]]:
 
 
 def _pairs(elements: Iterable[Element]) -> Iterator[tuple[str, str]]:
-    """Name and value of those that have both."""
+    """Yield name and value of the elements that have both."""
     for each in elements:
         name, value = _text(each, "label"), each.get("value")
         if name and value:
@@ -256,7 +256,7 @@ def _pairs(elements: Iterable[Element]) -> Iterator[tuple[str, str]]:
 
 
 def _text(element: Element, name: str) -> str:
-    """A text in English where there is one, else in the first language."""
+    """Return a text in English if there is one, else in the first language."""
     texts = [each for each in element.children if each.name == name]
     english = [each for each in texts if each.get("lang").lower().startswith("en")]
     return (english or texts)[0].text if texts else ""

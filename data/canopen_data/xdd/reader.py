@@ -1,23 +1,23 @@
-"""XDD and XDC: CANopen device descriptions in XML (CiA 311, after ISO 15745-1 and -4).
+"""Read XDD and XDC: CANopen device descriptions in XML (CiA 311, after ISO 15745-1 and -4).
 
 Theory of operation
 -------------------
-An XDD is to an EDS what XML is to a text of sections: it describes a type of device; an XDC, as a DCF, one device of it, with
-actual values and commissioning. Both are read into the same `DeviceDescription`.
+An XDD describes a type of device, as an EDS does; an XDC, as a DCF, describes one device of it, with actual values and
+commissioning. Both are read into the same `DeviceDescription`.
 
 The file is a container of profiles. The device profile has the identity and, in newer files, the parameters (parameters.py); the
 communication network profile has the objects, bit rates and features (device.py). The objects are read here. An object's own
-attributes go before what its parameter says (`uniqueIDRef`).
+attributes take precedence over its parameter (`uniqueIDRef`).
 
-The reader loads what it can and tells all that is wrong with its place:
+The reader loads what it can and reports everything wrong, with its place:
 
-- error: something was left out, an object or a value;
-- warning: it was read, but the file does not say it as CiA 311 wants it, or something had to be guessed.
+- error: an object or a value was left out;
+- warning: something was read, but its form is not that of CiA 311, or something had to be guessed.
 
-How values are written is CiA 306's business here too; index, subindex, type and flags are hexadecimal without 0x in CiA 311, and
-0x before them does no harm. PDOmapping names a direction: with access rw, TPDO makes it rwr and RPDO rww.
+Values are written as in CiA 306. Index, subindex, type and flags are hexadecimal without 0x in CiA 311; a 0x is accepted.
+PDOmapping names a direction: with access rw, TPDO makes it rwr and RPDO rww.
 
-Left out: profiles of modules and of networks (nodelists), and all of the device profile that is for people or for a programmable
+Left out: profiles of modules and of networks (nodelists), and the parts of the device profile for people or for a programmable
 device (functions, characteristics, graphical elements).
 """
 
@@ -42,13 +42,13 @@ from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variabl
 from canopen_proto.dictionary.standard import find_standard
 
 PROFILES: Final = 0x2000
-"""Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); what lies higher depends on the profile."""
+"""Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); above, the meaning depends on the profile."""
 SUB_OBJECT: Final = "CANopenSubObject"
 ROOT: Final = "ISO15745ProfileContainer"
 MANDATORY: Final = (0x1000, 0x1001, 0x1018)
-"""The objects that each device has (CiA 301 v4.2.0, 7.5.1); an XDD does not list them apart."""
+"""The objects that each device has (CiA 301 v4.2.0, 7.5.1); an XDD has no list of them."""
 MAX_OBJECTS: Final = 20_000
-"""Of one file; and MAX_VARIABLES of all of them together. The largest devices have 3000 objects."""
+"""Of one file, with MAX_VARIABLES in all. The largest devices have 3000 objects."""
 MAX_VARIABLES: Final = 100_000
 
 _TYPES: Final = {int(each): each for each in DataType}
@@ -65,8 +65,8 @@ _MAPPINGS: Final = {"no": False, "default": True, "optional": True, "tpdo": True
 def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDescription:
     """Read an XDD or an XDC. source: the file's name, for findings.
 
-    All that is wrong with it stands in the description's findings, whatever the bytes are; with strict, the first error is raised
-    as a DictionaryError. Of a broken file comes what stands before the break. Source: CiA 311 v1.1.
+    Any bytes are accepted: the description's findings hold everything wrong with them. With strict, raises the first error as a
+    DictionaryError. A broken file gives the content before the break. Source: CiA 311 v1.1.
     """
     findings = XddFindings(source)
     root, encoding = parse(data, findings)
@@ -107,13 +107,13 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What describes one object or sub-object: its element and its parameter, if any."""
+    """The description of one object or sub-object: its element and its parameter, if any."""
 
     element: Element
     parameter: Parameter | None
 
     def text(self, attribute: str) -> tuple[str, Element, str]:
-        """What it says by an attribute, else by its parameter; and in which element and attribute that stands."""
+        """Return the text of an attribute, else of its parameter, and the element and attribute that hold it."""
         own = self.element.attributes.get(attribute, "")
         other: Element | None = None if self.parameter is None else getattr(self.parameter, _IN_PARAMETER[attribute])
         if own.strip() or other is None:
@@ -122,11 +122,11 @@ class _Part:
 
 
 _ValueKey: TypeAlias = tuple[int, str, str, DataType]
-"""An element, its attribute, what it stands for, and of which type."""
+"""An element, its attribute, the field that it gives, and the data type."""
 
 
 class _Reader:
-    """Reads lists of objects. objects: by index; elements, parameters: where they stand (see XddDocument)."""
+    """The reader of lists of objects. objects: by index; elements, parameters: their places (see XddDocument)."""
 
     def __init__(self, bodies: Iterable[Element], findings: XddFindings) -> None:
         self.objects: dict[int, Object] = {}
@@ -142,11 +142,11 @@ class _Reader:
         self._named: dict[tuple[int, DataType], list[Constant]] = {}
 
     def dictionary(self, source: str) -> ObjectDictionary:
-        """All that was read."""
+        """Return all objects read."""
         return ObjectDictionary(self.objects.values(), constants=self._constants, source=source)
 
     def read(self, object_list: Element) -> None:
-        """The objects of one CANopenObjectList."""
+        """Read the objects of one CANopenObjectList."""
         for element in object_list.all("CANopenObject"):
             if len(self.objects) >= MAX_OBJECTS or self._variables >= MAX_VARIABLES:
                 limits = f"{MAX_OBJECTS} objects, or {MAX_VARIABLES} with their subindices"
@@ -162,7 +162,7 @@ class _Reader:
             self.objects[index] = self._object(element, index)
 
     def _part(self, element: Element, index: int, subindex: int | None) -> _Part:
-        """Notes where it stands, and finds its parameter."""
+        """Record the place of an element, and find its parameter."""
         self.elements[index, subindex] = element
         unique_id = element.get("uniqueIDRef")
         parameter = self._process.parameter(unique_id) if unique_id else None
@@ -307,7 +307,7 @@ class _Reader:
         if not text:
             return None, False
         key = (id(element), at, attribute, data_type)
-        if key not in self._values:  # thousands of objects may share one parameter, and it is read once
+        if key not in self._values:  # thousands of objects may share one parameter: read it once
             self._values[key] = value_of(text, data_type, attribute, self._findings, element, at)
         return self._values[key]
 
@@ -319,7 +319,7 @@ class _Reader:
         return self._limits[key]
 
     def _access(self, part: _Part, index: int, subindex: int, mapping: str) -> Access:
-        """The access; with rw, a mapping in one direction only says which one."""
+        """Return the access; rw with a mapping in one direction becomes rwr or rww."""
         own = part.element.get("accessType").lower()
         text = own or (part.parameter.access.lower() or "read" if part.parameter is not None else "")
         access = _ACCESS.get(text)
@@ -333,7 +333,7 @@ class _Reader:
         return access
 
     def _constants_of(self, parameter: Parameter, data_type: DataType) -> list[Constant]:
-        """The named values of a whole number; others have no constants."""
+        """Return the named values of a whole number; other types have no constants."""
         bits = bit_length_of(data_type)
         if not parameter.named_values or not is_integer(data_type) or bits is None:
             return []
@@ -350,19 +350,21 @@ class _Reader:
 
 
 def _code_of(text: str) -> int | None:
-    """The index of a data type."""
+    """Return the index of a data type."""
     match = HEXADECIMAL.fullmatch(text)
     return int(match[1], 16) if match is not None else None
 
 
 def _likely_access(index: int, subindex: int) -> Access:
-    """The access of an object whose file does not say it: the standard's, else rw; the device refuses what it does not allow."""
+    """Return the access for an object without one in the file: the standard's, else rw; the device refuses what it does not
+    allow."""
     standard = find_standard(index, subindex) if index < PROFILES else None
     return Access.RW if standard is None else standard.access
 
 
 def _member_type(whole: Parameter | None, subindex: int, position: int, count: int) -> DataType | None:
-    """What the type of a whole array or structure says of one sub-object. A structure says it of all of them, or of none."""
+    """Return a sub-object's type by the type of its array or structure. A structure gives the types of all sub-objects, or of
+    none."""
     if whole is None:
         return None
     if whole.entry is not None:

@@ -1,6 +1,6 @@
-"""Numbers, flags and values as an XDD writes them; what is wrong with one is a finding with its place.
+"""Read numbers, flags and values as an XDD writes them; each fault is a finding with its place.
 
-Values are written as in an EDS (eds/numbers.py); a BOOL may also be true or false, as XML Schema has it.
+Values are written as in an EDS (eds/numbers.py); a BOOL may also be true or false, as in XML Schema.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _TRUTH: Final = {"true": "1", "false": "0"}
 def hexadecimal_of(
     element: Element, attribute: str, findings: XddFindings, *, most: int, least: int = 0, severity: Severity = Severity.WARNING
 ) -> int | None:
-    """An attribute in hexadecimal, with or without 0x; None, and a finding, where it is none or outside least..most."""
+    """Return a hexadecimal attribute, with or without 0x; None, with a finding, if it is not a number or outside least..most."""
     text = element.get(attribute)
     match = HEXADECIMAL.fullmatch(text)
     if match is not None and least <= (number := int(match[1], 16)) <= most:
@@ -35,7 +35,7 @@ def hexadecimal_of(
 
 
 def number_of(text: str, findings: XddFindings, element: Element, attribute: str = "", *, most: int) -> int | None:
-    """A number from 0, as in an EDS; None, and a finding, where it is none or more than `most`."""
+    """Return a number from 0, as in an EDS; None, with a finding, if it is not a number or more than `most`."""
     number, remark = read_number(text.strip())
     if number is not None and not 0 <= number <= most:
         number, remark = None, f"is outside 0..{most}"
@@ -45,7 +45,7 @@ def number_of(text: str, findings: XddFindings, element: Element, attribute: str
 
 
 def flag_of(element: Element | None, attribute: str, findings: XddFindings) -> bool:
-    """A flag of XML Schema: true, false, 1, 0. False where there is none."""
+    """Return a flag of XML Schema: true, false, 1, 0. False if there is none."""
     text = "" if element is None else element.get(attribute).lower()
     if element is not None and text not in _FLAGS:
         findings.warning("flag", f"{attribute} {quoted(text)!r} is neither true nor false; taken as false", element, attribute)
@@ -55,7 +55,8 @@ def flag_of(element: Element | None, attribute: str, findings: XddFindings) -> b
 def value_of(
     text: str, data_type: DataType, what: str, findings: XddFindings, element: Element, attribute: str = ""
 ) -> tuple[Value | None, bool]:
-    """A value, and whether the node-ID is added to it; None, and a finding, where it is none. An empty text is none."""
+    """Return a value, and whether the node-ID is added to it; None, with a finding, if it is not a value. An empty text gives
+    None."""
     if data_type is DataType.BOOLEAN:
         text = _TRUTH.get(text.strip().lower(), text)
     is_text = data_type in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
@@ -73,7 +74,8 @@ def value_of(
 def limit_of(
     text: str, data_type: DataType, what: str, findings: XddFindings, element: Element, attribute: str
 ) -> int | float | None:
-    """A limit; None where there is none. That of an object that is no number has no effect, but the linter shall see it."""
+    """Return a limit; None if there is none. A limit of a type that is not a number has no effect, but the linter is to see
+    it."""
     text = text.strip()
     if not text:
         return None
