@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from canopen_proto.machine import Outcome as Outcome
     from canopen_proto.machine import RequestId as RequestId
     from canopen_proto.machine import Time as Time
+    from canopen_proto.multiplexer import Mux as Mux
+    from canopen_proto.multiplexer import mux as mux
     from canopen_proto.network import Network as Network
     from canopen_proto.nmt import NmtCommand as NmtCommand
     from canopen_proto.nmt import NmtMaster as NmtMaster
@@ -65,6 +67,7 @@ else:
             "canopen_proto.heartbeat": "HeartbeatLost HeartbeatReceived HeartbeatRecovered NodeBooted",
             "canopen_proto.local_node": "LocalNode",
             "canopen_proto.machine": "Event LocalProtocolError MILLISECOND Machine NEVER Outbox Outcome RequestId SECOND Time",
+            "canopen_proto.multiplexer": "Mux mux",
             "canopen_proto.network": "Network",
             "canopen_proto.nmt": "NmtCommand NmtMaster NmtState",
             "canopen_proto.pdo.consumer": "PdoReceived",

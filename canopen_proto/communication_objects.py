@@ -40,13 +40,14 @@ from typing import Final
 from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import CAN_ID_AND_FRAME, check_can_id, check_cob_id, is_valid
 from canopen_proto.datatypes import Value, range_of
-from canopen_proto.dictionary import Values, mux
+from canopen_proto.dictionary import Values
 from canopen_proto.emcy import MAX_HISTORY, EmcyConsumer, EmcyProducer
 from canopen_proto.frame import COB_ID_INVALID, EMCY, MAX_NODE_ID, SYNC, key_of_cob_id
 from canopen_proto.group import Members
 from canopen_proto.guarding import GuardingSlave
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Outbox, Time
+from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 from canopen_proto.nmt import SERVICES, NmtState, Service
 from canopen_proto.owner import Owner
 from canopen_proto.pdo.mapping import number_at
@@ -140,11 +141,11 @@ class CommunicationObjects(Owner):
         for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer, self.time_consumer):
             members.attach(machine)
 
-    def _int(self, key: int, default: int = 0) -> int:
+    def _int(self, key: Mux, default: int = 0) -> int:
         """The stored number, MAX_NUMBER at most; `default` if a file describes the object as something else."""
         return min(number_at(self.values.store, key, default), MAX_NUMBER)
 
-    def _cob_id(self, key: int, default: int) -> int:
+    def _cob_id(self, key: Mux, default: int) -> int:
         """The stored COB-ID, or `default` if its CAN-ID is restricted (only a faulty file can put one there)."""
         cob_id = self._int(key, default)
         return cob_id if check_can_id(cob_id & CAN_ID_AND_FRAME) is None else default
@@ -190,8 +191,8 @@ class CommunicationObjects(Owner):
         if index == 0x1001 and self._has_room(0x1001, 0, BYTE):
             store[ERROR_REGISTER] = self.emcy.error_register
         elif index == 0x1003 and self._has_room(0x1003, 0, BYTE):
-            shown = {ERROR_HISTORY + number: entry for number, entry in enumerate(self.emcy.history, start=1)}
-            shown = {key: entry for key, entry in shown.items() if self._has_room(0x1003, key & 0xFF, MAX_NUMBER)}
+            shown = {mux(0x1003, number): entry for number, entry in enumerate(self.emcy.history, start=1)}
+            shown = {key: entry for key, entry in shown.items() if self._has_room(0x1003, subindex_of(key), MAX_NUMBER)}
             store.update(shown)
             store[ERROR_HISTORY] = len(shown)
             if subindex and (key := ERROR_HISTORY + subindex) in store and key not in shown:
@@ -260,7 +261,7 @@ class CommunicationObjects(Owner):
     def _clear_history(self, now: Time) -> None:
         self.emcy.clear_history()
         for key in self.values.store:
-            if key >> 8 == 0x1003 and self._has_room(0x1003, key & 0xFF, BYTE):
+            if index_of(key) == 0x1003 and self._has_room(0x1003, subindex_of(key), BYTE):
                 self.values.store[key] = 0
 
     def _set_emcy(self, now: Time) -> None:

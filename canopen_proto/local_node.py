@@ -43,13 +43,14 @@ from canopen_proto.communication_errors import (
 )
 from canopen_proto.communication_objects import COB_ID_TIME, ERROR_REGISTER, CommunicationObjects
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable, mux
+from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable
 from canopen_proto.emcy import EmcySent
 from canopen_proto.frame import KEY_REMOTE, REMOTE, Frame
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Time, check_node_id
+from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
 from canopen_proto.owner import Owner
 from canopen_proto.parameter_storage import SIGNATURES, ParameterStorage

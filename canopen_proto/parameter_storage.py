@@ -36,7 +36,8 @@ from typing import Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, range_of
-from canopen_proto.dictionary import Values, Variable, mux
+from canopen_proto.dictionary import Values, Variable
+from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.owner import Owner
 from canopen_proto.sdo.channels import is_dynamic
 
@@ -69,16 +70,16 @@ class ParameterStorage(Owner):
 
     def __init__(self, values: Values) -> None:
         self._values = values
-        self._after: dict[tuple[int, int], dict[int, Value]] = {}  # `saved` as it will be, by the access that is with the host
+        self._after: dict[tuple[int, int], dict[Mux, Value]] = {}  # `saved` as it will be, by the access that is with the host
         self.groups: dict[int, Collection[int]] = dict(GROUPS)
         self.excluded: set[int] = set(NO_PARAMETERS)
         # What `Values` begins with, but is not the default
         self._configured = [each for each in values.dictionary if each.configured is not None and self._is_parameter(each)]
-        self.saved: dict[int, Value] = {variable.mux: values.store[variable.mux] for variable in self._configured}
+        self.saved: dict[Mux, Value] = {variable.mux: values.store[variable.mux] for variable in self._configured}
 
     # ---- for the host ----
 
-    def load(self, kept: Mapping[int, bytes]) -> list[int]:
+    def load(self, kept: Mapping[Mux, bytes]) -> list[Mux]:
         """Hand in what was kept (mux -> bytes, of `to_keep`), before the node boots: these are its values from now on.
 
         They take the place of what a DCF has configured, which was among them unless a client restored the defaults: a host
@@ -90,7 +91,7 @@ class ParameterStorage(Owner):
         self.saved = {}
         self.put_back(ALL_INDICES)
         for key, data in kept.items():
-            variable = self._values.dictionary.get(key >> 8, key & 0xFF)
+            variable = self._values.dictionary.get(*split_mux(key))
             if variable is None or not self._is_parameter(variable):
                 left_out.append(key)
                 continue
@@ -103,7 +104,7 @@ class ParameterStorage(Owner):
             self.saved[key] = self._values.store[key] = value
         return left_out
 
-    def to_keep(self, index: int, subindex: int) -> dict[int, bytes]:
+    def to_keep(self, index: int, subindex: int) -> dict[Mux, bytes]:
         """All that is to be kept (mux -> bytes) once the pending access to 0x1010 or 0x1011 is done; now, if there is none."""
         after = self._after.get((index, subindex), self.saved)
         return {variable.mux: variable.encode(value) for variable, value in self._with_variables(after)}
@@ -141,7 +142,7 @@ class ParameterStorage(Owner):
     def begin(self, index: int, subindex: int) -> None:
         """The signature was written, and the host is asked: take the values of this moment."""
         group = self.groups.get(subindex, ())
-        after = {key: value for key, value in self.saved.items() if key >> 8 not in group}
+        after = {key: value for key, value in self.saved.items() if index_of(key) not in group}
         if index == STORE:
             store = self._values.store
             present = {variable.mux: store[variable.mux] for variable in self._parameters(group)}
@@ -162,7 +163,7 @@ class ParameterStorage(Owner):
         for variable in self._configured:
             if variable.index in indices and variable.mux not in self.saved:
                 self._values.put_default(variable)
-        self._values.store.update({key: value for key, value in self.saved.items() if key >> 8 in indices})
+        self._values.store.update({key: value for key, value in self.saved.items() if index_of(key) in indices})
 
     # ---- inside ----
 
@@ -175,10 +176,10 @@ class ParameterStorage(Owner):
             if variable.index in group and self._is_parameter(variable):
                 yield variable
 
-    def _with_variables(self, values: Mapping[int, Value]) -> Iterator[tuple[Variable, Value]]:
+    def _with_variables(self, values: Mapping[Mux, Value]) -> Iterator[tuple[Variable, Value]]:
         """The values that their objects can have: the device itself may have put something else into its memory."""
         for key, value in values.items():
-            variable = self._values.dictionary.variable((key >> 8, key & 0xFF))
+            variable = self._values.dictionary.variable(split_mux(key))
             try:
                 variable.encode(value)
             except ValueRangeError:

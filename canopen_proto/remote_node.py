@@ -39,6 +39,7 @@ from canopen_proto.group import Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time, check_node_id
+from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.held import HeldRpdos
@@ -101,7 +102,7 @@ class RemoteNode(Group):
         self.node_id = check_node_id(node_id)
         self.dictionary = dictionary
         self.values = Values(dictionary, node_id)
-        self.heard_at: dict[int, Time] = {}
+        self.heard_at: dict[Mux, Time] = {}
         self.nmt_state: NmtState | None = None
         self.last_sync: Time | None = None
         self._commanded_at: Time = -NEVER
@@ -114,12 +115,12 @@ class RemoteNode(Group):
         self.tpdos: dict[int, PdoConsumer] = {}
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
-        self.commanded: set[int] = set()
-        self._in_doubt: dict[int, set[Value | None]] = defaultdict(set)
+        self.commanded: set[Mux] = set()
+        self._in_doubt: dict[Mux, set[Value | None]] = defaultdict(set)
         self.held = HeldRpdos()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
-        self._listeners: list[Callable[[Collection[int], Time], None]] = []
+        self._listeners: list[Callable[[Collection[Mux], Time], None]] = []
         self._boot_listeners: list[Callable[[], None]] = []
         self._sync_listeners: list[Callable[[Time], None]] = []
         for machine in (self.sdo, self.heartbeat, self.emcy, self._mpdo_listener):
@@ -229,7 +230,7 @@ class RemoteNode(Group):
         variable = self.dictionary.at(uploaded.index, uploaded.subindex)
         return self.dictionary.message(self.node_id, variable, variable.decode(uploaded.data), self.out.timestamp)
 
-    def fresh(self, mux: int, now: Time, max_age: Time = FRESH) -> Value | None:
+    def fresh(self, mux: Mux, now: Time, max_age: Time = FRESH) -> Value | None:
         """The image of an object if it was heard no longer than max_age ns ago, else None."""
         heard = self.heard_at.get(mux)
         return self.values.store[mux] if heard is not None and now - heard <= max_age else None
@@ -322,12 +323,12 @@ class RemoteNode(Group):
         self.held.sent_by_hand(producer)
         return producer.send(now)
 
-    def may_hold(self, mux: int) -> set[Value | None]:
+    def may_hold(self, mux: Mux) -> set[Value | None]:
         """What the device may hold in an object of `commanded`, by what was commanded; None: something that is not known."""
         image = {self.values.store[mux]} if mux in self.values.store else set()
         return image | self._in_doubt.get(mux, set())
 
-    def replace_held(self, mux: int, value: Value, now: Time) -> bool:
+    def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
         """Command an object in each RPDO that carries it and that the device may hold for the next SYNC: it is sent once more.
 
         False, and nothing is changed, where the device holds none.
@@ -374,7 +375,7 @@ class RemoteNode(Group):
 
     def add_listener(
         self,
-        listener: Callable[[Collection[int], Time], None] | None = None,
+        listener: Callable[[Collection[Mux], Time], None] | None = None,
         on_boot: Callable[[], None] | None = None,
         on_sync: Callable[[Time], None] | None = None,
     ) -> None:
@@ -444,9 +445,9 @@ class RemoteNode(Group):
         if report.state is not self.nmt_state and now >= self._commanded_at + NMT_REACTION_TIME:
             self._enter(report.state, now)
 
-    def _heard(self, muxes: Collection[int], now: Time) -> None:
-        for mux in muxes:
-            self.heard_at[mux] = now
+    def _heard(self, muxes: Collection[Mux], now: Time) -> None:
+        for each in muxes:
+            self.heard_at[each] = now
         for listener in self._listeners:
             listener(muxes, now)
 
@@ -454,7 +455,7 @@ class RemoteNode(Group):
         self._heard(report.mapping.muxes, now)
 
     def _on_mpdo(self, report: MpdoReceived, now: Time) -> None:
-        self._heard((report.index << 8 | report.subindex,), now)
+        self._heard((mux(report.index, report.subindex),), now)
 
     def _on_uploaded(self, report: SdoUploaded, now: Time) -> None:
         variable = self.dictionary.get(report.index, report.subindex)
@@ -467,7 +468,7 @@ class RemoteNode(Group):
         self.values.store[variable.mux] = value
         self._heard((variable.mux,), now)
 
-    def _is_ours(self, mux: int) -> bool:
+    def _is_ours(self, mux: Mux) -> bool:
         """Whether the image of an object is what we command: what was read of it is older, or somebody else's."""
         for producer in self.rpdos.values():  # written out: `any` over a generator costs more than the rest of a read's reaction
             if mux in producer.mapping.muxes:
@@ -476,15 +477,15 @@ class RemoteNode(Group):
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)
-        mux = report.index << 8 | report.subindex
-        self._in_doubt.pop(mux, None)
+        which = mux(report.index, report.subindex)
+        self._in_doubt.pop(which, None)
         if written is not None:
-            self.values.store[mux] = written[1]
-        elif mux in self.commanded:
-            self._in_doubt[mux].add(None)
+            self.values.store[which] = written[1]
+        elif which in self.commanded:
+            self._in_doubt[which].add(None)
 
     def _on_aborted(self, report: SdoAborted, now: Time) -> None:
         written = self._writes.pop(report.request_id, None)
-        mux = report.index << 8 | report.subindex
-        if report.not_confirmed and mux in self.commanded:
-            self._in_doubt[mux].add(None if written is None else written[1])
+        which = mux(report.index, report.subindex)
+        if report.not_confirmed and which in self.commanded:
+            self._in_doubt[which].add(None if written is None else written[1])

@@ -39,6 +39,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
+from canopen_proto.multiplexer import Mux, mux
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
@@ -149,7 +150,7 @@ class Drive(Machine):
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Return the abort code if the drive refuses this value now, else None. Called after the checks of type and limits,
         before the value is stored."""
-        key = index << 8 | subindex
+        key = mux(index, subindex)
         if not isinstance(value, int):
             return None
         is_mode = key == objects.MODES_OF_OPERATION
@@ -163,7 +164,7 @@ class Drive(Machine):
 
     def written(self, index: int, subindex: int, now: Time) -> None:
         """Act on an object that was written by SDO or PDO, with a new value or the same: a command takes effect at once."""
-        key = index << 8 | subindex
+        key = mux(index, subindex)
         if self.state in _NO_STATES:
             return
         if key == objects.CONTROLWORD:
@@ -413,7 +414,7 @@ class Drive(Machine):
         if servo.time - self._deviates_since >= servo.parameter(objects.FOLLOWING_ERROR_TIME_OUT) * MILLISECOND:
             self._fault(FOLLOWING_ERROR)
 
-    def _put(self, key: int, value: int) -> None:
+    def _put(self, key: Mux, value: int) -> None:
         self.values.store[key] = value
 
     def _publish(self) -> None:

@@ -32,9 +32,10 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.homing_run import METHODS
 from canopen_proto.cia402.servo import FALLBACKS, Shape
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary.model import Access, Object, ObjectDictionary, mux
+from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
+from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1
@@ -46,7 +47,7 @@ _DEVICE_TYPE: Final = 0x0002_0192  # servo drive by CiA 402
 class _Pdo(NamedTuple):
     """The settings of a PDO after power-on."""
 
-    entries: tuple[int, ...] = ()  # muxes
+    entries: tuple[Mux, ...] = ()
     transmission_type: int = _EVENT_DRIVEN
     is_valid: bool = True
 
@@ -106,7 +107,7 @@ _BUFFER_SIZE: Final = {Shape.STANDARD: 16, Shape.SCHUNK_POWERBALL: 1}
 _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBALL: "Simulated Schunk Powerball joint"}
 
 
-ALLOWED_VALUES: Final[dict[int, Collection[int]]] = {
+ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
     objects.ABORT_CONNECTION_OPTION_CODE: range(4),
     objects.QUICK_STOP_OPTION_CODE: range(9),
     objects.SHUTDOWN_OPTION_CODE: range(2),
@@ -176,8 +177,8 @@ def _pdo(index: int, cob_id: int, subindices: tuple[int, ...], pdo: _Pdo) -> lis
     ]
 
 
-def _bit_length(key: int) -> int:
-    variable = find_standard(key >> 8, key & 0xFF)
+def _bit_length(key: Mux) -> int:
+    variable = find_standard(*split_mux(key))
     assert variable is not None
     assert variable.bit_length is not None
     return variable.bit_length
@@ -185,7 +186,7 @@ def _bit_length(key: int) -> int:
 
 def _profile(shape: Shape) -> list[Object]:
     """Return the CiA 402 objects of a shape."""
-    defaults: dict[int, Value] = {
+    defaults: dict[Mux, Value] = {
         **FALLBACKS,
         objects.SUPPORTED_DRIVE_MODES: _SUPPORTED_MODES[shape],
         objects.MAXIMUM_BUFFER_SIZE: _BUFFER_SIZE[shape],
@@ -194,9 +195,11 @@ def _profile(shape: Shape) -> list[Object]:
         defaults |= {objects.INTERPOLATION_TIME_UNITS: 10, objects.HOMING_METHOD: 35, objects.SHUTDOWN_OPTION_CODE: 1}
     described: dict[int, Object] = {}
     for index in (*_COMMON, *_ONLY[shape]):
-        highest = 1 if index == mux(0x60C1) >> 8 else None
+        highest = 1 if index == 0x60C1 else None
         described[index] = standard_object(
-            index, highest=highest, defaults={key & 0xFF: value for key, value in defaults.items() if key >> 8 == index}
+            index,
+            highest=highest,
+            defaults={subindex_of(key): value for key, value in defaults.items() if index_of(key) == index},
         )
     if shape is Shape.SCHUNK_POWERBALL:  # it homes by its own method: 6098h is there, but constant 0
         constant = standard_variable(0x6098, access=Access.CONST, default=0, pdo_mappable=False)

@@ -24,6 +24,7 @@ from canopen_proto.cia402.modes import ModeControl, ModeStatus
 from canopen_proto.cia402.servo import UNLIMITED, Servo
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import MILLISECOND, NEVER, Outbox, Time
+from canopen_proto.multiplexer import Mux
 
 
 class OperationMode:
@@ -31,7 +32,7 @@ class OperationMode:
 
     __slots__ = ("controlword", "due", "node_id", "out", "servo")
 
-    listens_to: frozenset[int] = frozenset()
+    listens_to: frozenset[Mux] = frozenset()
     """The objects that act when they are written; all others are read when they are needed."""
 
     def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
@@ -53,7 +54,7 @@ class OperationMode:
         """Act on a controlword. An edge is a difference from `previous`."""
         self.controlword = controlword
 
-    def written(self, key: int) -> None:
+    def written(self, key: Mux) -> None:
         """Act on the write of an object in `listens_to`."""
 
     def on_sync(self) -> None:
@@ -222,7 +223,7 @@ class ProfileVelocity(OperationMode):
         else:
             self._follow()
 
-    def written(self, key: int) -> None:
+    def written(self, key: Mux) -> None:
         self._follow()
 
     def _commanded(self) -> float:

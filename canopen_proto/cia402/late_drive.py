@@ -14,6 +14,7 @@ from canopen_proto.cia402.drive import STEP, Drive
 from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import Outbox, Time
+from canopen_proto.multiplexer import Mux, mux, split_mux
 
 _COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
 
@@ -25,7 +26,7 @@ class LateDrive(Drive):
 
     def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings) -> None:
         super().__init__(out, node_id, values, settings)
-        self._late: deque[tuple[Time, int, int]] = deque()  # when it takes effect, key, value
+        self._late: deque[tuple[Time, Mux, int]] = deque()  # when it takes effect, key, value
         self._obeys = False
 
     def reset(self, now: Time) -> None:
@@ -33,7 +34,7 @@ class LateDrive(Drive):
         super().reset(now)
 
     def written(self, index: int, subindex: int, now: Time) -> None:
-        key = index << 8 | subindex
+        key = mux(index, subindex)
         if key not in _COMMANDS:
             super().written(index, subindex, now)
             return
@@ -48,11 +49,11 @@ class LateDrive(Drive):
             self._obey(*self._late.popleft())
         super()._advance(now)
 
-    def _obey(self, time: Time, key: int, value: int) -> None:
+    def _obey(self, time: Time, key: Mux, value: int) -> None:
         store = self.values.store
         newest, store[key] = store[key], value
         self._obeys = True  # one after the other, also those of one PDO
-        super().written(key >> 8, key & 0xFF, time)
+        super().written(*split_mux(key), time)
         self._obeys = False
         store[key] = newest
 

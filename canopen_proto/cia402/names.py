@@ -22,12 +22,13 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import STATUS_PATTERNS, ControlBit, State, StatusBit
 from canopen_proto.dictionary import Constant, ObjectDictionary
+from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
 
 PROFILE: Final = 402
 """Low word of a drive's device type."""
 
 _DEVICE_TYPE: Final = 0x1000
-_AXIS: Final = 0x800 << 8
+_AXIS: Final = 0x800
 _AXES: Final = 8
 
 _STATES: Final = {
@@ -61,7 +62,7 @@ _MODES: Final = {
     "cyclic_synchronous_torque_mode": 10, "cst": 10,
 }  # fmt: skip
 
-_NAMES: Final[dict[int, tuple[Constant, ...]]] = {
+_NAMES: Final[dict[Mux, tuple[Constant, ...]]] = {
     objects.STATUSWORD: (
         *(Constant(_STATES[state], mask, value) for state, (mask, value) in STATUS_PATTERNS.items()),
         *(Constant(name, bit, bit) for name, bit in _STATUS_BITS.items()),
@@ -104,17 +105,17 @@ def is_drive(dictionary: ObjectDictionary) -> bool:
     value = device_type.initial_of(0) if device_type is not None else 0
     profile = value & 0xFFFF if isinstance(value, int) else 0
     words = objects.CONTROLWORD, objects.STATUSWORD
-    return profile == PROFILE or (profile == 0 and all(dictionary.get(word >> 8, word & 0xFF) for word in words))
+    return profile == PROFILE or (profile == 0 and all(dictionary.get(*split_mux(word)) for word in words))
 
 
 def with_drive_names(dictionary: ObjectDictionary) -> ObjectDictionary:
     """Return the dictionary with CiA 402's names for values; names that it already has stay. Unchanged if it is not a drive's."""
     if not is_drive(dictionary):
         return dictionary
-    constants: dict[int, tuple[Constant, ...]] = {}
+    constants: dict[Mux, tuple[Constant, ...]] = {}
     for key, names in _NAMES.items():
         for axis in range(_AXES):
-            variable = dictionary.get((key + axis * _AXIS) >> 8, key & 0xFF)
+            variable = dictionary.get(index_of(key) + axis * _AXIS, subindex_of(key))
             if variable is not None:
                 known = {constant.name for constant in dictionary.constants_of(variable)}
                 constants[variable.mux] = tuple(name for name in names if name.name not in known)

@@ -26,8 +26,9 @@ from typing import Final
 from canopen_proto.cia402 import motion, objects
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.multiplexer import Mux
 
-FALLBACKS: Final[dict[int, int]] = {
+FALLBACKS: Final[dict[Mux, int]] = {
     objects.QUICK_STOP_OPTION_CODE: 2,
     objects.SHUTDOWN_OPTION_CODE: 0,
     objects.DISABLE_OPERATION_OPTION_CODE: 1,
@@ -128,7 +129,7 @@ class DriveSettings:
     load: int = 30
     self_test: Time = 0
     homing_method: int = 19
-    unset: frozenset[int] = frozenset()
+    unset: frozenset[Mux] = frozenset()
     reaction: Time = 0
 
 
@@ -156,7 +157,7 @@ class Servo:
         "zero",
     )
 
-    def __init__(self, store: dict[int, Value], settings: DriveSettings) -> None:
+    def __init__(self, store: dict[Mux, Value], settings: DriveSettings) -> None:
         self.store = store
         self.settings = settings
         self.time: Time = -NEVER  # before any time of a clock
@@ -173,13 +174,13 @@ class Servo:
 
     # ---- the dictionary's numbers ----
 
-    def parameter(self, key: int) -> int:
+    def parameter(self, key: Mux) -> int:
         """Return an object's present value, or its fallback."""
         value = self.store.get(key)
         says_nothing = value == 0 and key in self.settings.unset
         return value if isinstance(value, int) and not says_nothing else FALLBACKS.get(key, 0)
 
-    def rate(self, key: int) -> float:
+    def rate(self, key: Mux) -> float:
         """Return a speed or an acceleration; at least 1."""
         return float(max(1, self.parameter(key)))
 

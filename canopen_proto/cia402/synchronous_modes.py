@@ -40,6 +40,7 @@ from canopen_proto.cia402.servo import UNLIMITED, Servo
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time
+from canopen_proto.multiplexer import Mux
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
 """A SYNC that stays away for less is late, not lost: the axis brakes until it comes, then goes on."""
@@ -158,7 +159,7 @@ class InterpolatedPosition(SynchronousMode):
     def _size(self) -> int:
         return max(1, self.servo.parameter(objects.MAXIMUM_BUFFER_SIZE)) if self._queues else 1
 
-    def written(self, key: int) -> None:
+    def written(self, key: Mux) -> None:
         if key == objects.INTERPOLATION_SET_POINT:
             self._push(self.servo.parameter(key))
         elif not self._queues:
@@ -215,7 +216,7 @@ class CyclicPosition(SynchronousMode):
             self.due = NEVER
             self._halt()
 
-    def written(self, key: int) -> None:
+    def written(self, key: Mux) -> None:
         self._is_new = True
 
     def on_sync(self) -> None:

@@ -16,7 +16,6 @@ from canopen_proto.dictionary.model import (
     PdoDescription,
     PdoNotFound,
     Variable,
-    mux,
 )
 from canopen_proto.dictionary.values import Values
 
@@ -37,5 +36,4 @@ __all__ = [
     "PdoNotFound",
     "Values",
     "Variable",
-    "mux",
 ]

@@ -28,6 +28,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.download_order import Write, download_order, settings_of
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.multiplexer import Mux
 
 MAX_CONCISE: Final = 16 << 20
 """Bytes of one concise DCF: as much as one SDO transfer brings (sdo.client.MAX_UPLOAD)."""
@@ -44,7 +45,7 @@ class ConciseError(LocalProtocolError, ValueError):
         self.offset = offset
 
 
-def to_concise(dictionary: ObjectDictionary, node_id: int, values: Mapping[int, Value] | None = None) -> bytes:
+def to_concise(dictionary: ObjectDictionary, node_id: int, values: Mapping[Mux, Value] | None = None) -> bytes:
     """The concise DCF that sets the device of that node-ID to these values, by mux; None: to what its DCF has configured.
 
     Read-only objects, commands and the like are left out; see `download_order`, which also tells which. Raises what it raises,
@@ -100,7 +101,7 @@ def from_concise(data: bytes) -> list[Write]:
     return entries
 
 
-def values_of_concise(dictionary: ObjectDictionary, entries: Iterable[Write]) -> dict[int, Value]:
+def values_of_concise(dictionary: ObjectDictionary, entries: Iterable[Write]) -> dict[Mux, Value]:
     """What a device holds after these entries, by mux: the last one of each object counts.
 
     Raises ObjectNotFound for an object that the dictionary does not have, ValueRangeError for data of a wrong length.

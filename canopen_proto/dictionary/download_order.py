@@ -33,6 +33,7 @@ from typing import Final, NamedTuple, TypeAlias
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.multiplexer import Mux, mux, split_mux
 
 PRODUCES: Final = 1 << 30
 """COB-ID SYNC and TIME: the device produces it. CiA 301 v4.2.0, 7.5.2.5 and 7.5.2.15."""
@@ -76,7 +77,7 @@ class DownloadOrder:
     """What `download_order` gives. writes: in their order. left_out: the reason for each value that is not written, by mux."""
 
     writes: tuple[Write, ...]
-    left_out: Mapping[int, str]
+    left_out: Mapping[Mux, str]
 
 
 class Switch(NamedTuple):
@@ -109,7 +110,7 @@ SWITCHES: Final = (
 """In the order in which they are switched off."""
 
 
-def settings_of(dictionary: ObjectDictionary, node_id: int, *, defaults: bool = False) -> dict[int, Value]:
+def settings_of(dictionary: ObjectDictionary, node_id: int, *, defaults: bool = False) -> dict[Mux, Value]:
     """What a device of that node-ID is to be set to, by mux: what a DCF has configured; with `defaults` all else too that has a
     default value, but for objects that a backup could not read: nobody knows what they held."""
     return {
@@ -121,10 +122,10 @@ def settings_of(dictionary: ObjectDictionary, node_id: int, *, defaults: bool = 
 
 def download_order(
     dictionary: ObjectDictionary,
-    values: Mapping[int, Value],
+    values: Mapping[Mux, Value],
     node_id: int,
     *,
-    standing: Mapping[int, Value] | None = None,
+    standing: Mapping[Mux, Value] | None = None,
 ) -> DownloadOrder:
     """The writes that set a device to these values.
 
@@ -141,15 +142,15 @@ def download_order(
 class _Order:
     """One `download_order` at work."""
 
-    def __init__(self, dictionary: ObjectDictionary, node_id: int, standing: Mapping[int, Value]) -> None:
+    def __init__(self, dictionary: ObjectDictionary, node_id: int, standing: Mapping[Mux, Value]) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
         self.standing = standing
-        self.values: dict[int, Value] = {}
-        self.left_out: dict[int, str] = {}
+        self.values: dict[Mux, Value] = {}
+        self.left_out: dict[Mux, str] = {}
 
-    def add(self, key: int, value: Value) -> None:
-        variable = self.dictionary.variable((key >> 8, key & 0xFF))
+    def add(self, key: Mux, value: Value) -> None:
+        variable = self.dictionary.variable(split_mux(key))
         reason = reason_to_leave_out(self.dictionary.objects[variable.index], variable)
         if reason:
             self.left_out[key] = reason
@@ -197,9 +198,9 @@ class _Order:
         except OverflowError:
             return None
 
-    def _settings(self, key: int, value: Value) -> Iterator[tuple[tuple[int, ...], Write]]:
+    def _settings(self, key: Mux, value: Value) -> Iterator[tuple[tuple[int, ...], Write]]:
         """The writes of what is no switch, each with its place among all of them."""
-        index, subindex = key >> 8, key & 0xFF
+        index, subindex = split_mux(key)
         area = 0 if index in _COMMUNICATION else 1
         if index not in _PDO_RECORDS:
             yield (area, index, subindex), self._write(key, value)
@@ -218,35 +219,35 @@ class _Order:
         """Entries beyond the count say nothing, and devices refuse the 0 that stands there. A missing count is added."""
         counts: dict[int, int] = {}
         for key in sorted(self.values):
-            index, subindex = key >> 8, key & 0xFF
+            index, subindex = split_mux(key)
             if index not in _PDO_RECORDS or not index & _TO_MAPPING or not subindex:
                 continue
             if index not in counts:
-                self._add_implied(index << 8)
-                counts[index] = _entries_used(self.values.get(index << 8, self._known(index << 8)))
+                self._add_implied(mux(index))
+                counts[index] = _entries_used(self.values.get(mux(index), self._known(mux(index))))
             if subindex > counts[index]:
                 del self.values[key]
                 self.left_out[key] = "beyond the number of mapped objects"
 
-    def _add_implied(self, key: int) -> None:
+    def _add_implied(self, key: Mux) -> None:
         """What must be off for another object's sake gets back what it has."""
-        variable = self.dictionary.get(key >> 8, key & 0xFF)
+        variable = self.dictionary.get(*split_mux(key))
         value = self._known(key)
         if key in self.values or variable is None or value is None:
             return
         if not reason_to_leave_out(self.dictionary.objects[variable.index], variable):
             self.values[key] = value
 
-    def _known(self, key: int) -> Value | None:
-        variable = self.dictionary.get(key >> 8, key & 0xFF)
+    def _known(self, key: Mux) -> Value | None:
+        variable = self.dictionary.get(*split_mux(key))
         if key in self.standing:
             return self.standing[key]
         if variable is None or (variable.default is None and variable.configured is None):
             return None
         return variable.initial_of(self.node_id)
 
-    def _write(self, key: int, value: Value) -> Write:
-        variable = self.dictionary.variable((key >> 8, key & 0xFF))
+    def _write(self, key: Mux, value: Value) -> Write:
+        variable = self.dictionary.variable(split_mux(key))
         return variable.index, variable.subindex, variable.encode(value)
 
 
@@ -268,21 +269,21 @@ def _entries_used(count: Value | None) -> int:
     return 1 if count in MPDO_COUNTS else count
 
 
-def _switch_at(key: int) -> tuple[int, Switch | None]:
-    index, subindex = key >> 8, key & 0xFF
+def _switch_at(key: Mux) -> tuple[int, Switch | None]:
+    index, subindex = split_mux(key)
     for rank, switch in enumerate(SWITCHES):
         if index in switch.indices and subindex in switch.subindices:
             return rank, switch
     return len(SWITCHES), None
 
 
-def switches_of(key: int) -> tuple[int, ...]:
+def switches_of(key: Mux) -> tuple[Mux, ...]:
     """The switches that must be off when this object is written."""
-    index, subindex = key >> 8, key & 0xFF
+    index, subindex = split_mux(key)
     if index in _PDO_RECORDS:
-        return ((index & ~_TO_MAPPING) << 8 | 1,)
+        return (mux(index & ~_TO_MAPPING, 1),)
     if index == 0x1019:
-        return (0x1006 << 8,)
+        return (mux(0x1006),)
     if 0x1201 <= index < 0x1300 and subindex == 3:  # the node-ID at the other end
-        return (index << 8 | 1, index << 8 | 2)
+        return (mux(index, 1), mux(index, 2))
     return ()

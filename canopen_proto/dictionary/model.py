@@ -31,8 +31,9 @@ from types import MappingProxyType
 from typing import Final, NoReturn
 
 from canopen_proto.datatypes import DataType, Value, is_signed
-from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable, description, mux
+from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable, description
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.multiplexer import Mux, index_of, mux
 
 __all__ = [
     "Access",
@@ -51,7 +52,6 @@ __all__ = [
     "PdoNotFound",
     "Variable",
     "did_you_mean",
-    "mux",
 ]
 
 
@@ -164,7 +164,7 @@ class ObjectDictionary:
         self,
         objects: Iterable[Object],
         *,
-        constants: Mapping[int, Sequence[Constant]] | None = None,
+        constants: Mapping[Mux, Sequence[Constant]] | None = None,
         pdos: Iterable[PdoDescription] = (),
         fillers: Iterable[Filler] = (),
         source: str = "",
@@ -176,7 +176,7 @@ class ObjectDictionary:
         by_mux = {variable.mux: variable for each in self.objects.values() for variable in each.variables.values()}
         if (keys := list(by_mux)) != (ordered := sorted(keys)):  # they are in order in most files, and sorted soon then
             by_mux = {key: by_mux[key] for key in ordered}
-        self._by_mux: dict[int, Variable] = by_mux
+        self._by_mux: dict[Mux, Variable] = by_mux
         self._names: _Names | None = None
         self._constants = {key: tuple(each) for key, each in (constants or {}).items()}
         self.pdos: tuple[PdoDescription, ...] = tuple(pdos)
@@ -192,7 +192,7 @@ class ObjectDictionary:
 
     def get(self, index: int, subindex: int = 0) -> Variable | None:
         """The variable at index 0..0xFFFF, subindex 0..0xFF, or None. One dict look-up."""
-        return self._by_mux.get(index << 8 | subindex)
+        return self._by_mux.get(mux(index, subindex))
 
     def has_index(self, index: int) -> bool:
         """Whether there is an object at this index (then a missing subindex is another fault than a missing object)."""
@@ -243,7 +243,7 @@ class ObjectDictionary:
     def at(self, index: int, subindex: int) -> Variable:
         """The variable at an index and subindex. Raises ObjectNotFound, which says what there is; `get` gives None instead."""
         if 0 < index <= 0xFFFF and 0 <= subindex <= 0xFF:
-            found = self._by_mux.get(index << 8 | subindex)
+            found = self._by_mux.get(mux(index, subindex))
             if found is not None:
                 return found
         where = f"object 0x{index:04X}:{subindex:02X} is not in the dictionary{self._of_source()}"
@@ -353,7 +353,7 @@ class ObjectDictionary:
         pseudo = other._pseudo or self._pseudo
         constants = dict(self._constants)
         for key, theirs in other._constants.items():
-            if key in self._by_mux or key >> 8 == PSEUDO_INDEX:
+            if key in self._by_mux or index_of(key) == PSEUDO_INDEX:
                 names = {constant.name for constant in theirs}
                 constants[key] = (*theirs, *(own for own in constants.get(key, ()) if own.name not in names))
         fillers = self._fillers | other._fillers

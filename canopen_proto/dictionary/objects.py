@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
 from canopen_proto.datatypes import Codec, DataType, Value, ValueRangeError, codec_of
+from canopen_proto.multiplexer import Mux, mux
 
 _T = TypeVar("_T")
 
@@ -28,11 +29,6 @@ def description(cls: type[_T]) -> type[_T]:
     """Class decorator: a dataclass with slots and a hash, immutable to the type checker only: one frozen at run time costs three
     times as much to make."""
     return dataclasses.dataclass(slots=True, unsafe_hash=True)(cls)
-
-
-def mux(index: int, subindex: int = 0) -> int:
-    """The multiplexer: index << 8 | subindex, the key of `Values.store` and of all fast look-ups."""
-    return index << 8 | subindex
 
 
 class Access(StrEnum):
@@ -103,12 +99,12 @@ class Variable:
     upload_file: str = ""
     download_file: str = ""
     not_read: str = ""
-    mux: int = field(init=False, repr=False, compare=False)
+    mux: Mux = field(init=False, repr=False, compare=False)
     codec: Codec = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         made: Any = self  # immutable to the type checker
-        made.mux = self.index << 8 | self.subindex
+        made.mux = mux(self.index, self.subindex)
         made.codec = codec_of(self.data_type)
 
     @property

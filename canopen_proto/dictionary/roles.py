@@ -29,6 +29,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.download_order import reason_to_leave_out
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.multiplexer import Mux, mux
 
 IO_PROFILE: Final = 401
 DRIVE_PROFILE: Final = 402
@@ -106,7 +107,7 @@ def role_of(
     return Role.APPLICATION
 
 
-def roles_in(dictionary: ObjectDictionary, values: Mapping[int, Value]) -> dict[int, Role]:
+def roles_in(dictionary: ObjectDictionary, values: Mapping[Mux, Value]) -> dict[int, Role]:
     """The role of each object of a device, by mux. values: what it holds; what they do not tell, the dictionary does."""
     known = {each.mux: each.default if each.configured is None else each.configured for each in dictionary}
     held = {key: value for key, value in known.items() if value is not None} | dict(values)
@@ -114,22 +115,22 @@ def roles_in(dictionary: ObjectDictionary, values: Mapping[int, Value]) -> dict[
     return {each.mux: role_of(dictionary, each, profile=profile, carried=carried) for each in dictionary}
 
 
-def profile_in(values: Mapping[int, Value]) -> int | None:
+def profile_in(values: Mapping[Mux, Value]) -> int | None:
     """The number of the device profile, by the device type (0x1000) among a device's values; None where it tells none."""
-    device_type = values.get(0x1000_00)
+    device_type = values.get(mux(0x1000))
     return (device_type & _PROFILE_MASK) or None if isinstance(device_type, int) else None
 
 
-def carried_in(values: Mapping[int, Value]) -> frozenset[int]:
+def carried_in(values: Mapping[Mux, Value]) -> frozenset[int]:
     """The muxes that the valid RPDOs carry of a device that holds these values. An RPDO of unknown COB-ID counts as valid."""
     found: set[int] = set()
     for number in range(_RPDOS):
-        count = values.get((_RPDO_MAPPING + number) << 8)
-        cob_id = values.get((_RPDO + number) << 8 | 1, 0)
+        count = values.get(mux(_RPDO_MAPPING + number))
+        cob_id = values.get(mux(_RPDO + number, 1), 0)
         if not isinstance(count, int) or (isinstance(cob_id, int) and cob_id & COB_ID_INVALID):
             continue
         for subindex in range(1, min(count, 64) + 1):
-            entry = values.get((_RPDO_MAPPING + number) << 8 | subindex)
+            entry = values.get(mux(_RPDO_MAPPING + number, subindex))
             if isinstance(entry, int):
                 found.add(entry >> 8)
     return frozenset(found)

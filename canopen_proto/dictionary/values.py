@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, zero_of
 from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.multiplexer import Mux, mux_text
 
 
 class Values:
@@ -34,18 +35,18 @@ class Values:
     def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
-        self.store: dict[int, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
+        self.store: dict[Mux, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
         self.unfit = tuple(variable for variable in dictionary if not _takes(variable, self.store[variable.mux]))
         self._mend()
 
-    def __getitem__(self, mux: int) -> Value:
+    def __getitem__(self, mux: Mux) -> Value:
         """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
         return self.store[mux]
 
-    def __setitem__(self, mux: int, value: Value) -> None:
+    def __setitem__(self, mux: Mux, value: Value) -> None:
         """Set the value at a mux; the value is not checked. Raises KeyError where the dictionary has no such object."""
         if mux not in self.store:
-            raise ObjectNotFound(f"object 0x{mux >> 8:04X}:{mux & 0xFF:02X} is not in the dictionary")
+            raise ObjectNotFound(f"object {mux_text(mux)} is not in the dictionary")
         self.store[mux] = value
 
     def read(self, key: Key) -> Value:

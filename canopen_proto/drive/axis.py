@@ -50,6 +50,7 @@ from canopen_proto.cia402.objects import (
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.datatypes import range_of
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.remote_node import FRESH, RemoteNode
 
 if TYPE_CHECKING:
@@ -191,7 +192,7 @@ class Axis:
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """Make the axis of a node. Raises LocalProtocolError if its dictionary lacks controlword, statusword or a mode object."""
         for key in (CONTROLWORD, STATUSWORD, MODES_OF_OPERATION, MODES_OF_OPERATION_DISPLAY):
-            node.dictionary.variable((key >> 8, key & 0xFF))
+            node.dictionary.variable(split_mux(key))
         self.node = node
         self.settings = self._given = settings
         self.is_identified = False
@@ -199,7 +200,7 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
-        found = (node.dictionary.get(mux >> 8, mux & 0xFF) for mux in (INTERPOLATION_SET_POINT, TARGET_POSITION))
+        found = (node.dictionary.get(*split_mux(mux)) for mux in (INTERPOLATION_SET_POINT, TARGET_POSITION))
         self._set_points = [(each, *(range_of(each.data_type) or _NO_RANGE)) for each in found if each is not None]
         node.commanded |= {CONTROLWORD, INTERPOLATION_SET_POINT, TARGET_POSITION}
         node.add_listener(self._on_values, self._on_boot)
@@ -367,14 +368,14 @@ class Axis:
         if producer is not None:
             producer.trigger(now)
 
-    def _heard(self, key: int) -> int | None:
+    def _heard(self, key: Mux) -> int | None:
         return self._int(key) if key in self.node.heard_at else None
 
-    def _int(self, key: int) -> int:
+    def _int(self, key: Mux) -> int:
         value = self.node.values.store.get(key, 0)
         return value if isinstance(value, int) else 0
 
-    def _on_values(self, muxes: Collection[int], now: Time) -> None:
+    def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if STATUSWORD in muxes:
             self._enter(state_of(self.statusword))
 

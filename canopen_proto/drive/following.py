@@ -46,6 +46,7 @@ from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
+from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import ABSENT, read_if_present, value_of
 from canopen_proto.procedures.steps import (
@@ -75,7 +76,7 @@ SILENT_TIME: Final = 20 * MILLISECOND
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
 _NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
-_NAMES: Final[dict[int, str]] = {
+_NAMES: Final[dict[Mux, str]] = {
     STATUSWORD: "statusword",
     MODES_OF_OPERATION_DISPLAY: "mode (0x6061)",
     POSITION_ACTUAL_VALUE: "position",
@@ -130,16 +131,16 @@ class Following:
         self._limit = Limit(0.0, "")
         self._lag = LAG
         self._points: deque[float] = deque()
-        self._cyclic: Mapping[int, int] = {}
+        self._cyclic: Mapping[Mux, int] = {}
         self._silent_syncs = SILENT_SYNCS
-        self._unanswered: dict[int, tuple[int, Time]] = {}  # SYNCs since a mux was heard, and when the first of them was
+        self._unanswered: dict[Mux, tuple[int, Time]] = {}  # SYNCs since a mux was heard, and when the first of them was
         self._nmt_state: NmtState | None = None
         self._old_bits = 0
         self._flawless: int | None = None  # a statusword in which nothing was found
         self._was_limited = False
         self.error = 0.0
         self.largest_error = 0.0
-        self.unsent: set[int] = set()
+        self.unsent: set[Mux] = set()
         axis.node.add_listener(self._on_values, self._on_boot, self._on_sync)
 
     @property
@@ -157,7 +158,7 @@ class Following:
         limit: Limit,
         mode: int,
         *,
-        cyclic: Mapping[int, int],
+        cyclic: Mapping[Mux, int],
         lag: int = LAG,
         silent_syncs: int = SILENT_SYNCS,
     ) -> None:
@@ -178,12 +179,12 @@ class Following:
         self.error = 0.0
         self._is_on = True
 
-    def expect(self, cyclic: Mapping[int, int]) -> None:
+    def expect(self, cyclic: Mapping[Mux, int]) -> None:
         """Expect these objects at SYNCs: mux -> n for "at every n-th SYNC". Other watched objects that it has are `unsent`."""
         self._cyclic = cyclic
         self._unanswered = {}
         dictionary = self._axis.node.dictionary
-        self.unsent = {mux for mux in _NAMES if mux not in cyclic and (mux >> 8, mux & 0xFF) in dictionary}
+        self.unsent = {mux for mux in _NAMES if mux not in cyclic and split_mux(mux) in dictionary}
 
     def end(self) -> None:
         """End the watch: no more set-points follow."""
@@ -199,7 +200,7 @@ class Following:
 
     # ---- values that come ----
 
-    def _on_values(self, muxes: Collection[int], now: Time) -> None:
+    def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if not self._is_on:
             return
         if MODES_OF_OPERATION_DISPLAY in muxes:
@@ -275,7 +276,7 @@ class Following:
                 continue
             unanswered, first = silence
             if unanswered >= self._silent_syncs * every and now - first >= SILENT_TIME:
-                what, time = _NAMES.get(mux, f"0x{mux >> 8:04X}"), (now - first) / MILLISECOND
+                what, time = _NAMES.get(mux, f"0x{index_of(mux):04X}"), (now - first) / MILLISECOND
                 cause = f"is silent: no PDO with its {what} for {time:.3g} ms, behind {unanswered} SYNCs"
                 self.lose(cause, is_silent=True)
                 return
@@ -351,7 +352,7 @@ class _Turn:
         return self.left <= 0 and self.node.last_sync is not None and self.node.last_sync >= self.not_before
 
 
-def _read(drive: Following, mux: int) -> Procedure[None]:
+def _read(drive: Following, mux: Mux) -> Procedure[None]:
     """Read an object, repeatedly until it succeeds; the drive is lost if it does not."""
     node = drive.axis.node
     patience = UNANSWERED * node.sdo.timeout
@@ -369,14 +370,14 @@ def _read(drive: Following, mux: int) -> Procedure[None]:
         except (ProcedureError, LocalProtocolError) as error:
             why = str(error)
         if (yield from current_time()) >= deadline:
-            drive.lose(f"cannot be watched: 0x{mux >> 8:04X} could not be read for {patience / SECOND:g} s: {why}")
+            drive.lose(f"cannot be watched: 0x{index_of(mux):04X} could not be read for {patience / SECOND:g} s: {why}")
             return
         yield from sleep(READ_INTERVAL)
 
 
-def _ask(drive: Following, mux: int, deadline: Time) -> Procedure[bool]:
+def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
-    node, index, subindex = drive.axis.node, mux >> 8, mux & 0xFF
+    node, index, subindex = drive.axis.node, index_of(mux), subindex_of(mux)
     client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
     request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
     try:

@@ -28,6 +28,7 @@ from canopen_proto.drive.controlword import STAYS, command, command_held
 from canopen_proto.drive.failures import name_of
 from canopen_proto.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.multiplexer import Mux, index_of, split_mux
 from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import (
     Cancelled,
@@ -163,7 +164,7 @@ class _Standstill:
 
     def __init__(self, axis: Axis) -> None:
         reads = {MODES_OF_OPERATION_DISPLAY: FRESH, POSITION_ACTUAL_VALUE: STANDSTILL_LOOK, VELOCITY_ACTUAL_VALUE: FRESH}
-        present = {mux: pause for mux, pause in reads.items() if (mux >> 8, mux & 0xFF) in axis.node.dictionary}
+        present = {mux: pause for mux, pause in reads.items() if split_mux(mux) in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self._axis = axis
@@ -196,7 +197,7 @@ class _Standstill:
         has_obeyed = self._was_moving or heard_at - since >= self._axis.settings.reaction_time
         return (has_obeyed and (not has_position or self._is_at_one_place())) or None
 
-    def _knows(self, mux: int) -> bool:
+    def _knows(self, mux: Mux) -> bool:
         """Return whether the object was heard, or will never be."""
         return self.watch.heard(mux) is not None or self.watch.refusal(mux) is not None
 
@@ -254,10 +255,10 @@ def _has_slowed(axis: Axis, before: float, now: float) -> Procedure[bool]:
 def _ramp(axis: Axis) -> Procedure[int | None]:
     """Return the deceleration with which the drive halts (0x605D), in its own unit per second; None if it does not tell."""
     node = axis.node
-    option = yield from read_if_present(node, (HALT_OPTION_CODE >> 8, 0))
+    option = yield from read_if_present(node, (index_of(HALT_OPTION_CODE), 0))
     keys = {1: (PROFILE_DECELERATION, PROFILE_ACCELERATION), 2: (QUICK_STOP_DECELERATION,)}
     for key in keys.get(option if isinstance(option, int) else 1, ()):
-        rate = yield from read_if_present(node, (key >> 8, 0))
+        rate = yield from read_if_present(node, (index_of(key), 0))
         if isinstance(rate, int) and rate > 0:
             return rate
     return None

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from canopen_proto.cia402.objects import VENDOR_ID
 from canopen_proto.drive.axis import Axis
+from canopen_proto.multiplexer import split_mux
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 
@@ -25,7 +26,7 @@ def identify(axis: Axis) -> Procedure[None]:
     if axis.is_identified or axis.settings.homing is not None:
         return
     try:
-        data = yield from upload(axis.node.sdo, VENDOR_ID >> 8, VENDOR_ID & 0xFF)
+        data = yield from upload(axis.node.sdo, *split_mux(VENDOR_ID))
     except SdoFailed as failed:
         if failed.abort_code not in ABSENT:
             raise

@@ -24,6 +24,7 @@ from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.objects import read_int, value_of
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, StepTimeout, Wait, current_time
@@ -78,7 +79,7 @@ class Watch(Generic[T]):
         accept_fault: bool = False,
         mode: int | None = None,
         stays: State | None = None,
-        reads: Mapping[int, Time] | None = None,
+        reads: Mapping[Mux, Time] | None = None,
     ) -> None:
         """Prepare a wait. goal: its name in messages. mode, stays, accept_fault: as in `wait_for_statusword`.
 
@@ -90,22 +91,22 @@ class Watch(Generic[T]):
         self._accept_fault = accept_fault
         self._mode = mode
         self._stays = stays
-        self._pauses: dict[int, Time] = {STATUSWORD: POLL_INTERVAL, **(reads or {})}
+        self._pauses: dict[Mux, Time] = {STATUSWORD: POLL_INTERVAL, **(reads or {})}
         if mode is not None:
             self._pauses.setdefault(_MODE, FRESH)
-        self._due: dict[int, Time] = {}  # mux -> when to read it by SDO
-        self._open: dict[RequestId, tuple[int, Time]] = {}  # the reads under way: mux, and when it was requested
-        self._timed_out: set[int] = set()  # muxes whose last read was not answered
+        self._due: dict[Mux, Time] = {}  # mux -> when to read it by SDO
+        self._open: dict[RequestId, tuple[Mux, Time]] = {}  # the reads under way: mux, and when it was requested
+        self._timed_out: set[Mux] = set()  # muxes whose last read was not answered
         self._refused: dict[int, SdoFailed] = {}
         self._mode_seen: Time = -NEVER  # the mode known from 0x6061 was in force at this time or later
         self._reached_at: Time | None = None  # since when the judge gives a result
 
-    def heard(self, mux: int) -> Time | None:
+    def heard(self, mux: Mux) -> Time | None:
         """Return when the drive last sent the value of an object, since the wait began; None: not yet."""
         heard_at = self.axis.node.heard_at.get(mux)
         return heard_at if heard_at is not None and heard_at >= self.began else None
 
-    def refusal(self, mux: int) -> SdoFailed | None:
+    def refusal(self, mux: Mux) -> SdoFailed | None:
         """Return the error with which the drive refused to have an object read; None if it did not."""
         return self._refused.get(mux)
 
@@ -170,7 +171,7 @@ class Watch(Generic[T]):
         for mux, due in self._due.items():
             if due <= now:
                 # Urgent: a wait for a drive must not queue behind a backup of it.
-                request_id = node.read((mux >> 8, mux & 0xFF), now, urgent=True)
+                request_id = node.read(split_mux(mux), now, urgent=True)
                 self._open[request_id] = (mux, now)
                 self._due[mux] = NEVER
 
@@ -195,11 +196,11 @@ class Watch(Generic[T]):
             case _:
                 raise node_lost(self.axis, report, self.goal)
 
-    def _take_answer(self, report: SdoUploaded | SdoAborted, mux: int, asked_at: Time, now: Time) -> None:
+    def _take_answer(self, report: SdoUploaded | SdoAborted, mux: Mux, asked_at: Time, now: Time) -> None:
         node = self.axis.node
         self._due[mux] = now + self._pauses[mux]
         if isinstance(report, SdoUploaded):
-            value_of(node, node.dictionary.variable((mux >> 8, mux & 0xFF)), report)
+            value_of(node, node.dictionary.variable(split_mux(mux)), report)
             self._timed_out.discard(mux)
             if mux == _MODE:
                 self._mode_seen = asked_at

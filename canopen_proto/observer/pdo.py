@@ -21,6 +21,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, RPDO1, TPDO1, key_of_cob_id
+from canopen_proto.multiplexer import Mux, index_of, mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappingError, entries_of
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.settings import COB_ID, communication_index, mapping_index, place_of
@@ -45,14 +46,14 @@ class OverheardPdos:
 
     def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
         self._dictionaries = dictionaries
-        self._recorded: dict[int, dict[int, int]] = {}  # by node-ID: mux -> value
+        self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID: mux -> value
         self._of_node = {node_id: self._pdos_of(node_id) for node_id in dictionaries}  # with their routing keys
         self._by_key: dict[int, OverheardPdo] | None = None
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
         """The device is known to hold this value. Does nothing for objects that are no PDO parameters."""
         if place_of(index) is not None and len(data) <= 4:
-            self._recorded.setdefault(node_id, {})[index << 8 | subindex] = int.from_bytes(data, "little")
+            self._recorded.setdefault(node_id, {})[mux(index, subindex)] = int.from_bytes(data, "little")
             self._renew(node_id)
 
     def booted(self, node_id: int) -> None:
@@ -89,7 +90,7 @@ class OverheardPdos:
 
     def _pdos_of(self, node_id: int) -> list[tuple[int, OverheardPdo]]:
         """The valid PDOs of a device that the recording and its file tell, with their routing keys."""
-        recorded = set(_pdos_at(mux >> 8 for mux in self._recorded.get(node_id, ())))
+        recorded = set(_pdos_at(index_of(mux) for mux in self._recorded.get(node_id, ())))
         found = []
         for direction, number in sorted({*recorded, *_pdos_at(self._dictionaries[node_id].objects)}):
             cob_id, mapping = self._cob_id(node_id, direction, number), self._mapping(node_id, direction, number)
@@ -119,7 +120,7 @@ class OverheardPdos:
             return None
 
     def _value(self, node_id: int, index: int, subindex: int) -> int | None:
-        recorded = self._recorded.get(node_id, {}).get(index << 8 | subindex)
+        recorded = self._recorded.get(node_id, {}).get(mux(index, subindex))
         if recorded is not None:
             return recorded
         variable = self._dictionaries[node_id].get(index, subindex)

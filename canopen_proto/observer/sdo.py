@@ -17,6 +17,7 @@ from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.multiplexer import mux
 from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, KIND, MAX_BLOCK_SIZE, SEQUENCE, START_UPLOAD
 from canopen_proto.sdo.codec import (
     ABORT,
@@ -298,7 +299,7 @@ def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: 
         return bytes_text(value)
     variable = dictionary.get(index, subindex)
     notes = [] if variable is None else list(dictionary.names_of(variable, value))
-    if index << 8 | subindex == STATUSWORD:
+    if mux(index, subindex) == STATUSWORD:
         notes = list(names_in_mode(notes, None))
     if isinstance(value, int) and value > 0xFF:
         notes.insert(0, f"0x{value:X}")

@@ -36,6 +36,7 @@ from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, PdoDescription
 from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id
+from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.mapping import Mapping
 
 LAST_SYNCHRONOUS: Final = 240
@@ -165,7 +166,7 @@ class PdoConsumer(Machine):
         number: int,
         key: int | None,
         mapping: Mapping,
-        store: dict[int, Value],
+        store: dict[Mux, Value],
         transmission_type: int = EVENT_DRIVEN,
         event_time: Time = 0,
     ) -> None:
@@ -182,7 +183,7 @@ class PdoConsumer(Machine):
         self.configure(key, mapping, transmission_type, event_time)
 
     @classmethod
-    def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[int, Value]) -> PdoConsumer:
+    def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoConsumer:
         """A consumer of what PDOs.csv describes: the master's view of a node's TPDO. store: the caller's. Raises MappingError."""
         mapping = Mapping.from_description(description)
         return cls(out, node_id, description.number or 0, description.can_id(node_id), mapping, store)

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.machine import MILLISECOND, NEVER, Time
+from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.producer import PdoProducer
 
 SYNC_TRANSIT: Final = 100 * MILLISECOND
@@ -45,7 +46,7 @@ class HeldRpdos:
         """RPDO `number` is no longer exchanged, or becomes another."""
         self._by_hand = {each for each in self._by_hand if each.number != number}
 
-    def carrying(self, mux: int, rpdos: Iterable[PdoProducer]) -> list[PdoProducer]:
+    def carrying(self, mux: Mux, rpdos: Iterable[PdoProducer]) -> list[PdoProducer]:
         """Those that carry an object, of `rpdos` and of what was sent by hand."""
         return [each for each in (*rpdos, *self._by_hand) if self._may_be_held(each) and mux in each.mapping.muxes]
 

@@ -46,6 +46,7 @@ from canopen_proto.datatypes import (
 )
 from canopen_proto.dictionary import Filler, Key, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 
 MAX_BITS: Final = 64
 """A classical CAN frame carries 8 bytes."""
@@ -83,7 +84,7 @@ class MappedEntry:
         self.data_type = data_type
         self.names = (name or f"0x{index:04X}:{subindex:02X}", *aliases)
         self.is_dummy = index <= LAST_DUMMY_INDEX
-        self.mux = index << 8 | subindex
+        self.mux = mux(index, subindex)
         if not may_have_width(data_type, bit_length):
             raise MappingError(f"{self.names[0]}: {data_type.name} cannot be mapped to a PDO with {bit_length} bits")
 
@@ -177,10 +178,10 @@ class Mapping:
     @classmethod
     def from_values(cls, values: Values, index: int) -> Mapping:
         """The mapping that stands at `index` (0x1600..0x17FF, 0x1A00..0x1BFF) of a device. Raises MappingError."""
-        count = number_at(values.store, index << 8)
+        count = number_at(values.store, mux(index))
         if count > MAX_ENTRIES:
             raise MappingError(f"0x{index:04X}:00 = {count}: a PDO has {MAX_ENTRIES} entries at most")
-        parameters = (number_at(values.store, index << 8 | subindex) for subindex in range(1, count + 1))
+        parameters = (number_at(values.store, mux(index, subindex)) for subindex in range(1, count + 1))
         return cls.from_parameters(parameters, values.dictionary)
 
     @property
@@ -207,11 +208,11 @@ class Mapping:
             if number is None:
                 return None
             index = int(number[1], 16)
-            return self._of_index(index) if number[2] is None else self._of_mux(index << 8 | int(number[2], 16))
+            return self._of_index(index) if number[2] is None else self._of_mux(mux(index, int(number[2], 16)))
         if isinstance(key, int):
             return self._of_index(key)
         index, subindex = (key.index, key.subindex) if isinstance(key, Variable) else key
-        return self._of_mux(index << 8 | subindex)
+        return self._of_mux(mux(index, subindex))
 
     def _named(self, name: str) -> int:
         places = self._places[name]
@@ -220,18 +221,18 @@ class Mapping:
             raise LocalProtocolError(f"this PDO maps several objects {name!r}: name one, as {labels[0]!r} ({', '.join(labels)})")
         return places[labels.index(name) if name in labels else 0]
 
-    def _of_mux(self, mux: int) -> int | None:
+    def _of_mux(self, mux: Mux) -> int | None:
         places = self._places.get(mux)
         return None if places is None else places[0]
 
     def _of_index(self, index: int) -> int | None:
-        mapped = {mux & 0xFF for mux in self.muxes if mux >> 8 == index}
+        mapped = {subindex_of(mux) for mux in self.muxes if index_of(mux) == index}
         if 0 in mapped or not mapped:
-            return self._of_mux(index << 8)
+            return self._of_mux(mux(index))
         if len(mapped) > 1:
             subindices = ", ".join(str(subindex) for subindex in sorted(mapped))
             raise LocalProtocolError(f"this PDO maps subindex {subindices} of 0x{index:04X}: name one, as (0x{index:04X}, 1)")
-        return self._of_mux(index << 8 | mapped.pop())
+        return self._of_mux(mux(index, mapped.pop()))
 
     # ---- bytes -> values ----
 
@@ -247,12 +248,12 @@ class Mapping:
         bits = int.from_bytes(data[: self.byte_length], "little")
         return tuple([field.read(bits) for field in self._fields])
 
-    def unpack_into(self, store: dict[int, Value], data: bytes) -> tuple[Value, ...]:
+    def unpack_into(self, store: dict[Mux, Value], data: bytes) -> tuple[Value, ...]:
         """Put the values into a store by mux, and return them too. Raises as `unpack` does; then the store is as it was."""
         values = self.unpack(data)
         position = 0  # counted by hand: in this hottest of paths zip would take half as long again, with strict= twice
-        for mux in self.muxes:
-            store[mux] = values[position]
+        for each in self.muxes:
+            store[each] = values[position]
             position += 1  # noqa: SIM113
         return values
 
@@ -279,7 +280,7 @@ class Mapping:
             bits |= field.write(value)
         return bits.to_bytes(self.byte_length, "little")
 
-    def pack_from(self, store: ReadOnlyDict[int, Value]) -> bytes:
+    def pack_from(self, store: ReadOnlyDict[Mux, Value]) -> bytes:
         """The PDO's bytes from a store by mux; what it does not hold counts as zero. Raises ValueRangeError as `pack` does."""
         try:
             return self.pack([store[mux] for mux in self.muxes])
@@ -352,7 +353,7 @@ def may_have_width(data_type: DataType, bit_length: int) -> bool:
     return bit_length == full if data_type in _WHOLE else bit_length <= full
 
 
-def number_at(store: ReadOnlyDict[int, Value], mux: int, default: int = 0) -> int:
+def number_at(store: ReadOnlyDict[Mux, Value], mux: Mux, default: int = 0) -> int:
     """The number that stands at a mux, as PDO parameters are; `default` where there is none.
 
     A negative one (a file describes a parameter as INTEGERn) counts as the 32 bits that a client reads.

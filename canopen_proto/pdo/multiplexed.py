@@ -38,6 +38,7 @@ from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Access, Direction, ObjectDictionary, Values, Variable
 from canopen_proto.frame import MAX_NODE_ID, Frame, frame_for_key
 from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
+from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.pdo.producer import PdoNotSent
@@ -154,7 +155,7 @@ def listed(values: Values, lists: range) -> Iterator[int]:
     for index in lists:
         described = values.dictionary.objects.get(index)
         for subindex in sorted(described.variables) if described is not None else ():
-            number = number_at(values.store, index << 8 | subindex) if subindex else 0
+            number = number_at(values.store, mux(index, subindex)) if subindex else 0
             if number:
                 yield number
 
@@ -274,8 +275,8 @@ class MpdoProducer(Machine):
         self._event_time: Time = 0
         self._inhibited_until: Time = -NEVER
         self._event_due: Time = NEVER
-        self._scanned: dict[int, Variable] = {}  # by mux, in the order of the scanner lists
-        self._pending: dict[int, None] = {}  # muxes that wait for the inhibit time, in order
+        self._scanned: dict[Mux, Variable] = {}  # by mux, in the order of the scanner lists
+        self._pending: dict[Mux, None] = {}  # those that wait for the inhibit time, in order
         self._next = 0  # which of the scanned objects the event timer sends next
 
     @property
@@ -312,7 +313,7 @@ class MpdoProducer(Machine):
             self.enabled = enabled
             self._restart(now)
 
-    def trigger(self, mux: int, now: Time) -> None:
+    def trigger(self, mux: Mux, now: Time) -> None:
         """The value at a mux changed: if it is scanned, it is sent, now or when the inhibit time is over.
 
         `PdoNotSent` follows where the object cannot have that value.
@@ -364,7 +365,7 @@ class MpdoProducer(Machine):
             self.out.events.append(PdoNotSent(self.node_id, number, key, str(error)))
             content = b""
         if content:
-            self.out.frames.append(frame_for_key(key, MPDO.pack(self.node_id, mux >> 8, mux & 0xFF, content)))
+            self.out.frames.append(frame_for_key(key, MPDO.pack(self.node_id, index_of(mux), subindex_of(mux), content)))
             self._inhibited_until = now + self._inhibit_time
         self._event_due = now + self._event_time if self._event_time else NEVER
 

@@ -29,6 +29,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Machine, Outbox, Time
+from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.owner import Owner
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, PdoConsumer
 from canopen_proto.pdo.mapping import Mapping, MappingError, number_at
@@ -140,7 +141,7 @@ class DevicePdos(Owner):
         for machine in self._synchronous:
             machine.on_sync(counter, now)
 
-    def trigger(self, mux: int, now: Time) -> None:
+    def trigger(self, mux: Mux, now: Time) -> None:
         """The value at a mux changed: the TPDOs that carry it are triggered."""
         for producer in self._triggers.get(mux, ()):
             producer.trigger(now)
@@ -184,17 +185,16 @@ class DevicePdos(Owner):
         mapping, mode = self._standing_mapping(direction, number)
         store = self._values.store
         index = communication_index(direction, number)
-        base = index << 8
-        cob_id = number_at(store, base | COB_ID, COB_ID_INVALID)
+        cob_id = number_at(store, mux(index, COB_ID), COB_ID_INVALID)
         key = self._key(index, cob_id)
-        transmission_type = number_at(store, base | TRANSMISSION_TYPE, EVENT_DRIVEN)
-        event_time = min(number_at(store, base | EVENT_TIMER), MAX_TIME) * MILLISECOND
+        transmission_type = number_at(store, mux(index, TRANSMISSION_TYPE), EVENT_DRIVEN)
+        event_time = min(number_at(store, mux(index, EVENT_TIMER)), MAX_TIME) * MILLISECOND
         if direction == Direction.RPDO:
             self.mpdo_consumer.set_pdo(number, key, mode)
             self.consumers[number].configure(key, mapping, transmission_type, event_time)
             return
-        inhibit_time = min(number_at(store, base | INHIBIT_TIME), MAX_TIME) * INHIBIT_UNIT
-        sync_start = number_at(store, base | SYNC_START)
+        inhibit_time = min(number_at(store, mux(index, INHIBIT_TIME)), MAX_TIME) * INHIBIT_UNIT
+        sync_start = number_at(store, mux(index, SYNC_START))
         self.mpdo_producer.set_pdo(number, key, mode, now, inhibit_time, event_time)
         self.producers[number].configure(
             key,
@@ -224,11 +224,11 @@ class DevicePdos(Owner):
         self._synchronous = (*(each for each in producers if each.is_synchronous), *consumers)
         self._triggers.clear()
         for producer in producers:
-            for mux in {entry.mux for entry in producer.mapping.components}:
-                self._triggers.setdefault(mux, []).append(producer)
+            for each in {entry.mux for entry in producer.mapping.components}:
+                self._triggers.setdefault(each, []).append(producer)
 
     def _set_window(self) -> None:
-        window = min(number_at(self._values.store, SYNC_WINDOW << 8), MAX_TIME) * MICROSECOND
+        window = min(number_at(self._values.store, mux(SYNC_WINDOW)), MAX_TIME) * MICROSECOND
         for consumer in self.consumers.values():
             consumer.set_window(window)
 
@@ -236,7 +236,7 @@ class DevicePdos(Owner):
         """What stands in the dictionary; an empty mapping for an MPDO, and where it makes no sense (which `faults` then says)."""
         index = mapping_index(direction, number)
         self.faults.pop(index, None)
-        mode = _MODES.get(number_at(self._values.store, index << 8))
+        mode = _MODES.get(number_at(self._values.store, mux(index)))
         if mode is not None:
             return _NOTHING, mode
         try:

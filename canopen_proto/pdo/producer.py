@@ -38,6 +38,7 @@ from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
 from canopen_proto.frame import KEY_REMOTE, Frame, frame_for_key
 from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time, check_node_id
+from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import Mapping
 
@@ -110,7 +111,7 @@ class PdoProducer(Machine):
         number: int,
         key: int | None,
         mapping: Mapping,
-        store: dict[int, Value],
+        store: dict[Mux, Value],
         transmission_type: int = EVENT_DRIVEN,
         inhibit_time: Time = 0,
         event_time: Time = 0,
@@ -133,7 +134,7 @@ class PdoProducer(Machine):
         self.configure(key, mapping, 0, transmission_type, inhibit_time, event_time, sync_start)
 
     @classmethod
-    def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[int, Value]) -> PdoProducer:
+    def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoProducer:
         """A producer of what PDOs.csv describes: the master's end of a node's RPDO. store: the caller's. Raises MappingError."""
         mapping = Mapping.from_description(description)
         return cls(out, node_id, description.number or 0, description.can_id(node_id), mapping, store)

@@ -37,6 +37,7 @@ from canopen_proto.cob_id import check_cob_id
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID
+from canopen_proto.multiplexer import mux
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES, may_have_width, number_at
 from canopen_proto.pdo.multiplexed import (
@@ -78,7 +79,7 @@ class PdoRules:
         place = place_of(index)
         if place is not None and place.is_mapping and subindex and self._count(place):
             return AbortCode.UNSUPPORTED_ACCESS
-        if not isinstance(value, int) or value == self._values.store.get(index << 8 | subindex):
+        if not isinstance(value, int) or value == self._values.store.get(mux(index, subindex)):
             return None
         if place is None:
             return self._check_listed(index, value) if subindex and value else None
@@ -99,11 +100,11 @@ class PdoRules:
 
     def _at(self, place: PdoPlace, subindex: int, default: int = 0) -> int:
         """A field of the communication parameter."""
-        return number_at(self._values.store, communication_index(place.direction, place.number) << 8 | subindex, default)
+        return number_at(self._values.store, mux(communication_index(place.direction, place.number), subindex), default)
 
     def _count(self, place: PdoPlace) -> int:
         """Sub 0 of the mapping parameter."""
-        return number_at(self._values.store, mapping_index(place.direction, place.number) << 8)
+        return number_at(self._values.store, mux(mapping_index(place.direction, place.number)))
 
     def _is_valid(self, place: PdoPlace) -> bool:
         return not self._at(place, COB_ID, COB_ID_INVALID) & COB_ID_INVALID
@@ -137,7 +138,7 @@ class PdoRules:
         dictionary, store = self._values.dictionary, self._values.store
         if count > MAX_ENTRIES or any(dictionary.get(index, subindex) is None for subindex in range(1, count + 1)):
             return AbortCode.PDO_LENGTH_EXCEEDED
-        entries = [number_at(store, index << 8 | subindex) for subindex in range(1, count + 1)]
+        entries = [number_at(store, mux(index, subindex)) for subindex in range(1, count + 1)]
         for entry in entries:
             refusal = self._check_mapped(place.direction, entry)
             if refusal is not None:

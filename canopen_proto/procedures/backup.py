@@ -31,6 +31,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.machine import Event
+from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act, upload
 from canopen_proto.remote_node import RemoteNode
@@ -96,7 +97,7 @@ class Backup:
     readings: list[Reading] = field(default_factory=list)
 
     @property
-    def values(self) -> dict[int, Value]:
+    def values(self) -> dict[Mux, Value]:
         """The values that were read, by mux."""
         return {each.variable.mux: each.value for each in self.readings if each.value is not None}
 

@@ -22,6 +22,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
+from canopen_proto.multiplexer import Mux, mapped
 from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, PdoSettings, place_of
 from canopen_proto.procedures.configure_pdo import configure_pdo, read_pdo
@@ -51,8 +52,8 @@ def described_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettin
 
 
 def choose_pdos(
-    pdos: Collection[PdoSettings], commands: Collection[int], feedback: Collection[int]
-) -> tuple[list[PdoSettings], list[int]]:
+    pdos: Collection[PdoSettings], commands: Collection[Mux], feedback: Collection[Mux]
+) -> tuple[list[PdoSettings], list[Mux]]:
     """Return the useful PDOs, and the `commands` that none of them carries. commands, feedback: muxes to send and to hear."""
     chosen = [pdo for pdo in pdos if pdo.direction is Direction.TPDO and _muxes(pdo) & set(feedback)]
     missing = list(commands)
@@ -73,20 +74,20 @@ class Exchanged(NamedTuple):
     """The result of `exchange_described`. missing: muxes of commands that no RPDO carries."""
 
     pdos: list[PdoSettings]
-    missing: list[int]
+    missing: list[Mux]
 
     @property
-    def cyclic(self) -> dict[int, int]:
+    def cyclic(self) -> dict[Mux, int]:
         """The objects that the device sends at SYNCs: mux -> n for "at every n-th SYNC"."""
         tpdos = (each for each in self.pdos if each.direction is Direction.TPDO and each.transmission_type in CYCLIC_TYPES)
-        cyclic: dict[int, int] = {}
+        cyclic: dict[Mux, int] = {}
         for tpdo in tpdos:
             for mux in _muxes(tpdo):
                 cyclic[mux] = min(tpdo.transmission_type, cyclic.get(mux, CYCLIC_TYPES.stop))
         return cyclic
 
 
-def exchange_described(node: RemoteNode, commands: Collection[int], feedback: Collection[int]) -> Procedure[Exchanged]:
+def exchange_described(node: RemoteNode, commands: Collection[Mux], feedback: Collection[Mux]) -> Procedure[Exchanged]:
     """Exchange the useful PDOs of the node's dictionary; see `choose_pdos`.
 
     The node should be Pre-operational: most devices accept new settings only then. An RPDO is not sent before
@@ -135,5 +136,5 @@ def _initial(dictionary: ObjectDictionary, index: int, subindex: int, node_id: i
     return value if isinstance(value, int) else None
 
 
-def _muxes(pdo: PdoSettings) -> set[int]:
-    return {entry >> 8 for entry in pdo.entries}
+def _muxes(pdo: PdoSettings) -> set[Mux]:
+    return {mapped(entry)[0] for entry in pdo.entries}

@@ -42,6 +42,7 @@ from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
 from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
+from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.parameter_storage import ON_COMMAND, SIGNATURES, STORE
 from canopen_proto.procedures.backup import Backup, Reading, ReadResult, back_up, same_value, upload_again
@@ -71,7 +72,7 @@ MAX_HEARTBEAT_WAIT: Final = 10 * SECOND
 
 _Match: TypeAlias = Callable[[HeartbeatReceived], bool]
 _HEARTBEAT: Final = 0x1017
-_PDO_COB_IDS: Final = frozenset(index << 8 | 1 for index in (*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
+_PDO_COB_IDS: Final = frozenset(mux(index, 1) for index in (*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
 _PDO_RECORDS: Final = range(0x1400, 0x1C00)
 _TO_MAPPING: Final = 0x200
 NOT_READ: Final = "could not be read"
@@ -112,10 +113,10 @@ class RestorePlan:
 
     node_id: int
     writes: tuple[PlannedWrite, ...]
-    left_out: Mapping[int, str] = field(default_factory=dict)
+    left_out: Mapping[Mux, str] = field(default_factory=dict)
     equal: int = 0
-    standing: Mapping[int, Value] = field(default_factory=dict)
-    unread: frozenset[int] = frozenset()
+    standing: Mapping[Mux, Value] = field(default_factory=dict)
+    unread: frozenset[Mux] = frozenset()
 
 
 @dataclass(slots=True)
@@ -190,11 +191,11 @@ class ObjectRestored(Event):
 def plan_restore(
     node: RemoteNode,
     dictionary: ObjectDictionary,
-    values: Mapping[int, Value],
+    values: Mapping[Mux, Value],
     *,
     everything: bool = False,
     process_data: bool = False,
-    skip: Collection[int] = (),
+    skip: Collection[Mux] = (),
 ) -> Procedure[RestorePlan]:
     """Read the node and return the writes that give it these values, by mux of the dictionary. Nothing is written.
 
@@ -220,12 +221,12 @@ def plan_restore(
         del wanted[key]
         left_out[key] = NOT_READ if key in unread else "what it depends on could not be read"
 
-    def same(key: int, value: Value) -> bool:
-        return same_value(dictionary.variable((key >> 8, key & 0xFF)), standing.get(key), value)
+    def same(key: Mux, value: Value) -> bool:
+        return same_value(dictionary.variable(split_mux(key)), standing.get(key), value)
 
     different = {key for key, value in wanted.items() if everything or not same(key, value)}
-    mappings = {key >> 8 for key in different if any(key >> 8 in each for each in _MAPPINGS)}
-    different |= {key for key in wanted if key >> 8 in mappings}
+    mappings = {index_of(key) for key in different if any(index_of(key) in each for each in _MAPPINGS)}
+    different |= {key for key in wanted if index_of(key) in mappings}
     order = download_order(
         dictionary, {key: value for key, value in wanted.items() if key in different}, node.node_id, standing=standing
     )
@@ -239,18 +240,18 @@ def plan_restore(
     return RestorePlan(node.node_id, tuple(writes), left_out, len(wanted) - len(different), standing, frozenset(unread))
 
 
-def _concerned(dictionary: ObjectDictionary, wanted: Mapping[int, Value]) -> list[Variable]:
+def _concerned(dictionary: ObjectDictionary, wanted: Mapping[Mux, Value]) -> list[Variable]:
     """Return the objects to read: the wanted ones, and those that must be off while these are written."""
     muxes = set(wanted)
     for key in wanted:
         muxes.update(switches_of(key))
-        if any(key >> 8 in each for each in _MAPPINGS):
-            muxes.add(key & ~0xFF)
-    found = (dictionary.get(key >> 8, key & 0xFF) for key in sorted(muxes))
+        if any(index_of(key) in each for each in _MAPPINGS):
+            muxes.add(mux(index_of(key)))
+    found = (dictionary.get(*split_mux(key)) for key in sorted(muxes))
     return [each for each in found if each is not None]
 
 
-def _absent(backup: Backup, wanted: Mapping[int, Value]) -> list[int]:
+def _absent(backup: Backup, wanted: Mapping[Mux, Value]) -> list[Mux]:
     absent = (each.variable.mux for each in backup.readings if each.result is ReadResult.ABSENT)
     return [key for key in absent if key in wanted]
 
@@ -261,12 +262,12 @@ def _says_nothing(reading: Reading) -> bool:
     return reading.result.is_missing and (reading.data is None or (size is not None and len(reading.data) != size))
 
 
-def _blind(wanted: Mapping[int, Value], unread: Collection[int]) -> list[int]:
+def _blind(wanted: Mapping[Mux, Value], unread: Collection[Mux]) -> list[Mux]:
     """Return the wanted muxes whose present value is not known, or that depend on an unknown one. A PDO is one unit: its two
     records depend on each other."""
 
-    def unit(key: int) -> int:
-        index = key >> 8
+    def unit(key: Mux) -> int:
+        index = index_of(key)
         return index & ~_TO_MAPPING if index in _PDO_RECORDS else key
 
     units = {unit(key) for key in unread}

@@ -43,6 +43,7 @@ from canopen_proto.frame import (
 )
 from canopen_proto.group import Members
 from canopen_proto.machine import LocalProtocolError, Outbox, RequestId, Time
+from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 from canopen_proto.owner import Owner
 from canopen_proto.sdo.access import ObjectStore
 from canopen_proto.sdo.client import SdoClient
@@ -69,9 +70,9 @@ _FIRST_SERVERS: Final = {
 """The CAN-IDs of the nodes' first servers."""
 
 
-def is_dynamic(mux: int, value: Value) -> bool:
+def is_dynamic(mux: Mux, value: Value) -> bool:
     """Whether it is the COB-ID of a channel, and an SDO manager has given it."""
-    is_cob_id = SdoChannels.owns(mux >> 8) and mux & 0xFF in (TO_SERVER, TO_CLIENT)
+    is_cob_id = SdoChannels.owns(index_of(mux)) and subindex_of(mux) in (TO_SERVER, TO_CLIENT)
     return is_cob_id and isinstance(value, int) and bool(value & DYNAMIC)
 
 
@@ -95,7 +96,7 @@ def channel_of(values: Values, index: int) -> tuple[int, int] | None:
 
 
 def _number(values: Values, index: int, subindex: int) -> int:
-    value = values.store.get(index << 8 | subindex)
+    value = values.store.get(mux(index, subindex))
     return value if isinstance(value, int) else 0
 
 
@@ -259,4 +260,4 @@ class SdoChannels(Owner):
     def host_takes(self, index: int, subindex: int | None = None) -> bool:
         """Whether an object (any of an index) is being downloaded to the host, over any channel."""
         taken = [server.object_for_host for server in self.servers.values()]
-        return any(mux is not None and mux >> 8 == index and subindex in (None, mux & 0xFF) for mux in taken)
+        return any(mux is not None and index_of(mux) == index and subindex in (None, subindex_of(mux)) for mux in taken)

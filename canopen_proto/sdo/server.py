@@ -41,6 +41,7 @@ from typing import Final, TypeAlias
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Outbox, Time
+from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_initiate, is_next, next_number
 from canopen_proto.sdo.block_server import ServerBlockDownload, announced_size
@@ -195,11 +196,11 @@ class SdoServer(ChannelEnd):
         return self._channel
 
     @property
-    def object_for_host(self) -> int | None:
+    def object_for_host(self) -> Mux | None:
         """The mux of the object that is downloaded to the host: it has been asked to take it, or takes it in pieces."""
         door, transfer = self._door, self._transfer
         if transfer is not None and (door.takes_pieces or (door.access_id and not door.is_reading)):
-            return transfer.index << 8 | transfer.subindex
+            return mux(transfer.index, transfer.subindex)
         return None
 
     @property

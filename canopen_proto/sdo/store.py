@@ -17,6 +17,7 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import Time
+from canopen_proto.multiplexer import mux
 
 
 class ValuesStore:
@@ -35,7 +36,7 @@ class ValuesStore:
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode:
         """The bytes of an object, or 0x06020000, 0x06090011, 0x06010001."""
-        variable = self._readable.get(index << 8 | subindex)
+        variable = self._readable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.WRITE_ONLY)
         try:
@@ -45,14 +46,14 @@ class ValuesStore:
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
         """None, or 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06070012, 0x06070013."""
-        variable = self._writable.get(index << 8 | subindex)
+        variable = self._writable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.READ_ONLY)
         return None if size is None or size == variable.size else self.check_size(variable, size)
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
         """None, and it is stored; or what `check_write` says, 0x06090030, 0x06090031, 0x06090032, and nothing has changed."""
-        variable = self._writable.get(index << 8 | subindex)
+        variable = self._writable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.READ_ONLY)
         value = self.decode(variable, data)
@@ -65,11 +66,11 @@ class ValuesStore:
 
     def readable(self, index: int, subindex: int) -> Variable | AbortCode:
         """The variable, if it exists and may be read; else why not."""
-        return self._readable.get(index << 8 | subindex) or self._missing(index, subindex, AbortCode.WRITE_ONLY)
+        return self._readable.get(mux(index, subindex)) or self._missing(index, subindex, AbortCode.WRITE_ONLY)
 
     def writable(self, index: int, subindex: int) -> Variable | AbortCode:
         """The variable, if it exists and may be written; else why not."""
-        return self._writable.get(index << 8 | subindex) or self._missing(index, subindex, AbortCode.READ_ONLY)
+        return self._writable.get(mux(index, subindex)) or self._missing(index, subindex, AbortCode.READ_ONLY)
 
     def _missing(self, index: int, subindex: int, no_access: AbortCode) -> AbortCode:
         if self.dictionary.get(index, subindex) is not None:

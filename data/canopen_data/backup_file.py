@@ -26,6 +26,7 @@ from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.procedures.backup import Backup, Reading, ReadResult
 
 
@@ -98,8 +99,8 @@ def _lost(backup: Backup, data: bytes) -> tuple[Reading, ...]:
     return tuple(each for each in read if _bytes_in(dictionary, held, each.variable.mux) != each.data)
 
 
-def _bytes_in(dictionary: ObjectDictionary, held: Mapping[int, Value], key: int) -> bytes | None:
+def _bytes_in(dictionary: ObjectDictionary, held: Mapping[Mux, Value], key: Mux) -> bytes | None:
     try:
-        return dictionary.variable((key >> 8, key & 0xFF)).encode(held[key]) if key in held else None
+        return dictionary.variable(split_mux(key)).encode(held[key]) if key in held else None
     except ValueRangeError:
         return None

@@ -20,6 +20,7 @@ from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.objects import Object, Variable
 from canopen_proto.frame import COB_ID_EXTENDED, EMCY, RPDO1, RPDO2, RPDO3, RPDO4, TPDO1, TPDO2, TPDO3, TPDO4
 from canopen_proto.machine import LocalProtocolError, check_node_id
+from canopen_proto.multiplexer import Mux, split_mux
 
 _CAN_ID: Final = 0x7FF
 _EMCY_COB_ID: Final = 0x1014
@@ -30,7 +31,7 @@ _OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
 
 def with_configured(
     description: DeviceDescription,
-    values: Mapping[int, Value],
+    values: Mapping[Mux, Value],
     commissioning: Commissioning | None = None,
     *,
     file_info: FileInfo | None = None,
@@ -62,11 +63,11 @@ def with_configured(
     )
 
 
-def configure(dictionary: ObjectDictionary, values: Mapping[int, Value], node_id: int) -> ObjectDictionary:
+def configure(dictionary: ObjectDictionary, values: Mapping[Mux, Value], node_id: int) -> ObjectDictionary:
     """Return the dictionary with these values, by mux, as its configured values. Raises ObjectNotFound, ValueRangeError."""
     changed: dict[int, dict[int, Variable]] = {}
     for key, value in values.items():
-        variable = dictionary.variable((key >> 8, key & 0xFF))
+        variable = dictionary.variable(split_mux(key))
         variable.encode(value)
         if not variable.configured_adds_node_id or variable.initial_of(node_id) != value:
             new = replace(variable, configured=value, configured_adds_node_id=False, not_read="")
@@ -83,7 +84,7 @@ def moved_to(dictionary: ObjectDictionary, old: int, new: int) -> ObjectDictiona
     """
     check_node_id(old)
     check_node_id(new)
-    values: dict[int, Value] = {}
+    values: dict[Mux, Value] = {}
     for variable in dictionary:
         cob_id = variable.configured
         if not isinstance(cob_id, int) or variable.configured_adds_node_id or cob_id & COB_ID_EXTENDED:

@@ -39,6 +39,7 @@ from canopen_data.rows import (
 from canopen_proto.datatypes import DataType, integer_type
 from canopen_proto.dictionary.model import Constant, Filler, Object, ObjectDictionary, PdoDescription, Variable, did_you_mean
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.multiplexer import Mux
 
 __all__ = ["DictionaryError", "load_csv", "parse_constants", "parse_indices", "parse_pdos"]
 
@@ -193,8 +194,8 @@ def _objects(variables: Mapping[tuple[int, int], Variable]) -> Iterable[Object]:
         yield Object.of(record or (members[0].name if len(members) == 1 else f"object_{index:04X}"), members)
 
 
-def _constants(rows: Iterable[ConstantRow], names: _Names, findings: list[Finding]) -> dict[int, list[Constant]]:
-    by_mux: dict[int, list[Constant]] = {}
+def _constants(rows: Iterable[ConstantRow], names: _Names, findings: list[Finding]) -> dict[Mux, list[Constant]]:
+    by_mux: dict[Mux, list[Constant]] = {}
     for row in rows:
         found = names.find(row.alias, findings)
         if isinstance(found, Filler):

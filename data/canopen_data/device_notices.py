@@ -33,6 +33,7 @@ from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.dictionary.values import nearest
 from canopen_proto.frame import COB_ID_INVALID, EMCY, KEY_EXTENDED, SYNC, key_of_cob_id
 from canopen_proto.local_node import LocalNode
+from canopen_proto.multiplexer import mux
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.pdo.parameters import DevicePdos
@@ -49,9 +50,9 @@ _EFFECTIVE: Final = frozenset({
 })  # fmt: skip
 """The communication objects that a LocalNode obeys, besides those of PDOs and SDO channels."""
 
-_COB_ID_SYNC: Final = 0x1005 << 8
-_COB_ID_TIME: Final = 0x1012 << 8
-_COB_ID_EMCY: Final = 0x1014 << 8
+_COB_ID_SYNC: Final = mux(0x1005)
+_COB_ID_TIME: Final = mux(0x1012)
+_COB_ID_EMCY: Final = mux(0x1014)
 _TIME_IN_USE: Final = 0xC000_0000
 
 
@@ -163,12 +164,12 @@ def _pdos(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
     for direction, numbers in ((Direction.RPDO, pdos.consumers), (Direction.TPDO, pdos.producers)):
         for number in numbers:
             index = communication_index(direction, number)
-            is_valid = not number_at(store, index << 8 | COB_ID, COB_ID_INVALID) & COB_ID_INVALID
+            is_valid = not number_at(store, mux(index, COB_ID), COB_ID_INVALID) & COB_ID_INVALID
             if not is_valid or index in pdos.faults or mapping_index(direction, number) in pdos.faults:
                 continue
-            if not number_at(store, mapping_index(direction, number) << 8):
+            if not number_at(store, mux(mapping_index(direction, number))):
                 yield Notice(index, None, f"{direction} {number} is off: nothing is mapped to it")
-            kind = number_at(store, index << 8 | TRANSMISSION_TYPE, FIRST_EVENT_DRIVEN)
+            kind = number_at(store, mux(index, TRANSMISSION_TYPE), FIRST_EVENT_DRIVEN)
             first = FIRST_EVENT_DRIVEN if direction is Direction.RPDO else SYNCHRONOUS_ON_REQUEST
             if LAST_SYNCHRONOUS < kind < first or kind > 0xFF:
                 effect = "is taken as 255" if direction is Direction.RPDO or kind > 0xFF else "sends nothing"
@@ -180,7 +181,7 @@ def _pdos(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
 def _channels(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
     for index in values.dictionary.objects:
         if SdoChannels.owns(index) and channel_of(values, index) is None:
-            cob_ids = [number_at(values.store, index << 8 | subindex) for subindex in (TO_SERVER, TO_CLIENT)]
+            cob_ids = [number_at(values.store, mux(index, subindex)) for subindex in (TO_SERVER, TO_CLIENT)]
             if all(map(is_valid, cob_ids)):
                 text = ", ".join(f"0x{cob_id:X}" for cob_id in cob_ids)
                 yield Notice(index, None, f"this SDO channel is off: COB-IDs {text} have a CAN-ID that it may not have")

@@ -24,6 +24,7 @@ from canopen_proto.cia402.servo import FALLBACKS, Shape
 from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.multiplexer import mux, split_mux
 
 SHOWN: Final = (
     objects.ERROR_CODE,
@@ -40,7 +41,7 @@ SHOWN: Final = (
 )
 """The objects that the drive writes."""
 
-_DEVICE_TYPE: Final = 0x1000_00
+_DEVICE_TYPE: Final = mux(0x1000)
 
 NEEDED: Final = (objects.CONTROLWORD, objects.STATUSWORD)
 
@@ -48,7 +49,7 @@ NEEDED: Final = (objects.CONTROLWORD, objects.STATUSWORD)
 def drive_obstacle(dictionary: ObjectDictionary) -> str:
     """Return why the simulated drive cannot stand behind a dictionary; empty if it can."""
     for key in SHOWN:
-        variable, standard = dictionary.get(key >> 8, key & 0xFF), find_standard(key >> 8, key & 0xFF)
+        variable, standard = dictionary.get(*split_mux(key)), find_standard(*split_mux(key))
         assert standard is not None  # CiA 402 has all of them
         if variable is None:
             if key in NEEDED:
@@ -67,7 +68,7 @@ def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[Obj
     simulated = drive_dictionary(shape)
     filled: dict[int, dict[int, Variable]] = {}
     for key in (_DEVICE_TYPE, objects.VENDOR_ID, *FALLBACKS, objects.SUPPORTED_DRIVE_MODES):
-        variable, model = dictionary.get(key >> 8, key & 0xFF), simulated.get(key >> 8, key & 0xFF)
+        variable, model = dictionary.get(*split_mux(key)), simulated.get(*split_mux(key))
         default = FALLBACKS.get(key) if model is None else model.default
         if variable is not None and default is not None and _is_open(variable):
             changed = _with_default(variable, default)

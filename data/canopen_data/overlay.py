@@ -44,6 +44,7 @@ from typing import Any, Final, TypeGuard
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_proto.datatypes import is_integer, is_number
 from canopen_proto.dictionary.model import Constant, NotInDictionary, ObjectDictionary, Variable, did_you_mean
+from canopen_proto.multiplexer import Mux
 
 MAX_TEXT: Final = 1 << 20
 """Characters of a side file: enough for a thousand objects with all their names. A larger file was chosen by mistake."""
@@ -96,8 +97,8 @@ def lay_tables_over(
     reading = _Reading(source)
     for name in tables.keys() - {"objects"}:
         reading.error(_path(name), f"there is no such table{did_you_mean(name, ['objects'])}")
-    variables: dict[int, Variable] = {}
-    constants: dict[int, list[Constant]] = {}
+    variables: dict[Mux, Variable] = {}
+    constants: dict[Mux, list[Constant]] = {}
     for key, table in _table(reading, "objects", tables.get("objects", {})).items():
         path = _path("objects", key)
         try:

@@ -23,6 +23,7 @@ from canopen_cli.values import as_json, hex_text, place_text
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.procedures.backup import Backup, ObjectRead, back_up, same_value
 
 if TYPE_CHECKING:
@@ -58,8 +59,8 @@ class Side:
 
     name: str
     dictionary: ObjectDictionary
-    values: Mapping[int, Value]
-    missing: frozenset[int] = frozenset()
+    values: Mapping[Mux, Value]
+    missing: frozenset[Mux] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
     rows: list[Row] = []
     for key in sorted(left.values.keys() | right.values.keys()):
         one, other = left.values.get(key), right.values.get(key)
-        variable = (left if other is None else right).dictionary.variable((key >> 8, key & 0xFF))
+        variable = (left if other is None else right).dictionary.variable(split_mux(key))
         if key in left.missing or same_value(variable, one, other) or tolerance.allows(one, other):
             continue
         change = Change.RIGHT if one is None else Change.LEFT if other is None else Change.CHANGED
@@ -171,7 +172,7 @@ def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
 
 async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) -> Backup:
     """What the node has of the file's objects."""
-    only = [file.dictionary.variable((key >> 8, key & 0xFF)) for key in sorted(file.values)]
+    only = [file.dictionary.variable(split_mux(key)) for key in sorted(file.values)]
     async with open_session(settings, screen) as session:
         node = session.node(node_id).remote
         reading = back_up(node, file.dictionary, only=only, domains=True)

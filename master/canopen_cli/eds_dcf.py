@@ -21,6 +21,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.dictionary.download_order import download_order, settings_of
 from canopen_proto.dictionary.model import Variable
+from canopen_proto.multiplexer import index_of, subindex_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 Setting = tuple[Variable, Value]
@@ -106,7 +107,7 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
     dictionary = file.description.dictionary
     chosen = {variable.mux: value for variable, value in _assigned(file, assignments)}
     order = download_order(dictionary, settings_of(dictionary, commissioning.node_id) | chosen, commissioning.node_id)
-    left = [(f"{key >> 8:04X}:{key & 0xFF:02X}", reason) for key, reason in sorted(order.left_out.items())]
+    left = [(f"{index_of(key):04X}:{subindex_of(key):02X}", reason) for key, reason in sorted(order.left_out.items())]
     data = pack_concise(order.writes)
     write_file(output, data, path)
     if settings.json:

@@ -21,6 +21,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.download_order import settings_of
+from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.backup import ObjectRead, upload_again
 from canopen_proto.procedures.restore import ObjectRestored, Restoration, plan_restore
 from canopen_proto.procedures.restore import restore as carry_out
@@ -37,7 +38,7 @@ class Wanted:
     node_id: int
     path: str
     dictionary: ObjectDictionary
-    values: Mapping[int, Value]
+    values: Mapping[Mux, Value]
     options: Mapping[str, Any]
     any_device: bool
     verify: bool

@@ -12,6 +12,7 @@ from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.screen import Screen, escape, node_text
 from canopen_cli.values import as_json, hex_text, place_text
 from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.multiplexer import index_of, split_mux, subindex_of
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.backup import ReadResult
 from canopen_proto.procedures.restore import PlannedWrite, Restoration, RestoreFailed, VerifyMismatch
@@ -34,7 +35,9 @@ def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> No
                 "dry_run": dry_run,
                 "writes": [_as_json(each, number < so_far.written) for number, each in enumerate(plan.writes)],
                 "equal": plan.equal,
-                "left_out": [{"index": key >> 8, "sub": key & 0xFF, "reason": why} for key, why in sorted(plan.left_out.items())],
+                "left_out": [
+                    {"index": index_of(key), "sub": subindex_of(key), "reason": why} for key, why in sorted(plan.left_out.items())
+                ],
                 "stored": so_far.stored,
                 "state_before": so_far.state_before.name if so_far.state_before is not None else None,
                 "done": so_far.is_done,
@@ -44,7 +47,7 @@ def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> No
     for each in writes:
         screen.out.print(_line(each), soft_wrap=True)
     for key, why in sorted(plan.left_out.items()):
-        screen.detail(f"left out: {key >> 8:04X}:{key & 0xFF:02X}, {why}")
+        screen.detail(f"left out: {index_of(key):04X}:{subindex_of(key):02X}, {why}")
     left = "; ".join(f"{number} {why}" for why, number in Counter(plan.left_out.values()).most_common())
     screen.say(f"{_counted(plan.equal, 'object')} as in {escape(path)} already" + (f"; left out: {escape(left)}" if left else ""))
     who = node_text(plan.node_id)
@@ -58,7 +61,7 @@ def tell_unread(screen: Screen, dictionary: ObjectDictionary, so_far: Restoratio
     """Name the objects that could not be read: in this device now, or in the file's device then. Returns whether there are any in
     this device."""
     plan = so_far.plan
-    unread = [dictionary.variable((key >> 8, key & 0xFF)) for key in sorted(plan.unread) if key in plan.left_out]
+    unread = [dictionary.variable(split_mux(key)) for key in sorted(plan.unread) if key in plan.left_out]
     if unread:
         screen.say(f"[yellow]left alone, since it could not be read:[/] {escape(_places(unread))}")
     missing = [each for each in dictionary if each.not_read in MISSING]

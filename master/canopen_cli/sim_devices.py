@@ -26,6 +26,7 @@ from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
 from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.multiplexer import Mux
 
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
 PLANT_SUFFIX: Final = ".toml"
@@ -165,7 +166,7 @@ def shape_of(description: DeviceDescription) -> Shape:
 
 def configured(dictionary: ObjectDictionary, values: Mapping[str, Any], node_id: int, file: str) -> ObjectDictionary:
     """The dictionary with values for power-on, by key. Raises Problem."""
-    by_mux: dict[int, Value] = {}
+    by_mux: dict[Mux, Value] = {}
     for key, value in values.items():
         try:
             variable = dictionary.variable(key)

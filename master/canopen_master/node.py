@@ -26,6 +26,7 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.multiplexer import Mux, index_of, mux
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.device_pdos import PdoDifference
 from canopen_proto.procedures.grip import NotHeldError
@@ -156,12 +157,12 @@ class Node(Peer):
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, whether the dictionary has it or not. Of controlwords: see `write`."""
-        is_controlword = (index, subindex, len(data)) == (CONTROLWORD >> 8, 0, 2)
+        is_controlword = (index, subindex, len(data)) == (index_of(CONTROLWORD), 0, 2)
         if is_controlword and self.dictionary.get(index) is not None:
             await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
             return
         shown = data.hex() if len(data) <= MAX_SHOWN else f"{len(data)} bytes"
-        async with self._commanding(index << 8 | subindex, int.from_bytes(data[:2], "little")):
+        async with self._commanding(mux(index, subindex), int.from_bytes(data[:2], "little")):
             await self._download(
                 lambda now: self.remote.sdo.download(index, subindex, data, now, block=block), f"writing {shown} to"
             )
@@ -182,7 +183,7 @@ class Node(Peer):
         on the bus, and is raised as it is. size: in bytes, if it is known; some devices insist on it. Raises LocalProtocolError
         where the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
         """
-        async with self._commanding(index << 8 | subindex, Command.ENABLE_OPERATION):
+        async with self._commanding(mux(index, subindex), Command.ENABLE_OPERATION):
             await write_stream(self, index, subindex, pieces, size, block)
 
     # ---- PDOs ----
@@ -304,12 +305,12 @@ class Node(Peer):
     async def _active_mode(self) -> int | None:
         """0x6061; None where the node does not have it, or does not tell it."""
         with suppress(SdoError):
-            data = await self.read_bytes(MODES_OF_OPERATION_DISPLAY >> 8)
+            data = await self.read_bytes(index_of(MODES_OF_OPERATION_DISPLAY))
             return int.from_bytes(data, "little", signed=True)
         return None
 
     @asynccontextmanager
-    async def _commanding(self, mux: int, value: Value) -> AsyncIterator[None]:
+    async def _commanding(self, mux: Mux, value: Value) -> AsyncIterator[None]:
         """Around a write. A drive counts as enabled before it is told to be, and as disabled once it has confirmed that."""
         if mux != CONTROLWORD:
             yield
@@ -330,7 +331,7 @@ class Node(Peer):
 
     def _on_written(self, report: SdoDownloaded) -> None:
         """Somebody wrote a controlword, perhaps past `write`: by `remote.write`, or a procedure of the core."""
-        if report.index << 8 | report.subindex == CONTROLWORD and self.was_enabled:
+        if mux(report.index, report.subindex) == CONTROLWORD and self.was_enabled:
             self._grips.hold_beside(self)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:

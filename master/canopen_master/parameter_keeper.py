@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from canopen_master.whole_file import whole_file
+from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 
 FORMAT: Final = "canopen-sim-state 1"
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
@@ -40,17 +41,17 @@ class ParameterKeeper:
     def __init__(self, path: Path | None = None) -> None:
         """Raises StateFileError where there is such a file, but not of ours, and OSError where it cannot be read."""
         self._path = path
-        self._kept: dict[int, dict[int, bytes]] = {}
+        self._kept: dict[int, dict[Mux, bytes]] = {}
         if path is not None and path.exists():
             if path.stat().st_size > MAX_FILE_SIZE:
                 raise StateFileError(path, f"it has more than {MAX_FILE_SIZE} bytes")
             self._kept = _parse(path, path.read_bytes())
 
-    def kept(self, node_id: int) -> dict[int, bytes] | None:
+    def kept(self, node_id: int) -> dict[Mux, bytes] | None:
         """What a device has stored, for `ParameterStorage.load`; None where it never did."""
         return self._kept.get(node_id)
 
-    def keep(self, node_id: int, parameters: Mapping[int, bytes]) -> None:
+    def keep(self, node_id: int, parameters: Mapping[Mux, bytes]) -> None:
         """A device stores all this, and nothing else. Raises OSError where it cannot be written; then nothing has changed."""
         after = {**self._kept, node_id: dict(parameters)}
         if self._path is not None:
@@ -59,15 +60,17 @@ class ParameterKeeper:
         self._kept = after
 
 
-def _text(kept: Mapping[int, Mapping[int, bytes]]) -> str:
+def _text(kept: Mapping[int, Mapping[Mux, bytes]]) -> str:
     devices = {
-        str(node_id): {f"{mux >> 8:04X}:{mux & 0xFF:02X}": data.hex().upper() for mux, data in sorted(parameters.items())}
+        str(node_id): {
+            f"{index_of(mux):04X}:{subindex_of(mux):02X}": data.hex().upper() for mux, data in sorted(parameters.items())
+        }
         for node_id, parameters in sorted(kept.items())
     }
     return json.dumps({"format": FORMAT, "devices": devices}, indent=1) + "\n"
 
 
-def _parse(path: Path, content: bytes) -> dict[int, dict[int, bytes]]:
+def _parse(path: Path, content: bytes) -> dict[int, dict[Mux, bytes]]:
     try:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
@@ -81,8 +84,8 @@ def _parse(path: Path, content: bytes) -> dict[int, dict[int, bytes]]:
         raise StateFileError(path, f"its devices make no sense: {error}") from None
 
 
-def _parameter(entry: tuple[str, str]) -> tuple[int, bytes]:
+def _parameter(entry: tuple[str, str]) -> tuple[Mux, bytes]:
     match = _OBJECT.fullmatch(entry[0])
     if match is None:
         raise ValueError(f"{entry[0]!r} is no object")
-    return int(match[1] + match[2], 16), bytes.fromhex(entry[1])
+    return mux(int(match[1], 16), int(match[2], 16)), bytes.fromhex(entry[1])

@@ -15,10 +15,11 @@ from canopen_data.configured import (
 )
 from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
 from canopen_proto.datatypes import DataType, ValueRangeError
-from canopen_proto.dictionary import Constant, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable, mux
+from canopen_proto.dictionary import Constant, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, EMCY
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.multiplexer import mux
 from tests.examples import examples
 
 COB_ID = Variable(0x1800, 1, "COB-ID", DataType.UNSIGNED32, default=0x180, adds_node_id=True)

@@ -15,8 +15,9 @@ from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
-from canopen_proto.dictionary import Direction, mux
+from canopen_proto.dictionary import Direction
 from canopen_proto.frame import Frame
+from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.grip import NotHeldError

@@ -27,10 +27,10 @@ from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.states import State
-from canopen_proto.dictionary import mux
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat
 from canopen_proto.machine import SECOND
+from canopen_proto.multiplexer import mux
 from canopen_proto.procedures.grip import DEFAULT_GRIP, NotHeldError
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import open_transport

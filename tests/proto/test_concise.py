@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, ValueRangeError
-from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable, mux
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
 from canopen_proto.dictionary import concise as module
 from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise, to_concise, values_of_concise
+from canopen_proto.multiplexer import mux
 
 HEARTBEAT = Variable(0x1017, 0, "producer heartbeat time", DataType.UNSIGNED16, configured=500)
 NAME = Variable(0x2000, 0, "name", DataType.VISIBLE_STRING, configured="arm")

@@ -25,9 +25,9 @@ from canopen_proto.dictionary import (
     PdoDescription,
     PdoNotFound,
     Variable,
-    mux,
 )
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.multiplexer import mux
 
 NMT = Variable(0x0000, 0, "NMT", DataType.UNSIGNED8, Access.WO)
 NAME = Variable(0x1008, 0, "manufacturer_device_name", DataType.VISIBLE_STRING, Access.CONST, "drive")

@@ -7,10 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, Value
-from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable, mux
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable
 from canopen_proto.dictionary.concise import from_concise, to_concise, values_of_concise
 from canopen_proto.dictionary.download_order import DownloadOrder, download_order, settings_of
 from canopen_proto.dictionary.objects import Object as Node
+from canopen_proto.multiplexer import mux
 from tests.examples import examples
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32

@@ -16,11 +16,12 @@ from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
-from canopen_proto.dictionary import ObjectDictionary, mux
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip, Hold, NotHeldError, release, take_hold
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished

@@ -38,8 +38,9 @@ from canopen_data.xdd.parameters import ACCESS, ApplicationProcess, Parameter
 from canopen_data.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number_of, value_of
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
-from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable, mux
+from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.multiplexer import Mux, mux
 
 PROFILES: Final = 0x2000
 """Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); above, the meaning depends on the profile."""
@@ -133,7 +134,7 @@ class _Reader:
         self.elements: dict[tuple[int, int | None], Element] = {}
         self.parameters: dict[tuple[int, int | None], Element] = {}
         self.has_actual = False
-        self._constants: dict[int, list[Constant]] = {}
+        self._constants: dict[Mux, list[Constant]] = {}
         self._findings = findings
         self._process = ApplicationProcess(device.find_all(bodies, "ApplicationProcess"), findings)
         self._variables = 0

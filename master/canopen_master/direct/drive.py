@@ -40,6 +40,7 @@ from canopen_proto.drive.following import FollowingLost, read_unsent
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import read_limits
 from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
@@ -80,7 +81,7 @@ class DirectDrive:
         self._is_following = False
         self._taken: deque[tuple[Time, int]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; the first: where it stood
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
-        self._cyclic: dict[int, int] = {}  # the same by mux, of those that came
+        self._cyclic: dict[Mux, int] = {}  # the same by object, of those that came
         self._lost: FollowingLost | None = None  # why it follows no more, for the next send_position
         self._reading: RequestId | None = None  # the procedure that asks for what no PDO brings
         descriptions = {each.name: each for each in self.node.dictionary.pdos}

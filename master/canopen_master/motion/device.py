@@ -18,6 +18,7 @@ from canopen_proto.drive.following import Following
 from canopen_proto.drive.limits import limits_of
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
+from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoDownloaded, SdoUploaded
@@ -38,7 +39,7 @@ class Device:
         node.name = name or node.name
         self.node = node
         self.axis = axis
-        self.cyclic: Mapping[int, int] = {}
+        self.cyclic: Mapping[Mux, int] = {}
         self.following = Following(axis)
         self.sdo_round_trips = 0
         self.limits = limits_of(axis)
@@ -166,7 +167,7 @@ class Device:
         self.emcy = report
         self.emcy_time = self.node.now()
 
-    def _on_values(self, muxes: Collection[int], now: Time) -> None:
+    def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if POSITION_ACTUAL_VALUE not in muxes:
             return
         position = self.position

@@ -8,6 +8,7 @@ from canopen_master.motion.joint_procedures import awake, stop
 from canopen_master.node import Node
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of
+from canopen_proto.multiplexer import index_of
 from canopen_proto.procedures.steps import Procedure, download, upload
 
 
@@ -50,10 +51,10 @@ class Halt:
     def _by_number(self) -> Procedure[None]:
         """Its objects have the numbers of CiA 402, where it is a drive."""
         client = self.node.remote.sdo
-        statusword = int.from_bytes((yield from upload(client, STATUSWORD >> 8)), "little")
+        statusword = int.from_bytes((yield from upload(client, index_of(STATUSWORD))), "little")
         if state_of(statusword) is State.OPERATION_ENABLED:
             word = Command.ENABLE_OPERATION | ControlBit.HALT
             self.problem = "its dictionary describes no drive: it was told to halt, and nothing shows whether it stands"
-            yield from download(client, CONTROLWORD >> 8, 0, word.to_bytes(2, "little"))
+            yield from download(client, index_of(CONTROLWORD), 0, word.to_bytes(2, "little"))
         else:
             self.problem = ""
