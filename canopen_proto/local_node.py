@@ -45,11 +45,11 @@ from canopen_proto.communication_objects import COB_ID_TIME, ERROR_REGISTER, Com
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable
 from canopen_proto.emcy import EmcySent
-from canopen_proto.frame import KEY_REMOTE, REMOTE, Frame
+from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
-from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Time, check_node_id
+from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
 from canopen_proto.owner import Owner
@@ -336,9 +336,6 @@ class LocalNode(Group):
         if frame.flags & REMOTE:
             self._refresh(now)  # a TPDO may be asked for
         super().receive(frame, now)
-
-    def receiver_of(self, key: int) -> Machine:
-        return self if key & KEY_REMOTE else super().receiver_of(key)
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:

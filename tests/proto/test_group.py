@@ -98,6 +98,25 @@ def test_the_timestamp_of_a_frame_reaches_all_levels_and_is_gone_with_it() -> No
     assert outer.inner.timestamp is None
 
 
+def test_a_group_may_have_a_receive_of_its_own() -> None:
+    """A group is not passed over by those around it, however deep it stands."""
+
+    class Deaf(Box):
+        def receive(self, frame: Frame, now: Time) -> None:
+            if frame.data != b"drop":
+                super().receive(frame, now)
+
+    outer = Box(Outbox())
+    middle = Box(outer.inner)
+    deaf = Deaf(middle.inner)
+    deaf.put(Alarm(deaf.inner, "a", [1], deadline=10))
+    middle.put(deaf)
+    outer.put(middle)
+    outer.receive(Frame(1, b"drop"), 0)
+    outer.receive(Frame(1, b"take"), 0)
+    assert outer.out.events == [Heard(0, "a", Frame(1, b"take"), None)]
+
+
 # ---- attaching ----
 
 
