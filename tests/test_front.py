@@ -18,7 +18,7 @@ import trio.testing
 import canopen_master
 import canopen_proto
 import canopen_proto.procedures
-from tests import user_example
+from tests import user_example, user_mistakes
 
 LAZY = [canopen_proto, canopen_proto.procedures, canopen_master]
 
@@ -79,12 +79,13 @@ def test_a_script_for_the_master() -> None:
     assert told == ["Simulated Schunk Powerball joint", "joint1 at 0.01"]
 
 
-def test_what_a_user_writes_passes_mypy_strict(pytestconfig: pytest.Config) -> None:
+def test_what_a_user_writes_passes_mypy_strict_and_mistakes_do_not(pytestconfig: pytest.Config) -> None:
     """As a user checks it: outside this tree, against the installed packages."""
     if importlib.util.find_spec("mypy") is None:
         pytest.skip("mypy is not installed: pip install 'canopen-proto[dev]'")
     assert pytestconfig.cache is not None
     place = pytestconfig.cache.mkdir("mypy")
-    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={place}", user_example.__file__]
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={place}"]
+    command += [user_example.__file__, user_mistakes.__file__]
     done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False, cwd=place)
-    assert (done.stdout, done.stderr) == ("Success: no issues found in 1 source file\n", "")
+    assert (done.stdout, done.stderr) == ("Success: no issues found in 2 source files\n", "")
