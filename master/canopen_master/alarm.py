@@ -1,8 +1,8 @@
 """How the timekeeper sleeps until a deadline.
 
-trio hands its deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median. That is much
-for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd): they tell to the microsecond, and trio can wait for one as for
-any other file. So `FineAlarm` is what a real clock on Linux gets, and `CoarseAlarm` everything else: other systems, and tests in
+trio hands its deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median. That is too
+much for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd): they are exact to a microsecond, and trio can wait for
+one as for any other file. So a real clock on Linux gets `FineAlarm`. All else gets `CoarseAlarm`: other systems, and tests in
 virtual time, whose clock no file knows.
 """
 
@@ -22,28 +22,28 @@ _NANOSECONDS: Final = 1_000_000_000
 
 
 class CoarseAlarm:
-    """Wakes by trio's own deadlines."""
+    """Wakes at trio's own deadlines."""
 
     def __init__(self) -> None:
         self._deadline = math.inf
         self._scope: trio.CancelScope | None = None
 
     def set(self, deadline: float) -> None:
-        """Wake at this time (seconds of trio's clock), if it is earlier than what is set: an early wake does no harm."""
+        """Wake at this time (seconds of trio's clock) unless an earlier one is set: an early wake does no harm."""
         if deadline < self._deadline:
             self._deadline = deadline
             if self._scope is not None:
                 self._scope.deadline = deadline
 
     async def wait(self) -> None:
-        """Sleep until the time that is set, before or meanwhile; then none is set."""
+        """Sleep until the time that `set` gave, before this call or during it. Afterwards no time is set."""
         with trio.CancelScope(deadline=self._deadline) as self._scope:
             await trio.sleep_forever()
         self._scope = None
         self._deadline = math.inf
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there is nothing to give back."""
 
 
 class _Interval(ctypes.Structure):
@@ -51,7 +51,7 @@ class _Interval(ctypes.Structure):
 
 
 class FineAlarm:
-    """Wakes by a timerfd. The same use as `CoarseAlarm`. Raises OSError, AttributeError where the system has none."""
+    """Wakes by a timerfd; used as `CoarseAlarm` is. Raises OSError or AttributeError if the system has none."""
 
     def __init__(self) -> None:
         self._deadline = math.inf
@@ -75,12 +75,12 @@ class FineAlarm:
     async def wait(self) -> None:
         """As in `CoarseAlarm`."""
         await trio.lowlevel.wait_readable(self._fd)
-        with suppress(BlockingIOError):  # set anew just now
+        with suppress(BlockingIOError):  # it was set again just now
             os.read(self._fd, 8)
         self._deadline = math.inf
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the timer's file."""
         os.close(self._fd)
 
 
@@ -88,7 +88,7 @@ Alarm: TypeAlias = CoarseAlarm | FineAlarm
 
 
 def best_alarm() -> Alarm:
-    """The best that this platform has for the clock of the present trio run."""
+    """The best alarm that this platform has for the clock of the present trio run."""
     if sys.platform == "linux" and _is_real_time():
         with suppress(OSError, AttributeError):
             return FineAlarm()
@@ -96,6 +96,6 @@ def best_alarm() -> Alarm:
 
 
 def _is_real_time() -> bool:
-    """Whether a second of trio's clock is a second."""
+    """Whether trio's clock runs in real time."""
     clock = trio.lowlevel.current_clock()
     return abs(clock.deadline_to_sleep_time(clock.current_time() + 1.0) - 1.0) < 0.1

@@ -1,12 +1,11 @@
-"""What the master reports when something cannot be done: one tree of exceptions under `MasterError`.
+"""The errors of a master: one tree of exceptions under `MasterError`.
 
-Each says, on one screen, what failed (node, object, value), what was seen, the likely causes with the best guess first, and what
-to try next. `str(error)` is that screen; the fields are for programs. The codes are those of the command line: CO1xx the bus,
-CO2xx SDO, CO3xx files and names, CO4xx drives.
+Each says, on one screen, what failed (node, object, value), what was seen, the likely causes (the best guess first), and what to
+try next. `str(error)` is that screen; the fields are for programs. The codes are those of the command line: CO1xx the bus, CO2xx
+SDO, CO3xx files and names, CO4xx drives.
 
-What is wrong with a call itself is not of this tree: an unknown name is `ObjectNotFound`, a value that does not fit
-`ValueRangeError`, a node-ID of 200 `LocalProtocolError`, all of the core; nothing was sent then. Nor is what a procedure that you
-wrote raises.
+A wrong call raises an error of the core instead, and nothing is sent: `ObjectNotFound` for an unknown name, `ValueRangeError` for
+a value that does not fit, `LocalProtocolError` for a node-ID of 200. A procedure that you wrote raises its own errors.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ REFUSED: Final = "CO202"
 GIVEN_UP: Final = "CO203"
 UNEXPECTED_ANSWER: Final = "CO204"
 NOT_HEARD: Final = "CO210"
-"""A node did not boot, or did not send what was waited for."""
+"""A node did not boot, or did not send the frame that was waited for."""
 CHAIN_FILE: Final = "CO320"
 BAD_SET_POINT: Final = "CO321"
 UNKNOWN_CHAIN: Final = "CO322"
@@ -48,9 +47,9 @@ PROCEDURE_FAILED: Final = "CO407"
 
 
 class MasterError(Exception):
-    """Something could not be done; see this module's text.
+    """A command failed; see this module's text.
 
-    code: "CO201" and the like. failed: what was asked for. seen: what was observed. cause: the likely causes, best first. tries:
+    code: such as "CO201". failed: the command that failed. seen: what was observed. cause: the likely causes, best first. tries:
     what to do next, best first.
     """
 
@@ -73,7 +72,7 @@ class MasterError(Exception):
 
 
 class BusError(MasterError):
-    """A bus cannot be opened, or has failed; whatever waited for it ends with this. bus: its name in this master."""
+    """A bus cannot be opened, or has failed. Every task that waits for it gets this error. bus: its name in this master."""
 
     def __init__(self, bus: str, error: TransportError) -> None:
         failed = error.failed if error.locator == bus else f"bus {bus}: {error.failed}"
@@ -83,11 +82,11 @@ class BusError(MasterError):
 
 
 class MasterClosed(MasterError):
-    """The `async with open_master(...)` block is over, or ending: no new command is taken."""
+    """The `async with open_master(...)` block is over, or ending: the master takes no new commands."""
 
     def __init__(self) -> None:
         cause = "its `async with` block is over, or was cancelled"
-        super().__init__(MASTER_CLOSED, "the master is closed", cause=cause, tries=("open it anew",))
+        super().__init__(MASTER_CLOSED, "the master is closed", cause=cause, tries=("open it again",))
 
 
 class HaltNotConfirmed(MasterError):
@@ -95,7 +94,7 @@ class HaltNotConfirmed(MasterError):
 
 
 class NodeError(MasterError):
-    """Something about one node. node_id: 1..127; bus: the name of its bus."""
+    """An error of one node. node_id: 1..127; bus: the name of its bus."""
 
     def __init__(
         self, code: str, node_id: int, bus: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
@@ -106,7 +105,7 @@ class NodeError(MasterError):
 
 
 class NodeSilent(NodeError, TimeoutError):
-    """A node did not boot, or did not show what was waited for, in time."""
+    """A node did not boot in time, or did not send in time the frame that was waited for."""
 
 
 class SdoError(NodeError):
@@ -130,22 +129,22 @@ class SdoRefused(SdoError):
 
 
 class SdoGivenUp(SdoError):
-    """The transfer was ended on our side: the node was reset or lost meanwhile, or what it sent made no sense."""
+    """We ended the transfer: the node was reset or lost meanwhile, or its answer made no sense."""
 
 
 class SdoNotConfirmed(SdoTimeout, SdoGivenUp):
-    """A write went out as a whole, and was neither confirmed nor refused: it may have been executed. Nobody sends it again.
+    """A whole write was sent, but neither confirmed nor refused: it may have been executed. The master never sends it again.
 
-    Whoever catches SdoTimeout or SdoGivenUp gets it too; `code` tells which of the two it was (CO201, CO203).
+    An `except` for SdoTimeout or SdoGivenUp catches it too; `code` says which of the two it was (CO201, CO203).
     """
 
 
 class UnexpectedAnswer(NodeError, ValueError):
-    """A node sent an object with a length that is not that of its type."""
+    """A node sent an object whose length is not that of its type."""
 
 
 class ChainFileError(MasterError, ValueError):
-    """A chain file cannot be used. problems: all that was found, as (line, column, what); column and line count from 1."""
+    """A chain file cannot be used. problems: every problem found, as (line, column, text); lines and columns count from 1."""
 
     def __init__(self, source: str, problems: Iterable[tuple[int, int, str]]) -> None:
         self.source = source
@@ -160,13 +159,13 @@ class ChainFileError(MasterError, ValueError):
 
 
 class UnknownChain(MasterError, KeyError):
-    """There is no chain, joint or bus of that name."""
+    """No chain, joint or bus has this name."""
 
     __str__ = MasterError.__str__  # KeyError would show the arguments
 
 
 class SetPointRefused(MasterError, ValueError):
-    """Set-points were refused; nothing of them goes out, and the ones before stay. joint: which one, "" for all."""
+    """Set-points were refused. None of them is sent; the ones before stay. joint: the joint refused, "" for all."""
 
     def __init__(self, failed: str, joint: str, seen: str, tries: Iterable[str] = ()) -> None:
         super().__init__(BAD_SET_POINT, failed, seen=seen, tries=tries)

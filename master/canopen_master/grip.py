@@ -1,23 +1,25 @@
-"""`Grips`: the dead man's grip of a master. Each drive that it enables watches over it, and stops by itself when it falls silent.
+"""`Grips`: the dead man's grip of a master. Each drive that the master enables watches over it, and stops when it falls silent.
 
 Theory of operation
 -------------------
-Whatever enables a drive goes through `hold` first: a chain, a procedure of the core with a Device's axis (`Axis.grip`), the
-blocking API, a controlword that is written by hand (`Node.write`, `write_bytes`, `write_stream`). An RPDO or an MPDO that can
-enable a drive (`Node.enable_rpdo`, `Node.send_mpdo`), and a write of the core (`node.remote.write`), cannot wait: the drive is
-taken hold of beside them. On the bus of that drive the master then
+Every command that enables a drive goes through `hold` first: a chain, a procedure of the
+core with a Device's axis (`Axis.grip`), the blocking API, a controlword that is written by hand (`Node.write`, `write_bytes`,
+`write_stream`). An RPDO or an MPDO that can enable a drive (`Node.enable_rpdo`, `Node.send_mpdo`), and a write of the core
+(`node.remote.write`), cannot wait: the master takes hold of the drive beside them. On the bus of that drive the master then
 
-- looks whether its node-ID is nobody else's: it has listened for two periods at least, and has heard no such node;
-- sends its heartbeat from then on (`OwnHeartbeat`), and only then: who merely reads must not keep a dead master's drives alive;
-- has the drive watch it (procedures/grip.py). A drive that boots has lost that, and is taken hold of again when it is enabled.
+- checks that no other node has its node-ID: it listens for two periods at least;
+- sends its heartbeat from then on (`OwnHeartbeat`), and not before: a program that only reads must not keep the drives of a dead
+  master alive;
+- has the drive watch it (procedures/grip.py). A drive that boots forgets that; it is taken hold of again when it is enabled.
 
-`let_go` puts back what was there, when the drive is shut down, or when the master is left and the drive stands or was disabled
-by hand. The heartbeat ends with the last drive of its bus. A drive that did not confirm that it stands keeps watching: the
-heartbeat ends with the master, and the drive stops by itself.
+`let_go` restores the objects that `hold` changed, when the drive is shut down, or when the master is left and the drive stands or
+was disabled by hand. The heartbeat ends with the last drive of its bus. A drive that did not confirm that it stands keeps
+watching: the heartbeat ends with the master, and the drive stops by itself.
 
-**What is told.** A drive that will not stop by itself is an event `NotHeld`, once, and a warning of the logger `canopen_master`:
-Python shows it on stderr where nobody has configured logging, and so does the command line. `Grip.required` makes it an error.
-The logger also tells of a foreign heartbeat with our node-ID (`ForeignHeartbeat`), and of objects that could not be put back.
+**Reports.** A drive that will not stop by itself is reported once: by an event `NotHeld` and by a warning of the logger
+`canopen_master`, which Python shows on stderr unless logging is configured, and so does the command line. `Grip.required` makes
+it an error. The logger also reports a foreign heartbeat with our node-ID (`ForeignHeartbeat`), and objects that could not be
+restored.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed,
 
 LOGGER: Final = logging.getLogger("canopen_master")
 PERIODS_HEARD: Final = 2
-"""A master like this one, with the same node-ID and period, is heard within one."""
+"""Another master with the same node-ID and period is heard within one."""
 
 
 class NotHeld(Event):
@@ -53,11 +55,11 @@ class NotHeld(Event):
 
 
 class NodeIdTaken(ProcedureError):
-    """The node-ID under which the master would send its heartbeat is another node's; nothing was enabled."""
+    """Another node has the node-ID under which the master would send its heartbeat; nothing was enabled."""
 
 
 class Grips:
-    """Of one master, on all its buses; see this module's text. settings: None where drives are not to watch over it."""
+    """The grips of one master, on all its buses; see this module's text. settings: None if drives shall not watch over it."""
 
     def __init__(self, participant: Participant, settings: Grip | None) -> None:
         self._participant = participant
@@ -77,9 +79,10 @@ class Grips:
     # ---- procedures ----
 
     def hold(self, node: Peer) -> Procedure[None]:
-        """Have the drive on a node watch over this master. What it does already is only read: its boot-up may have been lost.
+        """Have the drive on a node watch over this master. If it should do so already, its objects are read once more: its
+        boot-up may have been lost.
 
-        A drive that does not answer counts as one that cannot. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
+        A drive that does not answer counts as one that cannot watch. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
         """
         settings = self.settings
         if settings is None:
@@ -103,7 +106,7 @@ class Grips:
             self._tell(node, hold)
 
     def hold_beside(self, node: Peer) -> None:
-        """Take hold of a drive that may be enabled at any moment; what goes wrong is told."""
+        """Take hold of a drive that may be enabled at any moment; a failure is logged."""
         is_needed = self.settings is not None and not self._participant.is_closed  # the halts write controlwords, too
         if is_needed and not self.holds(node) and node not in self._under_way:
             self._participant.launch(self._hold_or_tell(node))
@@ -115,15 +118,15 @@ class Grips:
             LOGGER.warning("%s", clean(str(error)))
 
     def holds(self, node: Peer) -> bool:
-        """Whether the drive on a node was taken hold of, and has not booted since as far as we know."""
+        """Whether the drive on a node was taken hold of, and is not known to have booted since."""
         return node in self._holds and self._holds[node].is_taken
 
     def drives_held(self) -> list[Peer]:
-        """The nodes in which something is left to put back."""
+        """The nodes with objects that are still to be restored."""
         return [node for node, hold in self._holds.items() if hold.before]
 
     def let_go(self, node: Peer) -> Procedure[None]:
-        """Put back what was there before `hold`, as far as the drive lets us; does nothing for a drive that is not held."""
+        """Restore the objects that `hold` changed, as far as the drive lets us; does nothing if the drive is not held."""
         hold = self._holds.get(node)
         if hold is None:
             return
@@ -144,11 +147,11 @@ class Grips:
         hold = self._holds.get(node)
         if hold is None:
             hold = self._holds[node] = Hold(node.remote)
-            node.remote.add_listener(on_boot=hold.forget)  # before a procedure can enable it again
+            node.remote.add_listener(on_boot=hold.forget)  # called before a procedure can enable the drive again
         return hold
 
     def _check_node_id(self, bus: Bus, settings: Grip) -> Procedure[None]:
-        """See whether our node-ID is ours alone. Raises NodeIdTaken."""
+        """Raise NodeIdTaken if another node has our node-ID."""
         yield from sleep(max(0, self._opened_at + PERIODS_HEARD * settings.period - (yield from current_time())))
         node_id, heard = settings.node_id, bus.network.heard(settings.node_id)
         if heard.time is None or heard.service is None:
@@ -169,7 +172,7 @@ class Grips:
         )
 
     def _tell(self, node: Peer, hold: Hold) -> None:
-        """Once for each drive; those that are taken hold of together, together."""
+        """Report once for each drive that is not held; drives taken hold of together are reported together."""
         if hold.gap and node not in self._told:
             self._told.add(node)
             name = clean(node.name)
@@ -183,7 +186,7 @@ class Grips:
 
 
 class NodeGrip:
-    """What an Axis asks; see canopen_proto.drive.axis.AxisGrip."""
+    """The grip of one drive, as its Axis uses it; see canopen_proto.drive.axis.AxisGrip."""
 
     def __init__(self, grips: Grips, node: Peer) -> None:
         self._grips = grips

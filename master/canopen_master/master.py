@@ -38,10 +38,10 @@ SDO_TIMEOUT = 0.5
 
 
 class Master(Participant):
-    """See this module's text; what it does on its buses: see Participant.
+    """See this module's text. Participant says what it does on its buses.
 
-    devices: the drives by their nodes; chains: those that were made; halts: after the master was left, of the drives that it
-    halted. Times are in seconds here, as everywhere in trio.
+    devices: the drives by their nodes. chains: those made so far. halts: once the master was left, the halts of its drives. Times
+    are in seconds here, as everywhere in trio.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Master(Participant):
         dictionary: ObjectDictionary | None = None,
         grip: Grip | None = DEFAULT_GRIP,
     ) -> None:
-        """transports: open ones, by name. aliases: more names for them. The rest: see `open_master`."""
+        """transports: open ones, by name. aliases: more names for them. For the rest, see `open_master`."""
         super().__init__(transports, aliases)
         self._sdo_timeout = nanoseconds(sdo_timeout)
         self._heartbeat_timeout = nanoseconds(heartbeat_timeout)
@@ -82,14 +82,14 @@ class Master(Participant):
         bus: str | None = None,
         pdos: bool | None = None,
     ) -> Node:
-        """The node of that ID on a bus; asked for again, the same object.
+        """The node with an ID on a bus; the same object each time.
 
-        dictionary: what the device is: its EDS, DCF, XDD or XDC file (or a sample's name); a dictionary; by default that of the
-        data files. pdos: exchange the node's PDOs, by default if it is a file: the device is asked how it has them set up, and
-        PdoReceived follows; see `Node.start` and node_pdos.py. Else nothing is sent.
+        dictionary: describes the device: its EDS, DCF, XDD or XDC file, or a sample's name; or a dictionary; by default that of
+        the data files. pdos: exchange the node's PDOs, by default if `dictionary` is a file: the device is asked how it has set
+        them up, and PdoReceived follows; see `Node.start` and node_pdos.py. Otherwise nothing is sent.
 
-        Raises LocalProtocolError for an ID outside 1..127, for a bus that is not said where there are several, and for another
-        dictionary than the first time; DataError, DictionaryError for a file that cannot be read.
+        Raises LocalProtocolError for an ID outside 1..127, for no bus name if there are several buses, and for another dictionary
+        than the first time; DataError, DictionaryError for a file that cannot be read.
         """
         self.check_open()
         where = self.bus(bus)
@@ -118,11 +118,11 @@ class Master(Participant):
 
     @enable_ki_protection
     def device(self, node: Node, name: str = "", settings: AxisSettings | None = None) -> Device:
-        """The drive on a node; it is halted when the master is left while it is enabled. One per node: asked for again, the same.
+        """The drive on a node; the same object each time. If it is enabled when the master is left, it is halted.
 
-        name: for people, by default "node 12". settings: units and habits of the drive; what nobody says is as CiA 402 has it, or
-        as Schunk's joints have it where the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError that names the
-        differences where the drive is known with other settings.
+        name: for people, by default "node 12". settings: units and habits of the drive; by default those of CiA 402, or those of
+        Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError if the drive is in use with other
+        settings; it names the differences.
         """
         device = self.devices.get(node)
         if device is None:
@@ -143,10 +143,10 @@ class Master(Participant):
         axes: AxisSettings | Mapping[str, AxisSettings] | None = None,
         dictionary: ObjectDictionary | None = None,
     ) -> Chain:
-        """The chain of a description. axes: the settings of all its joints, or by joint; see `device` for the others.
+        """Make the chain of a description. axes: the settings of all joints, or by joint; by default as in `device`.
 
-        Raises UnknownChain where the description names a bus that this master does not have, LocalProtocolError for a drive that
-        is known with other settings.
+        Raises UnknownChain if the description names a bus that this master does not have, LocalProtocolError for a drive that is
+        in use with other settings.
         """
         devices = []
         for joint in description.joints:
@@ -167,10 +167,10 @@ class Master(Participant):
         axes: AxisSettings | Mapping[str, AxisSettings] | None = None,
         dictionary: ObjectDictionary | None = None,
     ) -> dict[str, Chain]:
-        """The chains of a file (see chain_file.py), or of a text in that form, by their names. Sends nothing.
+        """Make the chains of a file (see chain_file.py), or of a text in that form, by their names. Sends nothing.
 
-        A bus that the file names must be one of this master; if both have only one, it is that one, whatever it is called. Raises
-        ChainFileError with all that is wrong, DataError where the file cannot be read.
+        A bus that the file names must be one of this master. If both have only one bus, its name does not matter. Raises
+        ChainFileError with every problem found, DataError if the file cannot be read.
         """
         chains = read_chains(path) if text is None else parse_chains(text)
         placed = on_buses(chains, {name: bus.name for name, bus in self.buses.items()})
@@ -182,7 +182,7 @@ class Master(Participant):
     def events(self, *kinds: type[E], node: Node | None = None, bus: str | None = None) -> Subscription[E]:
         """All events of these kinds from now on, as an async iterator: `with master.events(HeartbeatLost) as events: ...`.
 
-        node, bus: only those of one. The queue is bounded: see Subscription. `Event` as a kind means all.
+        node, bus: only events of this one. The queue is bounded: see Subscription. `Event` as a kind means all.
         """
         return node.events(*kinds) if node is not None else self.subscribe(kinds, None if bus is None else self.bus(bus))
 
@@ -204,7 +204,7 @@ class Master(Participant):
         await self.finish(scope, longest, in_a_hurry)
 
     def _halts_needed(self) -> Iterator[Halt]:
-        """The halts of all drives that move, or that a command under way may yet enable; also of those enabled by hand."""
+        """The halts of all drives that move or that a command under way may yet enable, also of those enabled by hand."""
         for node in self._nodes.values():
             try:
                 device = self.device(node) if node.was_enabled else self.devices.get(node)

@@ -42,20 +42,21 @@ BOOT_TIME = 5.0
 
 
 class Node(Peer):
-    """A device as its master sees it. remote: the core's view of it, with all that is known of it (`remote.values`).
+    """A device as its master sees it. remote: the core's view of it, with all known values (`remote.values`).
 
-    Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing go by SDO; they
-    can be cancelled, and are then taken back on the bus. Raises ObjectNotFound for an unknown name, SdoTimeout, SdoRefused,
+    Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing use SDO. If
+    the task is cancelled, the transfer is aborted on the bus. Raises ObjectNotFound for an unknown name, SdoTimeout, SdoRefused,
     SdoGivenUp, SdoNotConfirmed (of writes), BusError, MasterClosed.
 
-    block: whether a transfer goes in blocks: False, True (or it fails), or "auto", where that pays and the device knows it.
+    block: whether to use block transfer: False; True (the transfer fails if the device has none); or "auto", if it pays and the
+    device has it.
     """
 
     def __init__(self, participant: Participant, bus: Bus, remote: RemoteNode, grips: Grips) -> None:
         super().__init__(participant, bus, remote)
         self._grips = grips
         remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
-        self._enabled_by_hand = False  # a write may be executed though nobody has waited for its confirmation
+        self._enabled_by_hand = False  # a write may be executed though no task has waited for its confirmation
         self._pdos: NodePdos | None = None
         self.watch((SdoDownloaded,), self._on_written)
 
@@ -68,23 +69,23 @@ class Node(Peer):
 
     @property
     def nmt_state(self) -> NmtState | None:
-        """What its heartbeat says, and where it has none, what we commanded; None if neither is known."""
+        """The NMT state that its heartbeat shows; without a heartbeat, the one that we commanded; None if neither is known."""
         return self.remote.nmt_state
 
     @property
     def was_enabled(self) -> bool:
-        """Whether the last controlword that we know of, or that was written here, enables operation: a drive that may move."""
+        """Whether the drive may move: the last controlword known, or written here, enables operation."""
         return self._enabled_by_hand or any(map(enables_operation, self.remote.may_hold(CONTROLWORD)))
 
     def supervise_heartbeat(self, timeout: float) -> None:
-        """Report HeartbeatLost when no heartbeat came for that long (seconds), from its first one on; 0 ends that."""
+        """Report HeartbeatLost when no heartbeat came for `timeout` seconds, from the first one on; 0 ends this."""
         self.remote.heartbeat.set_timeout(round(timeout * SECOND), self.now())
         self._participant.pump.pump()
 
     # ---- objects ----
 
     async def read(self, key: Key, *, block: Block = False) -> Value:
-        """The value of an object. UnexpectedAnswer where its length is not that of the object's type."""
+        """Read the value of an object. Raises UnexpectedAnswer if its length is not that of the object's type."""
         variable = self.dictionary.variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
@@ -93,9 +94,9 @@ class Node(Peer):
             raise self._unexpected(variable, uploaded, error) from error
 
     async def read_message(self, key: Key, *, block: Block = False) -> Message:
-        """The value of an object with its name and the constants that it bears. timestamp: when it came, ns on trio's clock.
+        """Read an object: its value, its name, and the constants that it bears. timestamp: when it came, ns on trio's clock.
 
-        Bits 12 and 13 of the statusword mean something else in each mode of operation: where one is set, 0x6061 is read, too.
+        Bits 12 and 13 of the statusword depend on the mode of operation. If one is set, 0x6061 is read too.
         """
         variable = self.dictionary.variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
@@ -109,37 +110,38 @@ class Node(Peer):
         return replace(message, timestamp=self.remote.heard_at.get(variable.mux), constants=constants)
 
     async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
-        """Write a value, or a constant by its name; returns when the device has confirmed it.
+        """Write a value, or a constant by its name; return when the device has confirmed it.
 
-        ValueRangeError, ConstantNotFound, LocalProtocolError (read-only) for what the dictionary forbids; nothing is sent then.
-        After SdoNotConfirmed, or cancelled, it may have been executed nevertheless. It is never sent twice by itself. Before a
-        controlword that enables operation the drive is taken hold of (grip.py): NodeIdTaken, NotHeldError; nothing is sent then.
+        Raises ValueRangeError, ConstantNotFound, LocalProtocolError (read-only), with nothing sent, if the dictionary forbids it.
+        After SdoNotConfirmed, or if cancelled, the write may have been executed nevertheless. It is never repeated by itself.
+        Before a controlword that enables operation, the master takes hold of the drive (grip.py). Raises NodeIdTaken or
+        NotHeldError, with nothing sent, if it cannot.
         """
         variable, meant, _ = self.remote.encode(key, value)
         async with self._commanding(variable.mux, meant):
             await self._download(lambda now: self.remote.write(variable, meant, now, block=block), f"writing {meant!r} to")
 
     async def matches(self, key: Key, constant: str) -> bool:
-        """Whether an object, read now, bears a constant: `(value & mask) == constant`."""
-        self.dictionary.constant(key, constant)  # an unknown name is told before anything is sent
+        """Read an object, and return whether it bears a constant: `(value & mask) == constant`."""
+        self.dictionary.constant(key, constant)  # an unknown name raises before anything is sent
         return self.dictionary.matches(key, constant, await self.read(key))
 
     async def read_int(self, key: Key, *, block: Block = False) -> int:
-        """The value of an object that holds an integer or a BOOLEAN. LocalProtocolError, with nothing sent, for another type."""
+        """Read an object that holds an integer or a BOOLEAN. Raises LocalProtocolError, with nothing sent, for another type."""
         self._check_type(key, "an integer", lambda kind: is_integer(kind) or kind is DataType.BOOLEAN)
         value = await self.read(key, block=block)
         assert isinstance(value, int)
         return int(value)
 
     async def read_float(self, key: Key, *, block: Block = False) -> float:
-        """The value of an object that holds a REAL32 or REAL64. LocalProtocolError, with nothing sent, for another type."""
+        """Read an object that holds a REAL32 or REAL64. Raises LocalProtocolError, with nothing sent, for another type."""
         self._check_type(key, "a real number", lambda kind: kind in (DataType.REAL32, DataType.REAL64))
         value = await self.read(key, block=block)
         assert isinstance(value, float)
         return value
 
     async def read_str(self, key: Key, *, block: Block = False) -> str:
-        """The value of an object that holds text. LocalProtocolError, with nothing sent, for another type."""
+        """Read an object that holds text. Raises LocalProtocolError, with nothing sent, for another type."""
         self._check_type(key, "text", lambda kind: kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING))
         value = await self.read(key, block=block)
         assert isinstance(value, str)
@@ -151,12 +153,12 @@ class Node(Peer):
             raise LocalProtocolError(f"{variable.label} is {variable.data_type.name}, not {wanted}; `read` takes every type")
 
     async def read_bytes(self, key: Key, subindex: int | None = None, *, block: Block = False) -> bytes:
-        """The bytes of any object, whether the dictionary has it or not. subindex: where key is an index alone; 0 by default."""
+        """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default."""
         place = self._place(key, subindex)
         return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block))).data
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
-        """Write bytes to any object, whether the dictionary has it or not. Of controlwords: see `write`."""
+        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`."""
         is_controlword = (index, subindex, len(data)) == (index_of(CONTROLWORD), 0, 2)
         if is_controlword and self.dictionary.get(index) is not None:
             await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
@@ -168,20 +170,20 @@ class Node(Peer):
             )
 
     def read_stream(self, index: int, subindex: int = 0, *, block: Block = "auto") -> ReadStream:
-        """The bytes of any object, piece by piece: `async for piece in node.read_stream(0x1F50, 1)`. See streams.py.
+        """Read any object piece by piece: `async for piece in node.read_stream(0x1F50, 1)`. See streams.py.
 
-        They count only once the loop has ended without an exception: the checksum stands at the end.
+        The pieces are valid only once the loop has ended without an exception: the checksum comes last.
         """
         return ReadStream(self, index, subindex, block)
 
     async def write_stream(
         self, index: int, subindex: int, pieces: Pieces, size: int | None = None, *, block: Block = "auto"
     ) -> None:
-        """Write bytes to any object, from pieces of any size; returns when the device has confirmed the whole.
+        """Write any object from pieces of any size; return when the device has confirmed the whole.
 
-        pieces: an iterable or an async iterable. It is asked for more only when there is room; what it raises aborts the transfer
-        on the bus, and is raised as it is. size: in bytes, if it is known; some devices insist on it. Raises LocalProtocolError
-        where the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
+        pieces: an iterable or an async iterable, asked for more only when there is room. An exception that it raises aborts the
+        transfer on the bus, and is raised unchanged. size: bytes, if known; some devices insist on it. Raises LocalProtocolError
+        if the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
         """
         async with self._commanding(mux(index, subindex), Command.ENABLE_OPERATION):
             await write_stream(self, index, subindex, pieces, size, block)
@@ -189,20 +191,20 @@ class Node(Peer):
     # ---- PDOs ----
 
     def keep_pdos(self) -> None:
-        """Exchange its PDOs as the device has them set up, now and after each boot; see node_pdos.py. Event: PdoDiffers."""
+        """Exchange the PDOs as the device has set them up, now and after each boot; see node_pdos.py. Event: PdoDiffers."""
         if self._pdos is None:
             self._pdos = NodePdos(self._participant, self)
 
     def leave_pdos(self) -> None:
-        """Do so no longer; those that are exchanged go on."""
+        """Undo `keep_pdos`: the exchange is not renewed after a boot. PDOs that are exchanged now go on."""
         if self._pdos is not None:
             self._pdos.stop()
             self._pdos = None
 
     async def exchange_pdos(self) -> tuple[PdoDifference, ...]:
-        """Wait until its PDOs are exchanged (`keep_pdos`): how the device differs from its file in them.
+        """Wait until the PDOs are exchanged (`keep_pdos`); return how the device's PDOs differ from those of its file.
 
-        Raises SdoFailed where the device does not answer, StrangePdo, UnexpectedLength.
+        Raises SdoFailed if the device does not answer, StrangePdo, UnexpectedLength.
         """
         self.keep_pdos()
         assert self._pdos is not None
@@ -211,11 +213,11 @@ class Node(Peer):
 
     @enable_ki_protection
     def enable_rpdo(self, number: int, enabled: bool = True) -> None:
-        """Send an RPDO of the node's (1..512) while it is Operational, or stop that. What it holds is `remote.values`.
+        """Send RPDO `number` (1..512) to the node while it is Operational, or stop sending it. It carries `remote.values`.
 
-        Raises LocalProtocolError where that RPDO is not exchanged. It ends when the node boots. One with a controlword may enable
-        a drive: the master takes hold of that beside it (`hold` does so before it), and raises NotHeldError where it has to be
-        held first (`Grip.required`).
+        It stops when the node boots. Raises LocalProtocolError if this RPDO is not exchanged. An RPDO with a controlword may
+        enable a drive: the master takes hold of the drive beside it (`hold` does so before it). Raises NotHeldError if the drive
+        has to be held first (`Grip.required`).
         """
         if enabled and number in self.remote.rpdos and CONTROLWORD in self.remote.rpdos[number].mapping.muxes:
             self._may_enable()
@@ -226,7 +228,7 @@ class Node(Peer):
     def send_mpdo(self, number: int, key: Key, value: Value) -> bool:
         """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo.
 
-        Of controlwords: see `enable_rpdo`.
+        For controlwords, see `enable_rpdo`.
         """
         variable, meant, _ = self.remote.encode(key, value)
         if variable.mux == CONTROLWORD and enables_operation(meant):
@@ -241,14 +243,16 @@ class Node(Peer):
     async def hold(self) -> None:
         """Have the drive on this node watch over this master, and stop by itself when the master falls silent; see grip.py.
 
-        What enables a drive does so by itself; this is for who sends controlwords by RPDO. Raises NodeIdTaken, NotHeldError.
+        Commands that enable a drive do so by themselves; call this before you send controlwords by RPDO. Raises NodeIdTaken,
+        NotHeldError.
         """
         await self._participant.run(self._grips.hold(self))
 
     async def start(self) -> None:
-        """Start the node (NMT, to Operational), once its PDOs are exchanged, if its file is known: so that none is missed.
+        """Start the node (NMT, to Operational). If its file is known, wait before until its PDOs are exchanged, so that none is
+        missed.
 
-        Raises what `exchange_pdos` raises, and nothing is sent then; BusError, MasterClosed.
+        Raises as `exchange_pdos`, with nothing sent; BusError, MasterClosed.
         """
         if self._pdos is not None:
             await self._pdos.wait()
@@ -265,34 +269,34 @@ class Node(Peer):
 
     @enable_ki_protection
     def stop_guarding(self) -> None:
-        """Ask no more."""
+        """Stop node guarding."""
         self.remote.stop_guarding()
         self._participant.pump.pump()
 
     async def nmt(self, command: NmtCommand) -> None:
-        """Send an NMT command to this node; returns when it is on its way. Nothing confirms it but the node's heartbeat."""
+        """Send an NMT command to this node; return when it is on its way. Only the node's heartbeat confirms it."""
         await self._participant.nmt(command, self.node_id, bus=self.bus)
 
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
-        """Reset the node and wait for its boot-up frame, at most `timeout` seconds, else NodeSilent."""
+        """Reset the node and wait for its boot-up frame. Raises NodeSilent after `timeout` seconds."""
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
             await self._first_of(boots, timeout, "did not boot after a reset")
 
     async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
-        """Wait for the next boot-up frame, at most `timeout` seconds, else NodeSilent."""
+        """Wait for the next boot-up frame. Raises NodeSilent after `timeout` seconds."""
         with self.events(NodeBooted) as boots:
             await self._first_of(boots, timeout, "did not boot")
 
     async def wait_for_heartbeat(self, timeout: float) -> NmtState:
-        """Wait for the next heartbeat, at most `timeout` seconds, else NodeSilent; the state that it shows."""
+        """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilent after `timeout` seconds."""
         with self.events(HeartbeatReceived) as heartbeats:
             return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
 
     # ---- inside ----
 
     def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
-        """Index and subindex. An object that the dictionary lacks has to be named by numbers."""
+        """Index and subindex of a key. An object that the dictionary lacks must be given by numbers."""
         if isinstance(key, int):
             return key, subindex or 0
         if subindex is not None:
@@ -303,7 +307,7 @@ class Node(Peer):
         return variable.index, variable.subindex
 
     async def _active_mode(self) -> int | None:
-        """0x6061; None where the node does not have it, or does not tell it."""
+        """Read 0x6061; None if the node does not have it, or does not answer."""
         with suppress(SdoError):
             data = await self.read_bytes(index_of(MODES_OF_OPERATION_DISPLAY))
             return int.from_bytes(data, "little", signed=True)
@@ -311,7 +315,7 @@ class Node(Peer):
 
     @asynccontextmanager
     async def _commanding(self, mux: Mux, value: Value) -> AsyncIterator[None]:
-        """Around a write. A drive counts as enabled before it is told to be, and as disabled once it has confirmed that."""
+        """Wrap a write. The drive counts as enabled from before the command on, and as disabled once it has confirmed that."""
         if mux != CONTROLWORD:
             yield
             return
@@ -323,14 +327,14 @@ class Node(Peer):
         self._enabled_by_hand = enables
 
     def _may_enable(self) -> None:
-        """What is sent next may enable the drive, and waits for nothing."""
+        """Take hold of the drive beside the next frame, which may enable it and cannot wait."""
         settings = self._grips.settings
         if settings is not None and settings.required and not self._grips.holds(self):
             raise NotHeldError(f"{self.where} is not held, and Grip.required says that it must; try `await node.hold()` before")
         self._grips.hold_beside(self)
 
     def _on_written(self, report: SdoDownloaded) -> None:
-        """Somebody wrote a controlword, perhaps past `write`: by `remote.write`, or a procedure of the core."""
+        """Take hold of a drive that was enabled past `write`: by `remote.write`, or a procedure of the core."""
         if mux(report.index, report.subindex) == CONTROLWORD and self.was_enabled:
             self._grips.hold_beside(self)
 

@@ -1,7 +1,7 @@
-"""The PDOs of a node whose file is known, exchanged as the device has them set up; see `Master.node`.
+"""Exchanges the PDOs of a node whose file is known, as the device has set them up; see `Master.node`.
 
-The exchange begins when the node is made, and again whenever the device boots, since a reset puts other settings back. A device
-that is silent, or Stopped, is asked when it is next heard.
+The exchange begins when the node is made, and again whenever the device boots, since a reset restores its settings. A device that
+is silent, or Stopped, is asked when it is next heard.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PdoDiffers(Event):
 
 
 class NodePdos:
-    """See this module's text. differences: between the device and its file, as far as they are known."""
+    """See this module's text. differences: those known between the device and its file."""
 
     def __init__(self, participant: Participant, node: Peer) -> None:
         self.differences: tuple[PdoDifference, ...] = ()
@@ -47,12 +47,12 @@ class NodePdos:
         self._begin()
 
     def stop(self) -> None:
-        """Ask no more: somebody else sees to this node's PDOs, such as a chain."""
+        """Stop renewing the exchange: something else, such as a chain, sees to this node's PDOs."""
         self._participant.unwatch(self._watcher)
         self._take_back()
 
     async def wait(self) -> None:
-        """Wait until they are exchanged. Raises what has kept them from it: SdoFailed, UnexpectedLength, StrangePdo."""
+        """Wait until the PDOs are exchanged. Raises the reason if they cannot be: SdoFailed, UnexpectedLength, StrangePdo."""
         while self._running is not None:
             await self._ended.wait()
         if self._error is not None:

@@ -4,8 +4,8 @@ The file is JSON, by node-ID and object, bytes as SDO carries them:
 
     {"format": "canopen-sim-state 1", "devices": {"5": {"1017:00": "E803", "607F:00": "102700000"}}}
 
-It is read once, and written again as a whole whenever a device stores or restores. A device that is not simulated this time keeps
-its entry.
+The file is read once. It is written whole whenever a device stores or restores. Devices that are not simulated this time keep
+their entries.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 
 FORMAT: Final = "canopen-sim-state 1"
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
-"""Bytes: 127 devices with thousands of parameters each. A larger file is none of ours."""
+"""Bytes: 127 devices with thousands of parameters each. A larger file is not ours."""
 
 _OBJECT: Final = re.compile("([0-9A-Fa-f]{4}):([0-9A-Fa-f]{2})")
 
@@ -36,10 +36,10 @@ class StateFileError(Exception):
 
 
 class ParameterKeeper:
-    """What is kept, by node-ID: the bytes of parameters by mux. path: of the file; None for memory only."""
+    """Keeps the bytes of parameters by node-ID and mux. path: the file; None for memory only."""
 
     def __init__(self, path: Path | None = None) -> None:
-        """Raises StateFileError where there is such a file, but not of ours, and OSError where it cannot be read."""
+        """Read the file, if there is one. Raises StateFileError if it is not ours, OSError if it cannot be read."""
         self._path = path
         self._kept: dict[int, dict[Mux, bytes]] = {}
         if path is not None and path.exists():
@@ -48,11 +48,11 @@ class ParameterKeeper:
             self._kept = _parse(path, path.read_bytes())
 
     def kept(self, node_id: int) -> dict[Mux, bytes] | None:
-        """What a device has stored, for `ParameterStorage.load`; None where it never did."""
+        """The parameters that a device has stored, for `ParameterStorage.load`; None if it has stored none."""
         return self._kept.get(node_id)
 
     def keep(self, node_id: int, parameters: Mapping[Mux, bytes]) -> None:
-        """A device stores all this, and nothing else. Raises OSError where it cannot be written; then nothing has changed."""
+        """Keep these parameters of a device in place of its old ones. Raises OSError, with nothing changed, if that fails."""
         after = {**self._kept, node_id: dict(parameters)}
         if self._path is not None:
             with whole_file(self._path) as file:
@@ -74,7 +74,7 @@ def _parse(path: Path, content: bytes) -> dict[int, dict[Mux, bytes]]:
     try:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise StateFileError(path, f"it is no JSON: {error}") from None
+        raise StateFileError(path, f"it is not JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise StateFileError(path, f'it does not say "format": "{FORMAT}"')
     devices = document.get("devices")
@@ -87,5 +87,5 @@ def _parse(path: Path, content: bytes) -> dict[int, dict[Mux, bytes]]:
 def _parameter(entry: tuple[str, str]) -> tuple[Mux, bytes]:
     match = _OBJECT.fullmatch(entry[0])
     if match is None:
-        raise ValueError(f"{entry[0]!r} is no object")
+        raise ValueError(f"{entry[0]!r} is not an object")
     return mux(int(match[1], 16), int(match[2], 16)), bytes.fromhex(entry[1])

@@ -1,11 +1,11 @@
-"""Strings of others, made fit to be shown: of a device, a file, a driver, an operating system.
+"""Makes foreign strings safe to show: those of a device, a file, a driver, an operating system.
 
 Theory of operation
 -------------------
 A terminal obeys control characters: a device name with an escape sequence can clear the screen, write a line that looks like
-ours, or fill a clipboard. So each string that is not ours passes `clean` on its way to a terminal or a page: what cannot be
-printed is shown as its escape sequence in Python (`\\x1b`), and a long string is cut. JSON escapes control characters by itself,
-and nothing is cut there; `json_text` escapes those that JSON lets pass.
+ours, or fill a clipboard. So each foreign string passes `clean` on its way to a terminal or a page: a character that
+cannot be printed is shown as its Python escape sequence (`\\x1b`), and a long string is cut. JSON escapes control characters by
+itself, and nothing is cut there; `json_text` escapes those that JSON lets pass.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ import re
 from typing import Any, Final
 
 MAX_SHOWN: Final = 2000
-"""Characters of one string that people get to see. A whole screen has about as many."""
+"""Characters of one string that are shown. A whole screen has about as many."""
 
 _UNPRINTABLE: Final = re.compile(r"[\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""What JSON need not escape, and a terminal may obey."""
+"""Characters that JSON need not escape, but that a terminal may obey."""
 
 
 def clean(text: str, limit: int = MAX_SHOWN) -> str:
-    """The text without what a terminal would obey, in one line, and cut behind `limit` characters."""
+    """The text in one line, with control characters escaped, and cut after `limit` characters."""
     cut = "" if len(text) <= limit else f" ... ({len(text)} characters)"
     text = text[:limit]
     return (text if text.isprintable() else "".join(map(_shown, text))) + cut
 
 
 def clean_lines(text: str) -> str:
-    """As `clean`, for a text of ours that has lines, with strings of others in them. Nothing is cut."""
+    """As `clean`, for a text of ours that has lines and contains foreign strings. Nothing is cut."""
     return "\n".join(clean(line, len(line)) for line in text.split("\n"))
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """A JSON document that a terminal shows as it is. What JSON does not know becomes text, NaN and infinities too."""
+    """A JSON document that is safe to show. Values that JSON does not know become text, also NaN and infinities."""
     text = json.dumps(_finite(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _finite(value: Any) -> Any:
-    """The document with each number that is not finite as text."""
+    """The document, with numbers that are not finite as text."""
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     if isinstance(value, dict):

@@ -1,18 +1,18 @@
-"""`open_master`: how a master comes and goes.
+"""`open_master`: opens a master, and halts its drives when it is left.
 
 **The way out.** However the `async with` block ends (its end, an error, a cancel, Ctrl-C, a bus that fails), the master takes no
 new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent: SHUTDOWN_TIME at
 most, or up to BRAKING_TIME for a drive that answers and still slows down. Only then do its tasks end and its transports close.
-The tasks are shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. Drives
-that did not confirm that they stand are told by HaltNotConfirmed, or in a note on the exception that is under way.
+The tasks are shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. If a
+drive did not confirm that it stands, HaltNotConfirmed is raised, or a note is added to the exception under way.
 
-A further Ctrl-C on the way out shortens it to SHUTDOWN_TIME, and no more. trio raises it in the main task, which only waits
-there; the halts go out in a task of their own. It comes out of the block when the way out is over.
+Another Ctrl-C on the way out only shortens it to SHUTDOWN_TIME. trio raises it in the main task, which only waits there; the
+halts are sent by a task of their own. The KeyboardInterrupt leaves the block when the way out is over.
 
-The block's own exception comes out as it is, never wrapped in a group: the nursery of the master's tasks does not see it.
+The block's own exception leaves it unchanged, never wrapped in a group: the nursery of the master's tasks does not see it.
 
-**A bus that fails** takes the master with it: whoever waits gets BusError, the body is cancelled, and BusError comes out of the
-block. Drives on the other buses are halted as ever.
+**A bus that fails** ends the master: every waiting task gets BusError, the body is cancelled, and BusError leaves the block.
+Drives on the other buses are halted as always.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_transports import Transport, TransportError, open_transport
 
 BusSource: TypeAlias = str | Transport
-"""A locator, or a transport that is open already; the master closes it."""
+"""A locator, or an open transport; the master closes it."""
 
 SHUTDOWN_TIME: Final = 2.0
-"""Seconds that the way out may take: a person who pressed Ctrl-C does not wait longer for a drive that is dead. A drive that is
-seen to brake is waited for (`procedures.steps.ask_for_time`)."""
+"""Seconds that the way out may take: a person who pressed Ctrl-C does not wait longer for a dead drive. A drive that is seen to
+brake is waited for (`procedures.steps.ask_for_time`)."""
 
 BRAKING_TIME: Final = 30.0
-"""Seconds that the way out may take if a drive brakes as long as that."""
+"""Seconds that the way out may take while a drive still brakes."""
 
 
 def open_master(
@@ -51,15 +51,15 @@ def open_master(
     dictionary: ObjectDictionary | None = None,
     grip: Grip | None = DEFAULT_GRIP,
 ) -> MasterSession:
-    """The master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
+    """Open a master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
 
-    locators: the buses, each known by its locator. buses: buses by names of your own, such as those that a chain file uses;
-    several names may mean one bus. Times in seconds: sdo_timeout, for each answer of a device; heartbeat_timeout, after which a
-    node whose heartbeat stops is lost, 0 for no supervision (a chain that initialises its joints then has them send heartbeats).
-    dictionary: for nodes that are given none; by default that of the data files. grip: how drives notice that this master is
-    gone, and stop: once it enables one, it sends its heartbeat as node 127. None to have none of that. See grip.py.
+    locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
+    names may mean one bus. sdo_timeout: seconds that a device may take for each answer. heartbeat_timeout: seconds after which a
+    node whose heartbeat stops is lost (chains then have their joints send heartbeats); 0 for no supervision. dictionary: for
+    nodes that are given none; by default that of the data files. grip: how drives notice that this master is gone, and stop: once
+    it enables a drive, it sends its heartbeat as node 127; None for no grip. See grip.py.
 
-    On entering: BusError for a bus that cannot be opened. On leaving: see this module's text.
+    Entering the block raises BusError if a bus cannot be opened. On leaving it, see this module's text.
     """
     named: dict[str, BusSource] = {}
     for number, locator in enumerate(locators):
@@ -85,7 +85,7 @@ def open_master(
 
 
 class MasterSession:
-    """What `open_master` gives: an async context manager, to be entered once."""
+    """The async context manager that `open_master` returns; to be entered once."""
 
     def __init__(
         self, sources: Mapping[str, BusSource], make: Callable[[Mapping[str, Transport], Mapping[str, str]], Master]
@@ -114,7 +114,7 @@ class MasterSession:
         master = self._master
         try:
             came = None if master.body.__exit__(kind, error, traceback) else error
-        except BaseException as rest:  # noqa: BLE001 - of a group, the Cancelled that was ours was taken out; raised again below
+        except BaseException as rest:  # noqa: BLE001 - a group without the Cancelled that was ours; raised again below
             came = rest
         self._nursery.start_soon(self._halt)
         try:
@@ -127,7 +127,7 @@ class MasterSession:
         if problems:
             if result is not None and not _is_cancelled(result):
                 result.add_note(f"not confirmed to stand: {problems}")
-            else:  # in place of Cancelled, too: a note on that would be lost with it
+            else:  # also in place of Cancelled, which would take the note with it
                 result = _not_confirmed(problems)
         if result is None:
             return True
@@ -154,11 +154,11 @@ class MasterSession:
             self._master.pump.stop()
 
     def _was_interrupted(self) -> bool:
-        """Whether a Ctrl-C came on the way out: it cancels the nursery in whose end it is raised."""
+        """Whether a Ctrl-C came on the way out: it cancels the nursery whose end raises it."""
         return self._nursery.cancel_scope.cancel_called
 
     async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
-        """Open the buses, each once: the transports by name, and the names beyond the first of each."""
+        """Open each bus once. Returns the transports by their first names, and the first names by the other ones."""
         transports: dict[str, Transport] = {}
         aliases: dict[str, str] = {}
         first_names: dict[object, str] = {}
@@ -182,21 +182,21 @@ class MasterSession:
 
 
 def _is_only(error: BaseException, failure: Exception | None) -> bool:
-    """Whether an exception is the master's own failure, be it in a group that a nursery of the body made of it."""
+    """Whether an exception is the master's own failure, perhaps in a group that a nursery of the body made."""
     if failure is not None and isinstance(error, BaseExceptionGroup):
         return all(_is_only(each, failure) for each in error.exceptions)
     return error is failure
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether an exception is a Ctrl-C, or a group that bears one."""
+    """Whether an exception is a Ctrl-C, or a group with one in it."""
     if isinstance(error, BaseExceptionGroup):
         return error.subgroup(KeyboardInterrupt) is not None
     return isinstance(error, KeyboardInterrupt)
 
 
 def _is_cancelled(error: BaseException) -> bool:
-    """Whether an exception ends with the scope that was cancelled: Cancelled, or a group of nothing else."""
+    """Whether an exception is Cancelled, or a group of nothing else: it ends with the scope that was cancelled."""
     if isinstance(error, BaseExceptionGroup):
         return error.split(trio.Cancelled)[1] is None
     return isinstance(error, trio.Cancelled)

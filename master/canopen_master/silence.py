@@ -1,9 +1,10 @@
-"""Why did nobody answer? What was heard on the bus picks the likely cause and what to try next.
+"""Why did no node answer? The frames heard on the bus point to the likely cause, and to what to try next.
 
-A `Diagnosis` is made when a request of ours, or a wait, has ended without an answer. It says what the core remembers of the node
-and of the bus (canopen_proto/bus_knowledge.py: by the predefined connection set, so a hint where COB-IDs were changed), then the
-best guess, then the next step. While the bus itself is away (`Network.outage`), that is all there is to say. Where the transport
-filters (`Network.hears_all` is False), nothing is said of other nodes.
+A `Diagnosis` is made when a request of ours, or a wait, has ended without an answer. It gives what the core remembers of the node
+and of the bus, then the best guess, then the next step. The core goes by the predefined connection set
+(canopen_proto/bus_knowledge.py), so its memory is only a hint if COB-IDs were changed. While the bus itself is away
+(`Network.outage`), the diagnosis says only that. If the transport filters (`Network.hears_all` is False), it says nothing of
+other nodes.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from canopen_proto.nmt import SERVICES, NmtState, Service
 from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
-"""What was heard longer ago tells little about now: most heartbeats come each second or so."""
+"""An older frame says little about now: most heartbeats come about once a second."""
 BOOTING: Final = 2 * SECOND
-"""So soon after its boot-up a device may still be busy with itself."""
+"""For so long after its boot-up a device may still be busy starting."""
 MAX_NODES_TOLD: Final = 8
 TIMEOUTS: Final = (0.1, 0.2, 0.5, 1, 2, 3, 5, 10, 20)
-"""Seconds that are advised where an answer came too late: the first with half as much again in reserve."""
+"""Seconds to advise if an answer came too late: the first that leaves half as much again in reserve."""
 
 SCAN: Final = "canopen scan    (who is there?)"
 DOCTOR: Final = "canopen doctor    (what does the adapter say?)"
@@ -64,7 +65,7 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
         took = (late.behind + node.sdo.timeout) / SECOND
         advised = next((limit for limit in TIMEOUTS if limit >= 1.5 * took), None)
         longer = LONGER if advised is None else f"{LONGER}: {advised:g} s"
-        seen += f"; it answered after {_duration(late.behind + node.sdo.timeout)}, when nobody waited any more"
+        seen += f"; it answered after {_duration(late.behind + node.sdo.timeout)}, too late"
         return Diagnosis(seen, "it is slower than the time limit", (longer,))
     if now - time > RECENT or node.heartbeat.lost:
         cause = "its power is off or its cable loose by now, or it is busy"
@@ -79,10 +80,10 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
 
 
 def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool) -> Diagnosis:
-    """Why a node did not send what was waited for: a PDO, or a boot-up or heartbeat.
+    """Why a node did not send the frame that was waited for: a PDO, or a boot-up or heartbeat.
 
-    cause, tries: for a node that is alive. They count for a silent one too, but not for PDOs: a device without a heartbeat that
-    nobody asks anything is silent.
+    cause, tries: for a node that is alive. For a boot-up or heartbeat they also hold for a silent node: a device without a
+    heartbeat is silent until it is asked.
     """
     if network.outage:
         return _away(network)
@@ -105,13 +106,13 @@ def _away(network: Network) -> Diagnosis:
 
 
 def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
-    """What it said, or what we commanded since."""
+    """The state that it reported, or that we commanded since."""
     return node.nmt_state if node.nmt_state is not None else heard.state
 
 
 def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time | None, str]:
-    """When the node was last heard, and a line on that; None if it never was."""
-    # By its own PDOs too, where they are known to be its own: those that the RemoteNode decodes.
+    """When the node was last heard, and a line about it; None if it was never heard."""
+    # Its PDOs count too, if they are known to be its own: those that the RemoteNode decodes.
     value_time = max(node.heard_at.values(), default=None)
     if heard.time is None and value_time is None:
         return None, ""
@@ -140,7 +141,7 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
 
 
 def _other_clients(network: Network, heard: NodeHeard, now: Time) -> tuple[str, str]:
-    """What shows that somebody else asks this node, and what that means; "" where nothing does."""
+    """Signs that another client asks this node, and what they mean; "" if there are none."""
     node_id, request, answer = heard.node_id, heard.foreign_request, heard.unasked_answer
     if request is not None and now - request.time <= RECENT:
         seen = f"; another client asked it {_ago(now - request.time)} (0x{SDO_CLIENT_TO_SERVER + node_id:X})"
@@ -162,7 +163,7 @@ def _silent(network: Network, heard: NodeHeard, now: Time) -> Diagnosis:
     check = f"check the node-ID {node_id} (0x{node_id:02X}), power and bit rate"
     last = network.last_heard
     if last is None and network.hears_all:
-        cause = "nobody else is on it; or wrong bit rate, no power, or the wiring: CAN-H and CAN-L, termination"
+        cause = "no other node is on it; or wrong bit rate, no power, or the wiring: CAN-H and CAN-L, termination"
         return Diagnosis("nothing at all was heard on this bus", cause, ("check bit rate, power and wiring", SCAN))
     seen, cause = "nothing was heard of it", "no device has this node-ID, its power is off, or it runs with another bit rate"
     if heard.pdo is not None:

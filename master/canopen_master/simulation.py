@@ -4,8 +4,8 @@
 
 All devices of one call are one participant of the bus, as if they shared one CAN controller: they do not hear each other.
 
-A `DeviceModel` makes one of any dictionary, as it comes from an EDS or DCF; the simulated drive may stand behind it, and a script
-may animate it (hooks.py). What a device stores (0x1010) is kept by the Host, which is what a device's host is for.
+A `DeviceModel` makes a device of any dictionary, such as that of an EDS or DCF. A simulated drive may stand behind it, and a
+script may animate it (hooks.py). The Host keeps the parameters that a device stores (0x1010), as a real host would.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ DeviceMaker: TypeAlias = Callable[[Outbox], LocalNode]
 class DeviceModel:
     """Makes a device of a dictionary: a DeviceMaker.
 
-    drive: what moves behind it, which has to suit the dictionary (`drive_obstacle`); None: nothing, its objects are plain memory.
-    script: what animates it.
+    drive: the drive behind it, which must suit the dictionary (`drive_obstacle`); None: its objects are plain memory. script:
+    animates it.
     """
 
     dictionary: ObjectDictionary
@@ -57,12 +57,12 @@ class DeviceModel:
 
 
 def powerballs(*node_ids: int) -> list[DeviceMaker]:
-    """Joints of the Schunk Powerball arm, as the manual's library met it."""
+    """Joints of the Schunk Powerball arm, as the manual's library knows them."""
     return [partial(powerball, node_id=node_id) for node_id in node_ids]
 
 
 def standard_drives(*node_ids: int, settings: DriveSettings | None = None) -> list[DeviceMaker]:
-    """Drives that have CiA 402 as it is written."""
+    """Drives that follow CiA 402 to the letter."""
     return [partial(DriveNode, node_id=node_id, settings=settings or DriveSettings()) for node_id in node_ids]
 
 
@@ -75,8 +75,8 @@ async def simulate(
 ) -> None:
     """Serve devices on a transport until cancelled; then close it. They boot at once, in the order given.
 
-    Started with `nursery.start`, it gives the Host with its `nodes`, to look into or to break. on_event: is called with what they
-    report; it must not block. Raises BusError when the bus fails.
+    `nursery.start` returns the Host with its `nodes`, to look into or to break. on_event: called with each event of the devices;
+    it must not block. Raises BusError when the bus fails.
     """
     try:
         await Host(transport, devices, on_event).serve(task_status)
@@ -86,10 +86,10 @@ async def simulate(
 
 
 class Host:
-    """Devices on one transport. `pump()` after whatever is done to one of them by hand (`node.raise_error(...)`).
+    """Devices on one transport. Call `pump()` after each change made to one of them by hand (`node.raise_error(...)`).
 
-    keeper: of what they store; by default in memory. say: takes what scripts have to tell, their errors among it. Raises
-    ScriptError where a script cannot be run.
+    keeper: keeps their stored parameters; by default in memory. say: called with the messages and errors of scripts. Raises
+    ScriptError if a script cannot be run.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Host:
         return self._pump.now()
 
     def pump(self) -> None:
-        """Send and report what the devices have to say."""
+        """Send the frames and report the events of the devices."""
         self._pump.pump()
 
     async def serve(self, task_status: trio.TaskStatus[Host] = trio.TASK_STATUS_IGNORED) -> None:
@@ -140,7 +140,7 @@ class Host:
             try:
                 async with trio.open_nursery() as scripts:
                     await self._boot(scripts)
-                    await self._pump.flush()  # a master that opens now must not take these boot-ups for a reset behind its back
+                    await self._pump.flush()  # a master that opens now must not take these boot-ups for resets
                     task_status.started(self)
                     await self._ended.wait()
                     scripts.cancel_scope.cancel()
@@ -169,7 +169,7 @@ class Host:
             self._on_event(event)
 
     def _tell_bus_off(self, state: BusState) -> None:
-        """The devices hear that their controller has gone off the bus, and that it is back."""
+        """Tell the devices that their controller has gone bus-off, or is back."""
         if state is BusState.BUS_OFF and not self._is_bus_off:
             self._is_bus_off = True
             for node in self.nodes:
@@ -180,10 +180,10 @@ class Host:
                 node.bus_recovered(self.now())
 
     def _store(self, access: ObjectAccessPending) -> None:
-        """A device stores or restores its parameters."""
+        """Store or restore the parameters of a device."""
         node = self._by_id[access.node_id]
         if access.index in node.deferred:
-            return  # whoever deferred it serves it
+            return  # the script or host that deferred it serves it
         try:
             self._keeper.keep(access.node_id, node.storage.to_keep(access.index, access.subindex))
         except OSError as error:

@@ -1,11 +1,12 @@
-"""Objects that nobody holds whole (firmware images, recordings), read and written piece by piece.
+"""Reads and writes large objects (firmware images, recordings) piece by piece, so that none is held whole.
 
-Both go by SDO block transfer. With block = "auto", the default, they fall back on a normal transfer where the server has no
-blocks; that one has to hold the whole object, at most MAX_WHOLE bytes. block = True never falls back, block = False does not try.
+Both ways use SDO block transfer. With block = "auto", the default, they fall back on a normal transfer if the server has no
+blocks; that transfer has to hold the whole object, at most MAX_WHOLE bytes. block = True never falls back, block = False does not
+try blocks.
 
 A transfer that is left early (an exception, a cancelled task, `break`) is aborted on the wire, and the next request to the node
-works at once. What is written is not executed then, as far as the device obeys; what was read so far counts for nothing: the
-checksum stands at the end.
+works at once. A device that obeys does not execute such a write. The pieces of such a read are not valid: the checksum comes
+last.
 
     async for piece in node.read_stream(0x1F50, 1):
         file.write(piece)
@@ -32,17 +33,17 @@ from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDownloaded, SdoStr
 from canopen_proto.sdo.transfer import Buffer
 
 MAX_WHOLE: Final = MAX_UPLOAD
-"""Bytes that are held at most for a server without block transfer: as many as the SDO client takes in one upload."""
+"""The most bytes held for a server without block transfer: as many as the SDO client takes in one upload."""
 
 Pieces: TypeAlias = Iterable[Buffer] | AsyncIterable[Buffer]
-"""What is written: pieces of any size."""
+"""The content to write: pieces of any size."""
 
 
 class ReadStream:
-    """The pieces of an object as they come, each 1 to 889 bytes: `async for`, once. Made by Node.read_stream.
+    """Gives the pieces of an object as they come, 1 to 889 bytes each: `async for`, once. Made by Node.read_stream.
 
-    Raises what Node.read_bytes raises; pieces that came before that count for nothing. size: bytes so far. `async with` closes it
-    at once where it is left early; without that it is closed as soon as nobody has it any more.
+    Raises as Node.read_bytes; pieces that came before an error are not valid. size: bytes so far. `async with` closes the stream
+    at once if the loop is left early; otherwise it is closed once it is no longer referenced.
     """
 
     def __init__(self, node: Peer, index: int, subindex: int, block: Block) -> None:
@@ -73,7 +74,7 @@ class ReadStream:
         return piece
 
     async def aclose(self) -> None:
-        """End it. A transfer that is under way is aborted on the wire."""
+        """Close the stream. A transfer under way is aborted on the wire."""
         self._close()
         await trio.lowlevel.checkpoint()
 
@@ -86,7 +87,7 @@ class ReadStream:
         self._close()
 
     def __del__(self) -> None:
-        # Not here: this may be run anywhere, even in the middle of what a machine does.
+        # Taken back later: Python may run this anywhere, even in the middle of a machine's turn.
         if self._request is not None and self._token is not None:
             with suppress(trio.RunFinishedError):
                 self._token.run_sync_soon(self._request.take_back)
@@ -146,7 +147,7 @@ async def write_stream(node: Peer, index: int, subindex: int, pieces: Pieces, si
 
 
 def lacks_blocks_of(outcome: Outcome) -> bool:
-    """Whether a stream ended because the server knows no blocks."""
+    """Whether a stream ended because the server has no block transfer."""
     return isinstance(outcome, SdoAborted) and lacks_blocks(outcome)
 
 
@@ -160,7 +161,7 @@ async def _feed(node: Peer, request: OpenRequest, source: Source) -> Outcome:
     """Feed a download stream from a source until it ends."""
     client, request_id = node.remote.sdo, request.request_id
     rest, fed = memoryview(b""), 0
-    report = await request.news()  # nothing is taken from the source before the server has agreed
+    report = await request.news()  # the source is not asked before the server has agreed
     while report is not None:
         room = client.room(request_id)
         if not room and fed != source.size:
@@ -176,7 +177,7 @@ async def _feed(node: Peer, request: OpenRequest, source: Source) -> Outcome:
                 request.pump()
                 break
             rest = memoryview(piece).cast("B")
-        part = rest[:room] if room else rest  # without room there must be nothing more: the client says so
+        part = rest[:room] if room else rest  # without room no more may follow: the client raises
         client.feed(request_id, part, node.now())
         request.pump()
         rest, fed = rest[len(part) :], fed + len(part)
@@ -184,7 +185,7 @@ async def _feed(node: Peer, request: OpenRequest, source: Source) -> Outcome:
 
 
 class Source:
-    """Where the pieces come from. size: as announced."""
+    """The source of the pieces. size: as announced."""
 
     def __init__(self, pieces: Pieces, size: int | None) -> None:
         self.size = size
@@ -199,12 +200,12 @@ class Source:
             self._plain = iter(pieces)
 
     async def next_piece(self) -> Buffer | None:
-        """The next one; None at the end."""
+        """The next piece; None at the end."""
         self.has_begun = True
         return next(self._plain, None) if self._async is None else await anext(self._async, None)
 
     async def whole(self) -> bytes:
-        """All of it."""
+        """All pieces, joined. Raises LocalProtocolError for more than MAX_WHOLE bytes, or another size than announced."""
         found: list[Buffer] = []
         size = 0
         while (piece := await self.next_piece()) is not None:

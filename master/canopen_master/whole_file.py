@@ -15,9 +15,9 @@ from typing import IO
 def whole_file(path: str | Path) -> Iterator[IO[bytes]]:
     """Open a file for writing. It has its new content when the block ends; if the block raises, the file stays as it was.
 
-    The bytes go into a file of another name in the same folder, which then takes the place. Links are followed; an older file
-    keeps its permissions. What exists and is no regular file, such as a pipe or /dev/null, is written to directly; opening a
-    pipe waits for its reader. Raises OSError, and ValueError where the path cannot be one.
+    The bytes go into a file of another name in the same folder, which then takes its place. Links are followed; an older file
+    keeps its permissions. A path that is not a regular file, such as a pipe or /dev/null, is written to directly; opening a
+    pipe waits for its reader. Raises OSError, and ValueError if the path is not valid.
     """
     mode = _mode_of(path)
     if mode is not None and not stat.S_ISREG(mode):

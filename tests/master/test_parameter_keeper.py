@@ -48,14 +48,14 @@ GOOD = '{"format": "canopen-sim-state 1", "devices": %s}'
 @pytest.mark.parametrize(
     ("text", "seen"),
     [
-        ("", "it is no JSON"),
-        ("[" * 100_000, "it is no JSON"),
+        ("", "it is not JSON"),
+        ("[" * 100_000, "it is not JSON"),
         ("5", 'it does not say "format"'),
         ('{"format": "other"}', 'it does not say "format"'),
         (GOOD % "5", "its devices make no sense"),
         (GOOD % '{"x": {}}', "its devices make no sense"),
         (GOOD % '{"5": 5}', "its devices make no sense"),
-        (GOOD % '{"5": {"1017": "00"}}', "'1017' is no object"),
+        (GOOD % '{"5": {"1017": "00"}}', "'1017' is not an object"),
         (GOOD % '{"5": {"1017:00": "0"}}', "its devices make no sense"),
         (GOOD % '{"5": {"1017:00": 5}}', "its devices make no sense"),
         (" " * (MAX_FILE_SIZE + 1), "it has more than"),

@@ -303,6 +303,6 @@ async def test_a_slow_device() -> None:
         with pytest.raises(SdoTimeout, match="nothing at all was heard"):
             await master.node(5).read("statusword")
         await device.send(Frame.parse("585#4B41600037020000"))
-        with pytest.raises(SdoTimeout, match="it answered after 20. ms, when nobody waited any more"):
+        with pytest.raises(SdoTimeout, match="it answered after 20. ms, too late"):
             await master.node(5).read("controlword")
         await device.aclose()

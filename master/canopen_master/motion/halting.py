@@ -1,4 +1,4 @@
-"""The last that a master does with a drive: halt it, whatever it is and does, and see that it stands."""
+"""The last that a master does with a drive: it halts the drive, whatever the drive does, and sees that it stands."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from canopen_proto.procedures.steps import Procedure, download, upload
 
 
 class Halt:
-    """The halt of one drive. device: None for a node whose dictionary describes no drive, though somebody has enabled one there.
+    """The halt of one drive. device: None if the node's dictionary describes no drive, though a drive was enabled there.
 
-    bus_failed: nothing can be sent to it. where: the drive, for people. problem: why it is not known that it stands; empty once
-    it is, and for one that could not move. is_confirmed: it was asked, and it stands.
+    where: the drive, for people. problem: why the drive is not known to stand; empty once it is, or if it could not move.
+    is_confirmed: the drive was asked, and it stands.
     """
 
     def __init__(self, node: Node, device: Device | None) -> None:
@@ -28,28 +28,28 @@ class Halt:
         self.problem = "" if not may_move else "its bus has failed" if node.bus_has_failed else "it has not answered yet"
 
     def run(self) -> Procedure[None]:
-        """Halt it and wait until it stands. It never fails: no drive keeps another one from being halted."""
+        """Halt the drive and wait until it stands. It never fails: no drive keeps another one from being halted."""
         try:
             yield from (self._by_number() if self.device is None else self._by_axis(self.device))
             self.is_confirmed = not self.problem
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is told as this drive's
+        except Exception as error:  # noqa: BLE001 - every failure is reported as this drive's
             self.problem = self.problem and (str(error) or repr(error))
 
     def run_and_let_go(self, grips: Grips) -> Procedure[None]:
-        """Halt it, and let it go (grip.py) if it is known to stand."""
+        """Halt the drive; let it go (grip.py) if it is then known to stand."""
         yield from self.run()
         if self.is_confirmed:
             yield from grips.let_go(self.node)
 
     def _by_axis(self, device: Device) -> Procedure[None]:
-        # Asked anew: a command that was cancelled half-way may have been executed since its last PDO.
+        # The drive is asked again: a command that was cancelled half-way may have been executed since its last PDO.
         yield from awake(device.node, "0x6041")
         self.problem = "it still moves" if device.state in POWERED else ""
         yield from stop(device)
         self.problem = ""
 
     def _by_number(self) -> Procedure[None]:
-        """Its objects have the numbers of CiA 402, where it is a drive."""
+        """Halt it by the object numbers of CiA 402, which it has if it is a drive."""
         client = self.node.remote.sdo
         statusword = int.from_bytes((yield from upload(client, index_of(STATUSWORD))), "little")
         if state_of(statusword) is State.OPERATION_ENABLED:
