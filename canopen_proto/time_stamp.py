@@ -25,8 +25,6 @@ from canopen_proto.datatypes import DataType, ValueRangeError, decode, encode
 from canopen_proto.frame import TIME, Frame, frame_for_key
 from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time
 
-TIME_BYTES: Final = 6
-
 
 class TimeSent(Event):
     """Our producer's TIME is in the outbox; node_id is 0. time: what it says (whole milliseconds, UTC)."""

@@ -137,19 +137,7 @@ HOMING_METHODS: Final[dict[int, str]] = {
     35: "current position (older number of 37)",
     37: "current position",
 }
-"""Texts for the usual values of 6098h; `homing_method_name` names the others by their group."""
-
-
-def homing_method_name(method: int) -> str:
-    """Return a homing method in words."""
-    if method in HOMING_METHODS:
-        return HOMING_METHODS[method]
-    if 3 <= method <= 14:
-        return f"method {method}: home switch and index pulse"
-    if 23 <= method <= 30:
-        return f"method {method}: home switch"
-    return f"{'manufacturer’s' if method < 0 else 'reserved'} method {method}"
-
+"""Texts for the usual values of 6098h."""
 
 _COMMON_BITS: Final = (
     (StatusBit.VOLTAGE_ENABLED, "voltage enabled"),

@@ -7,7 +7,6 @@ from canopen_proto.cia402.modes import (
     HomingStatus,
     Mode,
     describe_status,
-    homing_method_name,
     homing_status,
     mode_name,
     supported,
@@ -195,16 +194,11 @@ def test_supported_modes_as_drives_report_them() -> None:
     assert not supported(0xFFFFFFFF, 17)
 
 
-def test_names_of_modes_and_homing_methods_never_fail() -> None:
+def test_names_of_modes_never_fail() -> None:
     assert mode_name(Mode.INTERPOLATED_POSITION) == "interpolated position (ip)"
     assert mode_name(0) == "no mode"
     assert mode_name(-3) == "manufacturer’s mode -3"
     assert mode_name(5) == "reserved mode 5"
-    assert homing_method_name(33) == "next index pulse in negative direction"
-    assert homing_method_name(4) == "method 4: home switch and index pulse"
-    assert homing_method_name(27) == "method 27: home switch"
-    assert homing_method_name(-1) == "manufacturer’s method -1"
-    assert homing_method_name(15) == "reserved method 15"
 
 
 @pytest.mark.parametrize(
