@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable
-from typing import Final
 
 from canopen_proto.datatypes import DataType, ValueRangeError, decode, encode
 from canopen_proto.frame import TIME, Frame, frame_for_key

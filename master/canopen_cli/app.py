@@ -1,4 +1,4 @@
-"""The command tree, and `main`: one command run, one exit status, one screen where it fails."""
+"""The tree of commands, and `main`, which runs one of them: one exit status, and one screen if it fails."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import trio
 
 CLOSED_PIPE = 128 + 13
-"""What a shell reports of a command whose reader went away (SIGPIPE)."""
+"""The status that a shell reports for a command whose reader went away (SIGPIPE)."""
 
 COMMANDS: Final = {
     "demo": ("demo", "A six-joint arm boots, homes itself and moves."),
@@ -79,16 +79,16 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
     except LibraryMissing:
-        raise  # it may be what a screen is made with
+        raise  # perhaps rich, which makes the screens
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
         if isinstance(error, click.UsageError | Problem) and "--json" in (sys.argv if arguments is None else arguments):
-            settings.json = True  # click did not come to that
+            settings.json = True  # click failed before it read this option
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             _put_to_rest(sys.stdout)
         with importing():
             from canopen_cli.failures import problem_of
         return _show(settings, problem_of(error))
-    except BaseExceptionGroup as group:  # a Ctrl-C before anything was begun comes out of trio like this
+    except BaseExceptionGroup as group:  # trio reports a Ctrl-C like this if nothing has begun yet
         if group.subgroup(KeyboardInterrupt) is None:
             raise
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
@@ -98,14 +98,14 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
 
 
 def _open_closed_streams() -> None:
-    """Python has no stdin, stdout or stderr at all where a shell closed it (`canopen scan >&-`)."""
+    """Replace a standard stream that the shell closed (`canopen scan >&-`): Python has None in its place."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - until the process ends
 
 
 def _put_to_rest(stream: IO[str]) -> None:
-    """What is still to be written goes nowhere, or Python would complain when it flushes at the end."""
+    """Throw away what is still to be written; or Python would complain when it flushes the stream at the end."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

@@ -1,4 +1,4 @@
-"""`canopen backup`: what a node holds, into a DCF."""
+"""`canopen backup`: write all that a node holds into a DCF."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
     check_indices(indices, settings.eds)
     check_new_file(settings, screen, output)
     if indices is not None:
-        indices = (COMMUNICATION, *indices)  # a backup without the PDOs is none
+        indices = (COMMUNICATION, *indices)  # without the PDOs it would be no backup
     found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
     bit_rate = bit_rate_of(settings)
     lost = write_dcf(output, found, description, bit_rate)
@@ -90,7 +90,7 @@ def bit_rate_of(settings: Settings) -> int | None:
 
 
 def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> tuple[Reading, ...]:
-    """Write what was read as a DCF. Returns what the file could not hold as it was read.
+    """Write what was read as a DCF. Return what the file could not hold as it was read.
 
     description: by which it was read; None: by the data files, or by a walk. Raises Problem, also where the file would be the one
     that describes the device.

@@ -1,4 +1,4 @@
-"""What `backup`, `compare`, `dump` and `restore` share: reading all of a node, with progress, and telling what is missing."""
+"""Read all objects of a node, with progress, and tell what is missing: for `backup`, `compare`, `dump` and `restore`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
 REDRAW: Final = 0.1
-"""Seconds between two pictures of the progress."""
+"""Seconds between two updates of the progress."""
 MAX_LISTED: Final = 10
 """Objects that could not be read, line by line; the rest is counted, and told with -v."""
 
@@ -53,7 +53,7 @@ class Indices(Kind):
 
 
 def reading_options(command: F) -> F:
-    """The options of what is to be read. The command takes `indices` and `domains`."""
+    """Add the options that say what is to be read. The command takes `indices` and `domains`."""
     options: list[Callable[[F], F]] = [
         click.option(
             "--walk",
@@ -71,7 +71,7 @@ def reading_options(command: F) -> F:
 
 async def read_all(session: Session, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
     """Read what a node holds: by its own file; without one by a walk and the data files; or by a walk over `indices`. Raises
-    SdoFailed where it is gone."""
+    SdoFailed if the node is gone."""
     node = session.node(node_id).remote
     label = f"reading {node_text(node_id)}"
     if indices is not None:

@@ -90,11 +90,11 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
     except Problem as ended:
         if ended.exit_code is not ExitCode.INTERRUPTED:
             raise
-        screen.say("ended")  # as it was to end
+        screen.say("ended")  # Ctrl-C is how it is meant to end
 
 
 def _first(error: Exception) -> Exception:
-    """The error in a group that a nursery made of it."""
+    """Return the error that a nursery wrapped in a group."""
     while isinstance(error, ExceptionGroup):
         error = error.exceptions[0]
     return error

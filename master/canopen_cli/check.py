@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _NODE: Final = re.compile(r"(?:0[xX][0-9A-Fa-f]+|[0-9]+)")
 ANY_NODE: Final = 1
-"""The node-ID of a device whose file is checked alone: no case without the device asks for it."""
+"""The node-ID of a device whose file is checked alone. No case that runs without the device uses it."""
 
 
 @click.command()
@@ -106,7 +106,7 @@ def check(
 
 
 def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Case]]:
-    """The cases that are named, in their order, or all; and those that are left out, since they store. Raises Problem."""
+    """Return the named cases in their order, or all; and the cases that are left out because they store. Raises Problem."""
     wanted: set[str] = set()
     for number in numbers:
         found = [case.number for case in CASES if number in (case.number, case.number.partition(".")[0])]
@@ -124,7 +124,7 @@ def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Cas
 
 
 def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> Report:
-    """What can be said of a file alone."""
+    """Run the cases that need a file and no device."""
     if settings.eds:
         raise usage("CO001", "there are two files: the one that is named, and that of -e", tries=(f"canopen check {path}",))
     alone = [case for case in cases if not case.uses_device]
@@ -136,7 +136,7 @@ def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> Report:
 
 
 def _run_alone(report: Report, cases: Sequence[Case], description: DeviceDescription, node_id: int) -> None:
-    """Run cases that ask nothing of the device, on a network without a bus."""
+    """Run cases that ask nothing of a device, on a network without a bus."""
     network = Network()
     bench = Bench(network, node_id, description.dictionary, description=description)
     for case in cases:
@@ -150,7 +150,7 @@ def _run_alone(report: Report, cases: Sequence[Case], description: DeviceDescrip
 
 
 def _check_node(settings: Settings, screen: Screen, report: Report, cases: Sequence[Case], strict: bool, yes: bool) -> None:
-    """Run the cases into the report. Raises what a command raises, the report being as far as it came."""
+    """Run the cases and add each result to the report. If an error is raised, the report keeps the results so far."""
     node_id = report.node_id
     assert node_id is not None
     if not any(case.uses_device for case in cases):
@@ -189,7 +189,7 @@ async def _run_cases(settings: Settings, screen: Screen, report: Report, cases: 
     async with open_session(settings, screen) as session:
         description = session.description_of(node_id)
         if description is None and settings.named_bus() != DEMO:
-            raise _without_file(node_id)  # there are files, but of other nodes
+            raise _without_file(node_id)  # the files that were named are of other nodes
         dictionary = _demo_dictionary(node_id) if description is None else description.dictionary
         report.file = "" if description is None else description.source
         bench = Bench(session.network, node_id, dictionary, description=description, strict=strict)
@@ -205,29 +205,29 @@ async def _run_cases(settings: Settings, screen: Screen, report: Report, cases: 
                     verdict: Verdict = await session.master.run(case.run(bench))
                     report.runs.append(CaseRun(case, verdict, trio.current_time() - start))
                     if verdict.result is Result.FAILED and case.uses_device:
-                        await _find(session, bench)  # it may be gone, and all that follow would say so for minutes
+                        await _find(session, bench)  # if it is gone, each case that follows would wait for it in vain
         finally:
             with trio.CancelScope(shield=True), suppress(MasterError):
                 await session.master.nmt_reset_node(node_id)
 
 
 def _demo_dictionary(node_id: int) -> ObjectDictionary:
-    """What the drives of `-b demo` are."""
+    """Describe the drives of `-b demo`."""
     return drive_maker(0, node_id)(Outbox()).dictionary
 
 
 async def _find(session: Session, bench: Bench) -> None:
-    """Reset the device; raise SdoTimeout where it shows by nothing that it is there."""
+    """Reset the device. Raises SdoTimeout if it shows no sign of life."""
     try:
         await session.master.run(bench.reset())
-    except ProcedureError:  # no boot-up: that is for the cases to tell
+    except ProcedureError:  # no boot-up: a case will report that
         with suppress(SdoRefused):
             await session.node(bench.node_id).read_bytes(0x1000)
 
 
 @contextmanager
 def _progress(screen: Screen, report: Report) -> Iterator[Callable[[Case], None]]:
-    """What is called when a case begins: on a terminal it is shown; elsewhere nothing is, the table comes at the end."""
+    """Return the function to call when a case begins. It shows the case on a terminal, and does nothing elsewhere."""
     if not screen.draws:
         yield lambda case: None
         return

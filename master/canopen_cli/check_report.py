@@ -1,4 +1,4 @@
-"""What `canopen check` tells: a table for people, JSON and JUnit's XML for programs.
+"""The report of `canopen check`: a table for people, JSON and JUnit's XML for programs.
 
 JUnit: a test suite for each chapter of the cases, a test case for each case; what failed is a failure, what does not apply or was
 left out is skipped; remarks are its output. Times are those of the bus: seconds from the reset before a case to its verdict.
@@ -20,7 +20,7 @@ from canopen_master.plain_text import clean
 from canopen_proto.verdict import Result, Verdict
 
 PACKAGE: Final = "canopen.conformance"
-"""Where all test cases belong, so that CI groups them."""
+"""The name under which a CI server groups all test cases."""
 LEFT_OUT: Final = "it changes what the device stores (--storing)"
 
 _STYLES: Final = {Result.PASSED: "green", Result.REMARK: "yellow", Result.FAILED: "bold red", Result.NOT_APPLICABLE: "dim"}
@@ -49,17 +49,17 @@ class Report:
 
     @property
     def counts(self) -> Counter[Result]:
-        """How many ended how."""
+        """Count the cases by their result."""
         return Counter(each.verdict.result for each in self.runs)
 
     @property
     def seconds(self) -> float:
-        """How long all of it took."""
+        """Return the seconds that all cases took."""
         return sum(each.seconds for each in self.runs)
 
     @property
     def subject(self) -> str:
-        """What was checked."""
+        """The device or the file that was checked, for people."""
         return node_text(self.node_id) if self.node_id is not None else self.file
 
     def show(self, screen: Screen) -> None:
@@ -128,7 +128,7 @@ def _list_offenders(screen: Screen, each: CaseRun) -> None:
 
 
 def list_cases(screen: Screen, cases: Sequence[Case]) -> None:
-    """All cases that could be run, and which of them store."""
+    """List all cases that can be run, and which of them store."""
     if screen.json_output:
         names = ("number", "name", "title", "stores")
         screen.json([{name: getattr(case, name) for name in names} for case in cases])
@@ -141,7 +141,7 @@ def list_cases(screen: Screen, cases: Sequence[Case]) -> None:
 
 
 def write_junit(path: str, report: Report) -> None:
-    """Write the report as a JUnit file. A Problem where it cannot be written."""
+    """Write the report as a JUnit file. Raises a Problem if it cannot be written."""
     entries = [(each.case, each) for each in report.runs] + [(case, None) for case in report.left_out]
     entries.sort(key=lambda entry: _order(entry[0]))
     root = ElementTree.Element("testsuites", {"name": clean(f"canopen check {report.subject}")})
@@ -158,7 +158,7 @@ def _order(case: Case) -> tuple[int, ...]:
 
 
 def _chapter(case: Case) -> str:
-    """What a case is about: "SDO" of "SDO 07"."""
+    """Return the subject of a case: "SDO" of "SDO 07"."""
     return case.name.rstrip(" 0123456789")
 
 

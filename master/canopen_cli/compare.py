@@ -1,4 +1,4 @@
-"""`canopen compare`: what a node holds and what a file says, or two files, value by value.
+"""`canopen compare`: compare the values of a node and of a file, or of two files.
 
 `canopen eds diff` compares what two files say of a type of device; this compares the values of two devices.
 """
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 _NODE: Final = re.compile(r"(?:0[xX][0-9A-Fa-f]+|[0-9]+)")
 HIDDEN: Final = (Role.PROCESS, Role.COMMAND)
-"""What changes by itself, or says nothing of how a device is set up."""
+"""Roles of objects that change by themselves, or say nothing about how a device is set up."""
 
 
 class Change(StrEnum):
-    """How an object is not the same on both sides."""
+    """In what way an object differs."""
 
     CHANGED = "changed"
     LEFT = "only left"
@@ -44,7 +44,7 @@ class Change(StrEnum):
 
 @dataclass(frozen=True)
 class Row:
-    """One difference. left, right: None where that side does not have the object."""
+    """One difference. left, right: the values, None if that side does not have the object."""
 
     variable: Variable
     change: Change
@@ -55,7 +55,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Side:
-    """One side of the comparison. missing: what should have a value, and could not be read."""
+    """One side of the comparison. missing: objects that should have a value and could not be read."""
 
     name: str
     dictionary: ObjectDictionary
@@ -117,7 +117,7 @@ def compare(
     """Compare the values of a node, or of a file, with those of another file.
 
     The values of a DCF are those that it configures; of an EDS, its defaults. Exit status: 0 the same, 1 not the same, 7 the same
-    as far as the node could be read.
+    except for objects that could not be read.
 
     \b
     canopen compare 5 before.dcf
@@ -157,7 +157,7 @@ def compare(
 
 
 def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
-    """By index and subindex. What could not be read is no difference."""
+    """Return the differences by index and subindex. An object that could not be read is no difference."""
     roles = roles_in(left.dictionary, left.values) | roles_in(right.dictionary, right.values)
     rows: list[Row] = []
     for key in sorted(left.values.keys() | right.values.keys()):
@@ -171,7 +171,7 @@ def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
 
 
 async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) -> Backup:
-    """What the node has of the file's objects."""
+    """Read the objects of the file from the node."""
     only = [file.dictionary.variable(split_mux(key)) for key in sorted(file.values)]
     async with open_session(settings, screen) as session:
         node = session.node(node_id).remote
@@ -184,7 +184,7 @@ def _named(description: DeviceDescription) -> int | None:
 
 
 def _side(path: str, description: DeviceDescription, whose: int | None, defaults: bool) -> Side:
-    """The values of a file. whose: the node-ID where the file does not say one."""
+    """Return the values of a file. whose: the node-ID, for a file that names none."""
     from canopen_proto.dictionary.download_order import settings_of
 
     dictionary = description.dictionary

@@ -1,4 +1,4 @@
-"""`canopen data init`: copy the installed data files to where the user may change them."""
+"""`canopen data init`: copy the installed data files to a folder where the user can change them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def data() -> None:
 def init(settings: Settings, target: Path | None) -> None:
     """Copy the data files to ~/.canopen (or $CANOPEN_DATA).
 
-    A file there takes the place of the installed one of its name. Files that you changed stay, unless --force is given.
+    A file there replaces the installed one of the same name. Files that you changed are kept, unless --force is given.
     """
     screen = settings.screen()
     copied = canopen_data.init(target, force=settings.force)

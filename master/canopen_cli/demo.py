@@ -63,10 +63,9 @@ def demo(
     Without --bus the drives of the chain file are simulated, in this process (CANOPEN_BUS does not count here). With it they are
     real, and THEY MOVE. Ctrl-C halts every drive.
 
-    With --eds the drives are what that file describes: its objects, and its PDOs, which real drives are set up with where they
-    differ.
+    With --eds the drives have the objects and PDOs of that file. Real drives whose PDOs differ are set up accordingly.
 
-    Exit status: 0 done, 7 done, but more of the cycles were late than this computer may lose.
+    Exit status: 0 done, 7 done, but more than 5 % of the cycles were late.
 
     \b
     canopen demo
@@ -82,7 +81,7 @@ def demo(
     if fault is not None and fault[1] > seconds:
         tries = (f"--fault {fault[0]}@{seconds / 2:g}", f"--seconds {fault[1] + 2:g}")
         raise usage(
-            "CO123", f"--fault: after {fault[1]:g} s the arm moves no more", seen=f"it moves for {seconds:g} s", tries=tries
+            "CO123", f"--fault: after {fault[1]:g} s the arm has stopped", seen=f"it moves for {seconds:g} s", tries=tries
         )
     check_cycle(cycle)
     if plot is not None:
@@ -98,7 +97,7 @@ def demo(
     try:
         run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
         return demonstration.show_result()
-    finally:  # a breakdown is drawn too
+    finally:  # also after a breakdown
         if plot is not None and demonstration.recording.times:
             write_plot(plot, demonstration.recording, *demonstration.titles())
             screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")

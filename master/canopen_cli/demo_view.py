@@ -1,4 +1,4 @@
-"""What a demonstration shows while it runs: on a terminal a picture that is drawn anew, elsewhere a line per step."""
+"""The view of a running demonstration: on a terminal a picture that is drawn again and again, elsewhere a line for each step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRACK_WIDTH: Final = 41
 
 
 class Mark(enum.Enum):
-    """How a step of the demonstration stands."""
+    """The state of a step."""
 
     RUNNING = ""
     DONE = "[green]✔[/]"
@@ -40,7 +40,7 @@ class Step:
 
 @dataclass
 class JointView:
-    """What is shown of a joint. position, error: degrees."""
+    """The row of a joint. position, error: degrees."""
 
     name: str
     node_id: int
@@ -79,14 +79,14 @@ class DemoView:
             self._live = None
 
     def begin(self, name: str, text: str, progress: float | None = None) -> Step:
-        """A new step."""
+        """Begin a step."""
         step = Step(name, text, progress=progress)
         self.steps.append(step)
         self.refresh()
         return step
 
     def done(self, step: Step, text: str) -> None:
-        """A step is over, well."""
+        """End a step that succeeded."""
         step.text = text
         self._end(step, Mark.DONE)
 
@@ -100,7 +100,7 @@ class DemoView:
             self.screen.say(line)
 
     def refresh(self) -> None:
-        """Draw anew; without a terminal nothing."""
+        """Draw the picture again; does nothing without a terminal."""
         if self._live is not None:
             self._live.update(self._picture(), refresh=True)
 
@@ -122,7 +122,7 @@ class DemoView:
         return Group(lines, Text(""), joints) if self.joints else Group(lines)
 
     def _track(self, joint: JointView) -> Text:
-        """The position on a line, 0 in its middle."""
+        """Draw the position on a line, with 0 in its middle."""
         track = Text("─" * TRACK_WIDTH, style="grey37")
         middle = TRACK_WIDTH // 2
         track.stylize("grey62", middle, middle + 1)

@@ -1,4 +1,4 @@
-"""What `canopen demo` does: boot, home, move, shut down; and what it tells of it.
+"""The work of `canopen demo`: boot, home, move, shut down; and what it tells about that.
 
 The drives are those of a chain file. Without a bus each bus name in that file becomes a virtual one, on which simulated drives
 stand at the node-IDs of the file; with a bus all names mean that one. Everything else is the same code: a simulated drive is a
@@ -44,12 +44,12 @@ HARDWARE_DELAY: Final = 3
 """Seconds before real drives begin to move: time to take one's hands away, or to press Ctrl-C."""
 
 SETTLING_TIME: Final = 0.1
-"""Seconds for which the last set-point is held."""
+"""Seconds during which the last set-point is held."""
 MAX_LATE_SHARE: Final = 0.05
 """Of all periods. A computer that does other things besides loses single ones, well below this. Beyond it the joints stood still
 in every twentieth period, and the motion took that much longer: the cycle is too short for this computer."""
 DEMO_FAULT: Final = 0x2310
-"""Continuous over-current: what a joint reports that hits something."""
+"""Continuous over-current: the error code of a joint that hits something."""
 NEXT: Final = """Try next:
   [bold]canopen scan -b demo[/]                  who is on the bus
   [bold]canopen read 3 statusword -b demo[/]     an object of a drive
@@ -59,8 +59,8 @@ NEXT: Final = """Try next:
 
 @dataclass(frozen=True)
 class Plan:
-    """What was asked for. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds. scale: of
-    real drives, counts per radian; None: as their vendor-ID says.
+    """The options of the command. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds.
+    scale: of real drives, counts per radian; None: as their vendor-ID says.
 
     files: what the drives are, by node-ID (None: all others); without any they are Powerball joints with the PDOs of PDOs.csv.
     """
@@ -78,13 +78,13 @@ class Plan:
     grip: Grip = DEFAULT_GRIP
 
     def file_of(self, node_id: int) -> DriveFile | None:
-        """What the drive of that node-ID is, if a file says so."""
+        """Return the file that describes the drive with this node-ID, or None."""
         return self.files.get(node_id, self.files.get(None))
 
 
 @dataclass
 class JointResult:
-    """The last line on one joint. error: degrees."""
+    """The last line about one joint. error: degrees."""
 
     name: str
     node_id: int
@@ -106,7 +106,7 @@ CYCLE_COLUMNS: Final = "SYNC cycles", "missed", "skipped", "late"
 
 @dataclass
 class CycleCounts:
-    """How well the cycle was kept. sent: SYNCs; missed: those without a new set-point; skipped: periods without a SYNC."""
+    """How well the cycle was kept. sent: SYNCs; missed: SYNCs without a new set-point; skipped: periods without a SYNC."""
 
     sent: int = 0
     missed: int = 0
@@ -119,7 +119,7 @@ class CycleCounts:
 
     @property
     def was_kept(self) -> bool:
-        """Whether that is no more than an ordinary computer loses."""
+        """Whether no more cycles were late than on an ordinary computer."""
         return self.late_share <= MAX_LATE_SHARE
 
     def row(self) -> tuple[str, ...]:
@@ -180,7 +180,7 @@ class Demonstration:
     # ---- the run ----
 
     async def run(self) -> None:
-        """All of it. Raises a Problem where it fails; the drives are halted then, as far as they listen."""
+        """Run the whole demonstration. Raises a Problem if it fails; then every drive that still listens was halted."""
         locators = self._locators()
         try:
             async with contextlib.AsyncExitStack() as stack:
@@ -199,7 +199,7 @@ class Demonstration:
             raise problem from error
 
     def _maker(self, number: int, node_id: int) -> DeviceMaker:
-        """What makes a simulated drive."""
+        """Return the maker of a simulated drive."""
         file = self.plan.file_of(node_id)
         return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
 
@@ -221,7 +221,10 @@ class Demonstration:
             raise ChainFileError(description.source, doubles)
         axes, scale, max_speed = {}, self.plan.scale, None
         if self.plan.bus is None:
-            scale, max_speed = MILLIDEGREES_PER_RADIAN, MAX_SPEED  # of every simulated drive, whatever its file says
+            scale, max_speed = (
+                MILLIDEGREES_PER_RADIAN,
+                MAX_SPEED,
+            )  # every simulated drive sends it, also if its file says otherwise
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
             axis = AxisSettings() if file is None else file.axis
@@ -281,7 +284,7 @@ class Demonstration:
         view.done(step, f"{_count(len(arm.devices), 'joint')} homed after {trio.current_time() - start:.2f} s")
 
     async def _move(self, arm: Chain, view: DemoView) -> None:
-        """The path, one set-point for each joint in each cycle."""
+        """Send the path: one set-point for each joint in each cycle."""
         plan = self.plan
         await arm.enable_interpolated_position()
         step = view.begin("move", "", progress=0.0)
@@ -323,7 +326,7 @@ class Demonstration:
             track.commanded.append(math.degrees(commanded))
 
     def _on_position(self, number: int, report: PdoReceived) -> None:
-        """A joint tells where it is: only now its position and the command that belongs to it are of one instant."""
+        """Record a joint's position when its PDO comes in: only then position and command belong to the same instant."""
         device = self._devices[number]
         position = device.position
         if position is not None:
@@ -332,7 +335,7 @@ class Demonstration:
             self._record_stopping()
 
     def _record_stopping(self) -> None:
-        """A fault has stopped the chain, and its joints brake: nothing is commanded any more."""
+        """Record how the joints brake after a fault has stopped the chain. Nothing is commanded."""
         recording = self.recording
         if recording.broken is None:
             faulty = next((device.name for device in self._devices if device.has_fault), "")
@@ -341,7 +344,7 @@ class Demonstration:
         self._record(recording.times[-1] + self.plan.cycle / SECOND)
 
     async def _draw(self, view: DemoView) -> None:
-        """Keep the picture up to date, while no cycles run; end it all when nobody reads the result any more."""
+        """Keep the picture up to date while no cycles run. Ends the demonstration if the reader of stdout has gone."""
         while True:
             self.screen.check_reader()
             if not self.recording.joints:
@@ -357,7 +360,7 @@ class Demonstration:
     # ---- what is told of it ----
 
     def titles(self) -> tuple[str, str]:
-        """Title and subtitle."""
+        """Return title and subtitle of the picture."""
         count = len(self.description.joints)
         drives = _count(count, "simulated drive") if self.plan.bus is None else f"{_count(count, 'drive')} on {self.plan.bus}"
         title = f"{self.description.name}: {_count(count, 'joint')} in interpolated position mode"
@@ -367,9 +370,9 @@ class Demonstration:
         return title, f"{source}, {drives}, one SYNC each {_ms(self.plan.cycle)}"
 
     def story(self) -> list[str]:
-        """What has happened to the drives, where it did not end as planned. Each joint is named once.
+        """Tell what happened to the drives if the run did not end as planned. Each joint is named once.
 
-        What a simulated drive does goes before what it has confirmed.
+        For a simulated drive, what it really does counts more than what it confirmed.
         """
         if not self._devices:
             return []
@@ -390,7 +393,7 @@ class Demonstration:
         return told + [f"{fate}: {', '.join(names)}" for fate, names in fates.items() if names]
 
     def show_result(self) -> ExitCode:
-        """The tables on stdout, and what to try next; the exit status."""
+        """Print the tables and what to try next. Return the exit status."""
         screen, cycles = self.screen, self.cycles
         if screen.json_output:
             screen.json(self._as_json())
@@ -429,7 +432,7 @@ class Demonstration:
 
 
 def _nobody_reads(error: Exception) -> bool:
-    """Whether it ended only because its reader has gone (`canopen demo | head`), and all drives stand."""
+    """Whether it ended only because its reader went away (`canopen demo | head`), and all drives stand."""
     rest = error.split(BrokenPipeError)[1] if isinstance(error, ExceptionGroup) else error
     return (rest is None or isinstance(rest, BrokenPipeError)) and all_stand(error)
 

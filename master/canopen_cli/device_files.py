@@ -1,4 +1,4 @@
-"""-e: the devices' own files (EDS, DCF, XDD, XDC), by which their objects are named and typed instead of by the data files.
+"""The option -e: the devices' own files (EDS, DCF, XDD, XDC), which name and type their objects in place of the data files.
 
 `-e FILE` is for all nodes, `-e 5=FILE` for node 5 only. Several files without a node-ID are told apart by the node-ID in them, as
 a DCF and an XDC have it. The names of the data files are laid over each, so that `statusword` works with every drive.
@@ -19,24 +19,24 @@ from canopen_proto.dictionary import ObjectDictionary
 _OF_NODE: Final = re.compile(r"(0[xX][0-9A-Fa-f]+|[0-9]+)=(.+)")
 
 DeviceFiles = Mapping[int | None, DeviceDescription]
-"""Descriptions by node-ID; None: of all other nodes."""
+"""Descriptions by node-ID; under None the one for all other nodes."""
 
 
 def description_of(files: DeviceFiles, node_id: int) -> DeviceDescription | None:
-    """The file of a node, or None."""
+    """Return the description of a node, or None."""
     return files.get(node_id, files.get(None))
 
 
 def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Screen, encoding: str = "") -> DeviceFiles:
-    """What the options -e say. names: of the data files. encoding: of the files, "" = to be found out.
+    """Read the files of the options -e. names: the dictionary of the data files. encoding: of the files, "" for a guess.
 
-    Tells how many errors are in a file. Raises DataError where one cannot be read, a Problem where it describes nothing, or where
-    it is not clear of which node it is.
+    Tells how many errors a file has. Raises DataError if a file cannot be read; a Problem if it describes nothing, or if its node
+    is not clear.
     """
     files: dict[int | None, DeviceDescription] = {}
     if not texts:
         return files
-    from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
+    from canopen_data.descriptions import with_names  # the readers are imported only if there is a file
 
     named = [_split(text) for text in texts]
     without = sum(1 for node_id, _ in named if node_id is None)

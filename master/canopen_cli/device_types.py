@@ -1,4 +1,4 @@
-"""What 0x1000 says: the number of a device profile in its low half; the high half is that profile's own.
+"""The device type, 0x1000: the number of a device profile in the low half; the profile defines the high half.
 
 Source: CiA 301 v4.2.0, 7.5.2.1.
 """
@@ -19,19 +19,19 @@ PROFILES: Final = {
     418: "battery module (CiA 418)",
     419: "battery charger (CiA 419)",
 }
-"""The profiles that are met most often."""
+"""The most usual profiles."""
 
 DRIVE_PROFILE: Final = 402
 _DRIVE_KINDS: Final = {0x01: "frequency converter (CiA 402)", 0x02: "servo drive (CiA 402)", 0x04: "stepper drive (CiA 402)"}
 
 
 def profile_of(device_type: int) -> int:
-    """The number of the device profile, 0 for none."""
+    """Return the number of the device profile, 0 for none."""
     return device_type & 0xFFFF
 
 
 def device_type_text(device_type: int) -> str:
-    """A device type for people."""
+    """Return the text of a device type for people."""
     profile, kind = profile_of(device_type), device_type >> 16 & 0xFF
     if profile == DRIVE_PROFILE and kind in _DRIVE_KINDS:
         return _DRIVE_KINDS[kind]

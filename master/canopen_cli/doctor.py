@@ -1,4 +1,4 @@
-"""`canopen doctor`: what this computer has to reach a bus with, what is missing, and what is heard on a bus.
+"""`canopen doctor`: find out which buses this computer can reach, what is missing, and what is heard on a bus.
 
 Without -b nothing is opened. With -b the bus is opened, to listen only where the adapter can, and nothing is sent.
 """
@@ -25,7 +25,7 @@ from canopen_transports.receive_test import NO_WIRE, Heard, find_bitrate, listen
 LISTEN: Final = 2 * SECOND
 """Longer than the usual heartbeat time of 1 s."""
 SHOWN_IDS: Final = 12
-"""CAN-IDs in one line."""
+"""CAN-IDs shown in one line."""
 
 _STYLES: Final = {Health.OK: "green", Health.NOTE: "dim", Health.WARNING: "bold yellow"}
 
@@ -38,7 +38,7 @@ _STYLES: Final = {Health.OK: "green", Health.NOTE: "dim", Health.WARNING: "bold 
 def doctor(settings: Settings, duration: Time, bitrates: bool) -> int:
     """Check adapters, drivers and permissions; with -b also what is heard on a bus. Nothing is sent.
 
-    Exit status: 0 all is well, 1 something is to be done (or nothing was heard), 3 or 9 the bus cannot be opened, 4 bus fault.
+    Exit status: 0 all is well, 1 something needs doing (or nothing was heard), 3 or 9 the bus cannot be opened, 4 bus fault.
     """
     screen = settings.screen()
     bus = settings.named_bus()

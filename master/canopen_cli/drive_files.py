@@ -1,4 +1,4 @@
-"""The drives of `canopen demo --eds`: what their files say, and whether a simulated drive can stand behind that."""
+"""The drives of `canopen demo --eds`: read their files, and check that a simulated drive can stand behind each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings
 
 @dataclass(frozen=True)
 class DriveFile:
-    """A drive that a file describes. shape: what such drives are like beyond their dictionary."""
+    """A drive that a file describes. shape: how such drives behave, beyond their dictionary."""
 
     source: str
     dictionary: ObjectDictionary
@@ -27,7 +27,7 @@ class DriveFile:
 
     @property
     def axis(self) -> AxisSettings:
-        """How the master has to treat it."""
+        """Return how the master has to treat this drive."""
         return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
 
 

@@ -1,4 +1,4 @@
-"""`canopen dump`: everything that a node holds, on the screen or into a file for other programs."""
+"""`canopen dump`: show all that a node holds, or write it into a file for other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`canopen eds`: device descriptions (EDS, DCF, XDD, XDC) looked at, checked, compared, repaired and turned into others."""
+"""`canopen eds`: show, check, compare, repair and convert device descriptions (EDS, DCF, XDD, XDC)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`canopen eds to-dcf` and `eds to-cdcf`: the settings of one device, made of the description of its type."""
+"""`canopen eds to-dcf` and `eds to-cdcf`: make the settings of one device from the description of its type."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Setting = tuple[Variable, Value]
 
 
 def _settings(command: F) -> F:
-    """The options that tell which device it is and what it is to be set to."""
+    """Add the options that name the device and its settings."""
     options: list[Callable[[F], F]] = [
         click.argument("path", metavar="FILE"),
         click.option("--id", "node_id", metavar="N", type=NodeId(), help="The device's node-ID; a DCF may have it already."),
@@ -133,7 +133,7 @@ def _commissioned(description: DeviceDescription, node_id: int | None, path: str
 
 
 def _assigned(file: DescriptionFile, assignments: tuple[str, ...]) -> list[Setting]:
-    """What --set means. Raises Problem, ObjectNotFound, ConstantNotFound, ValueRangeError."""
+    """Return the values of --set. Raises Problem, ObjectNotFound, ConstantNotFound, ValueRangeError."""
     dictionary = file.description.dictionary
     found: list[Setting] = []
     for text in assignments:

@@ -1,4 +1,4 @@
-"""`canopen eds diff`: what two device descriptions say differently."""
+"""`canopen eds diff`: show where two device descriptions differ."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def diff(settings: Settings, before: str, after: str) -> int:
 
 
 def _text(each: Difference) -> str:
-    """The mark tells already what was added and removed."""
+    """Return the text of a change. The mark before it already tells what was added or removed."""
     return str(each) if each.change is Change.CHANGED else f"{each.place} {each.name}".strip()
 
 

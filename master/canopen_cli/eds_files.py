@@ -1,4 +1,4 @@
-"""Device descriptions from files, and findings with the line that they are about."""
+"""Read device descriptions from files, and show findings with the lines that they are about."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STYLES: Final = {Severity.ERROR: "bold red", Severity.WARNING: "bold yellow", S
 
 @dataclass(frozen=True)
 class DescriptionFile:
-    """A file and what was read of it. description.findings: what was wrong."""
+    """A file and its description. description.findings: the faults of the file."""
 
     path: str
     data: bytes
@@ -41,9 +41,9 @@ def lines_of(text: str) -> list[str]:
 
 
 def open_description(path: str, encoding: str = "") -> DescriptionFile:
-    """Read a file, whatever is wrong with what stands in it. encoding: of its text, "" = to be found out.
+    """Read a file, however many faults it has. encoding: of its text, "" for a guess.
 
-    Raises Problem (exit status 6) where there is nothing to be read.
+    Raises Problem (exit status 6) if nothing can be read.
     """
     try:
         data = read_file(path)
@@ -67,7 +67,7 @@ def open_description(path: str, encoding: str = "") -> DescriptionFile:
 
 
 def tell_faults(screen: Screen, file: DescriptionFile) -> None:
-    """Say in one line that the file has faults, if it has."""
+    """Say in one line how many faults the file has, if any."""
     errors = sum(1 for each in file.description.findings if each.severity is Severity.ERROR)
     if errors:
         screen.say(f"[yellow]{escape(file.path)}: {counted(errors, 'error')} in it[/]; canopen eds lint {escape(file.path)}")
@@ -82,7 +82,7 @@ def counted(number: int, what: str) -> str:
 
 
 def finding_lines(finding: Finding, lines: list[str]) -> list[str]:
-    """A finding for people, as rich's markup: what is wrong, and below it the line with a mark at the place."""
+    """Return a finding as rich's markup: what is wrong, and below it the line with a mark at the place."""
     where = f"{finding.source}:{finding.line}:{finding.column}" if finding.line else finding.source
     style = _STYLES[finding.severity]
     head = f"[bold]{escape(where)}[/]: [{style}]{finding.severity}[/] CO301 {escape(finding.message)}"
@@ -96,7 +96,7 @@ def finding_lines(finding: Finding, lines: list[str]) -> list[str]:
 
 
 def _window(line: str, column: int) -> tuple[str, int]:
-    """The part of a line around a column (from 1), and where the mark stands below it."""
+    """Return the part of a line around a column (from 1), and the place of the mark below it."""
     mark = min(max(column - 1, 0), len(line))
     start = 0 if len(line) <= MAX_SHOWN else max(0, min(mark - MAX_SHOWN // 2, len(line) - MAX_SHOWN))
     return clean(line[start : start + MAX_SHOWN]), len(clean(line[start:mark]))
@@ -115,7 +115,7 @@ def finding_as_json(finding: Finding) -> dict[str, Any]:
 
 
 def counts_of(findings: Iterable[Finding]) -> dict[Severity, int]:
-    """How many there are of each severity."""
+    """Count the findings of each severity."""
     counts = dict.fromkeys(Severity, 0)
     for each in findings:
         counts[each.severity] += 1

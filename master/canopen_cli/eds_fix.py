@@ -1,4 +1,4 @@
-"""`canopen eds fix`: repair what can be repaired in an EDS or DCF without guessing."""
+"""`canopen eds fix`: repair an EDS or DCF as far as possible without guessing."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _STYLES = {"+": "green", "-": "red", "@": "cyan"}
 def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_run: bool) -> int:
     """Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding.
 
-    Each repair is told. Nothing is guessed: what the file means stays what it was, and values are never made up.
-    `canopen eds lint` tells of the rest.
+    Each repair is reported. Nothing is guessed: the meaning of the file stays as it was, and no value is made up.
+    `canopen eds lint` reports the other faults.
 
     \b
     canopen eds fix drive.eds --dry-run

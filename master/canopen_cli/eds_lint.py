@@ -1,4 +1,4 @@
-"""`canopen eds lint`: all that is wrong with device descriptions, each with line, column and the line itself."""
+"""`canopen eds lint`: report all faults of device descriptions, each with line, column and the line itself."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from canopen_data.repair import repair
 
 @dataclass(frozen=True)
 class _Report:
-    """Of one file. file: None where it could not be read, which `problem` then tells."""
+    """The result for one file. file: None if it could not be read; then `problem` says why."""
 
     path: str
     file: DescriptionFile | None
@@ -58,7 +58,7 @@ class _Report:
 def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: int, rules: bool) -> int:
     """Check device descriptions: EDS, DCF, XDD, XDC.
 
-    Everything is told in one pass: what the reader stumbled over, and what contradicts CiA 301, CiA 306 or the file itself.
+    One pass reports everything: faults of the file's form, and contradictions to CiA 301, CiA 306 or within the file.
 
     Exit status: 0 clean (or notices only), 1 errors or warnings, 6 a file that cannot be read.
 

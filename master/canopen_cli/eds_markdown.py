@@ -23,7 +23,7 @@ def markdown_of(page: Page) -> str:
 
 
 def _e(text: str) -> str:
-    """On one line, with nothing that Markdown would take for its own."""
+    """Return the text on one line, with all characters escaped that mean something to Markdown."""
     return _SPECIAL.sub(r"\\\1", clean(" ".join(text.split())))
 
 

@@ -1,6 +1,6 @@
-"""One readable page of a device description: what `eds doc` shows, before it is HTML or Markdown.
+"""The content of the page that `eds doc` makes of a device description, before it becomes HTML or Markdown.
 
-The page is made of texts only; that they are escaped is the business of whoever writes them down (eds_html.py, eds_markdown.py).
+The page consists of plain texts. eds_html.py and eds_markdown.py escape them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from canopen_proto.dictionary.model import Object, Variable
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table of objects. anchor: of links to it. is_part: a sub-object. What there is nothing of is ""."""
+    """One line of a table of objects. anchor: of links to it. is_part: a sub-object. A cell without content is ""."""
 
     anchor: str
     place: str
@@ -42,7 +42,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Page:
-    """All of it. names: every object and sub-object by name, with place and anchor."""
+    """The whole page. names: every object and sub-object by name, with place and anchor."""
 
     title: str
     facts: list[tuple[str, str]]
@@ -54,7 +54,7 @@ class Page:
 
 
 def page_of(description: DeviceDescription) -> Page:
-    """The page of a description."""
+    """Make the page of a description."""
     groups = []
     for title, area in eds_text.AREAS:
         rows = [row for each in description.dictionary.objects.values() if each.index in area for row in _rows(each)]
@@ -83,7 +83,7 @@ def _rows(each: Object) -> Iterator[Row]:
 
 
 def anchor_of(variable: Variable) -> str:
-    """The anchor of a sub-object."""
+    """Return the anchor of a sub-object."""
     return f"o{variable.index:04X}s{variable.subindex:02X}"
 
 

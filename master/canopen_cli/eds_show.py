@@ -1,4 +1,4 @@
-"""`canopen eds show`: what a device description says, as tables."""
+"""`canopen eds show`: show a device description as tables."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _all(dictionary: ObjectDictionary) -> list[Chosen]:
 
 
 def _find(dictionary: ObjectDictionary, key: str) -> Iterator[Chosen]:
-    """The objects that a key names: a number without subindex, and an object's own name, stand for all its sub-objects.
+    """Return the objects that a key names. A number without subindex, or an object's own name, stands for all its sub-objects.
 
     Raises ObjectNotFound.
     """

@@ -1,4 +1,4 @@
-"""What a device description says, as text for people: types, limits, defaults, PDOs. For `eds show` and `eds doc`."""
+"""Texts for people about a device description: types, limits, defaults, PDOs. For `eds show` and `eds doc`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ AREAS: Final = (
 """Of the object dictionary (CiA 301 v4.2.0, table 41)."""
 
 MAX_TEXT: Final = 60
-"""Characters of a default: some files have certificates in them."""
+"""Characters shown of a default value: some files contain certificates."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,12 @@ class PdoText:
 
     @property
     def bits(self) -> int:
-        """Of all entries together."""
+        """The bits of all entries together."""
         return sum(entry.bits for entry in self.entries)
 
 
 def pdos_of(description: DeviceDescription) -> list[PdoText]:
-    """All PDOs of a description: RPDOs, then TPDOs, by number."""
+    """Return all PDOs of a description: RPDOs, then TPDOs, by number."""
     subject = Subject(description, ())
     found = []
     for index in description.dictionary.objects:
@@ -103,7 +103,7 @@ def _times(subject: Subject, index: int) -> str:
 
 
 def transmission_text(number: Number | None) -> str:
-    """A transmission type for people (CiA 301 v4.2.0, 7.5.2.35 and 7.5.2.37)."""
+    """Return the text of a transmission type (CiA 301 v4.2.0, 7.5.2.35 and 7.5.2.37)."""
     if number is None:
         return "not given"
     named = {0: "at SYNC, when changed", 1: "at each SYNC", 252: "on request, sampled at SYNC", 253: "on request"}
@@ -129,7 +129,7 @@ def _entry(subject: Subject, entry: Number) -> PdoEntry:
 
 
 def kind_text(each: Object) -> str:
-    """What an object is: its type where it is one variable, else ARRAY, RECORD ... with the number of sub-objects."""
+    """Return the data type of an object that is one variable, else ARRAY, RECORD ... with the number of sub-objects."""
     if is_one(each):
         return each.variables[0].data_type.name
     return f"{each.object_type.name} ({len(each.variables)})"
@@ -141,12 +141,12 @@ def is_one(each: Object) -> bool:
 
 
 def own_name(each: Object, variable: Variable) -> str:
-    """A sub-object's name below its object's."""
+    """Return the name of a sub-object, to be shown below its object's name."""
     return field_name(each, variable.name)
 
 
 def full_name(each: Object, variable: Variable) -> str:
-    """A sub-object's name with its object's before it: "channel 1" alone names nothing."""
+    """Return the name of a sub-object with its object's name before it: "channel 1" alone is not clear."""
     own = own_name(each, variable)
     return own if is_one(each) or own == each.name else f"{each.name}: {own}"
 
@@ -160,12 +160,12 @@ def limits_text(variable: Variable) -> str:
 
 
 def default_text(variable: Variable) -> str:
-    """What it holds by default, "" where the file does not say."""
+    """Return the default value as text, "" if the file has none."""
     return _initial(variable, variable.default, variable.adds_node_id)
 
 
 def configured_text(variable: Variable) -> str:
-    """What a DCF sets it to, "" where it does not."""
+    """Return the value that a DCF sets, as text; "" if it sets none."""
     return _initial(variable, variable.configured, variable.configured_adds_node_id)
 
 
@@ -176,7 +176,7 @@ def _initial(variable: Variable, value: Value | None, adds_node_id: bool) -> str
 
 
 def number_text(variable: Variable, value: Value | None) -> str:
-    """A value, COB-IDs and mappings as hexadecimal numbers, which nobody can read otherwise."""
+    """Return a value as text; COB-IDs and mappings as hexadecimal numbers, since nobody can read them in decimal."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -193,7 +193,7 @@ def number_text(variable: Variable, value: Value | None) -> str:
 
 
 def head_of(description: DeviceDescription) -> list[tuple[str, str]]:
-    """What the file says of the device as a whole, as (label, text); without what it does not say."""
+    """Return what the file says about the device as a whole, as (label, text)."""
     info, file, commissioning = description.device_info, description.file_info, description.commissioning
     subject = Subject(description, ())
     device_type = subject.number(0x1000)

@@ -1,8 +1,8 @@
-"""The Problem that each exception of the layers below is.
+"""Turn the exceptions of all layers below into Problems.
 
-Most of them bring their own words (`TransportError`, `MasterError`, `DataError`, ...). `problem_of` is the one table that gives
-each of them its exit status, and a message to those that have none. It stands apart from problem.py because it knows all layers,
-and `canopen --help` needs none of them.
+Most exceptions bring their own words (`TransportError`, `MasterError`, `DataError`, ...). `problem_of` is the one table that
+gives each its exit status, and a message to those without one. It stands apart from problem.py because it imports all layers, and
+`canopen --help` needs none of them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from canopen_transports.log_files import LogFileError
 
 
 def problem_of(error: BaseException) -> Problem:
-    """The Problem that an exception is. What nobody foresaw is CO900, our own fault."""
+    """Return the Problem for an exception. An exception that nobody foresaw is CO900: our own mistake."""
     if isinstance(error, Problem):
         error.more += [note for note in getattr(error, "__notes__", ()) if note not in error.more]
         return error
@@ -51,7 +51,7 @@ def problem_of(error: BaseException) -> Problem:
 
 
 def _of_group(group: BaseExceptionGroup[BaseException]) -> Problem:
-    """The first error that matters, with the others beside it."""
+    """Return the Problem for the first error that matters, and mention the others in it."""
     problems = sorted((problem_of(each) for each in group.exceptions), key=lambda each: each.exit_code is ExitCode.INTERNAL)
     first, rest = problems[0], problems[1:]
     first.more += [f"{each.code}: {each.failed}" for each in rest if each.failed != first.failed]
@@ -126,7 +126,7 @@ def _of_bus(code: str) -> ExitCode:
 
 
 def advice(steps: Iterable[str]) -> list[str]:
-    """What the library advises its callers, as it is on the command line."""
+    """Translate what the library advises its callers into commands and options."""
     chosen = []
     for step in steps:
         longer, _, limit = step.partition(": ")
@@ -138,7 +138,7 @@ def advice(steps: Iterable[str]) -> list[str]:
 
 
 def _spoken(error: TransportError | errors.MasterError, exit_code: ExitCode) -> Problem:
-    """The Problem of an error that brings its own words."""
+    """Return the Problem for an error that brings its own words."""
     return Problem(
         exit_code,
         error.code,
@@ -161,7 +161,7 @@ _OF_CHAIN = {
 
 
 def _of_chain(error: errors.MasterError) -> Problem:
-    """A chain fails because of one of its joints, whose error may know more."""
+    """Return the Problem for a chain. The error of the joint that caused it may know more."""
     problem = _spoken(error, _OF_CHAIN.get(error.code, ExitCode.DRIVE_FAULT))
     below = _of_expected(error.__cause__) if error.__cause__ is not None else None
     if below is not None:
@@ -173,7 +173,7 @@ def _of_chain(error: errors.MasterError) -> Problem:
 
 
 def _of_sdo(error: SdoFailed) -> Problem:
-    silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # that was our own side
+    silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # our own side ended it
     code = errors.NO_ANSWER if silent else errors.REFUSED if error.origin is AbortOrigin.PEER else errors.GIVEN_UP
     failed, _, seen = str(error).partition(": ")
     return Problem(

@@ -31,11 +31,11 @@ DEMO_LOCATOR: Final = "virtual:demo"
 DEMO_NODES: Final = tuple(range(3, 9))
 """The joints of the installed multiple_devices.csv."""
 HEARTBEAT_MS: Final = 500
-"""Simulated drives have one, so that a scan hears them and their NMT state shows."""
+"""Simulated drives send a heartbeat, so that a scan hears them and their NMT state is known."""
 BOOT_TIME: Final = 0.05
 """Seconds from power-on until the boot-up frames are out: a request that a boot-up overtakes is lost, as it would be in life."""
 
-# Where the joints stand at power-on, in counts (millidegrees): not all at the same place, so that homing is worth watching.
+# Where the joints stand at power-on, in counts (millidegrees). They differ, so that homing is worth watching.
 _POSITIONS: Final = (-14_000, 9_000, 21_000, -7_000, 16_000, -22_000)
 _TRACK: Final = Track(home_switch=(0.0, math.inf))
 """The home switch is active from the middle to the positive end, as homing by method 19 takes it."""
@@ -44,8 +44,11 @@ _TRACK: Final = Track(home_switch=(0.0, math.inf))
 def drive_maker(
     number: int, node_id: int, shape: Shape = Shape.SCHUNK_POWERBALL, dictionary: ObjectDictionary | None = None
 ) -> DeviceMaker:
-    """What makes a simulated drive. number: its place in the fleet, from 0. dictionary: that of a device's own file, which the
-    drive must be able to stand behind (`drive_obstacle`); by default that of the shape."""
+    """Return a function that makes a simulated drive.
+
+    number: its place in the fleet, from 0. dictionary: that of a device's own file, for which `drive_obstacle` finds no obstacle;
+    by default that of the shape.
+    """
     if dictionary is None:
         dictionary = drive_dictionary(shape).with_objects([standard_object(0x1017, HEARTBEAT_MS)])
     else:
@@ -62,16 +65,16 @@ class Fleet:
 
     @property
     def drives(self) -> dict[int, DriveNode]:
-        """The drives by node-ID; of the same one on two buses, the first."""
+        """The drives by node-ID; the first one if two buses have the same node-ID."""
         return {node.node_id: node for host in reversed(self._hosts) for node in host.nodes if isinstance(node, DriveNode)}
 
     @property
     def node_ids(self) -> list[int]:
-        """Of all devices."""
+        """The node-IDs of all devices."""
         return sorted({node.node_id for host in self._hosts for node in host.nodes})
 
     def raise_fault(self, node_id: int, error_code: int) -> None:
-        """Let a drive break down. KeyError where there is none of that node-ID."""
+        """Let a drive break down. Raises KeyError if no drive has that node-ID."""
         drive = self.drives[node_id]
         for host in self._hosts:
             if drive in host.nodes:
@@ -80,7 +83,7 @@ class Fleet:
 
     @property
     def moving(self) -> list[int]:
-        """The node-IDs of the drives that move: what nobody on the bus could know better."""
+        """The node-IDs of the drives that really move, whatever they report on the bus."""
         moving = []
         for host in self._hosts:
             for node in host.nodes:
@@ -101,7 +104,7 @@ async def simulated_fleet(
 ) -> AsyncIterator[Fleet]:
     """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError.
 
-    make: what makes the drive of a place and a node-ID; by default one of that shape.
+    make: returns the maker of the drive for a place and a node-ID; by default drives of that shape.
     """
     make = partial(drive_maker, shape=shape) if make is None else make
     makers: dict[str, list[DeviceMaker]] = {}
@@ -131,7 +134,7 @@ async def simulated_devices(
     async with trio.open_nursery() as nursery:
         serving = trio.CancelScope()
         hosts: list[Host] = await nursery.start(_serve, makers, host_on, serving)
-        serving.shield = True  # from now on: a start that is cancelled waits for what it has begun, and that must end then
+        serving.shield = True  # only from now on: a start that is cancelled waits for its tasks, which must end then
         try:
             await trio.sleep(BOOT_TIME)
             yield Fleet(hosts)

@@ -23,7 +23,7 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
 
 REFRESH: Final = 0.1
-"""Seconds between two pictures."""
+"""Seconds between two updates of the picture."""
 STYLES: Final = {"auto": None, "standard": HomingStyle.STANDARD, "schunk": HomingStyle.SCHUNK}
 
 

@@ -1,4 +1,4 @@
-"""Importing the parts of the command line: what a Ctrl-C does meanwhile, and what is said where a library is missing.
+"""Import the parts of the command line: end quietly on a Ctrl-C meanwhile, and say which library is missing.
 
 Importing all that a command needs takes a third of a second, in which no drive is touched. A Ctrl-C in that time simply ends the
 process (a shell calls that 130, as ever): Python's KeyboardInterrupt would show where in an import it struck, or be swallowed
@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Final
 
 LIBRARIES: Final = frozenset({"click", "rich", "trio", "can"})
-"""What the extra `master` brings. The core and the data files do without."""
+"""The libraries of the extra `master`. The core and the data files need none of them."""
 
 
 class LibraryMissing(Exception):

@@ -1,4 +1,4 @@
-"""`canopen info`: what a node is, and how it is: identity, NMT state, errors, PDOs; of a drive what it does, too."""
+"""`canopen info`: show identity, NMT state, errors and PDOs of a node, and what a drive does."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from canopen_proto.procedures.steps import SdoFailed
 IDENTITY = ((1, "vendor-ID"), (2, "product code"), (3, "revision"), (4, "serial number"))
 MAX_HISTORY = 8
 MAX_PDOS_SHOWN = 8
-"""In each direction; a device may have 512, and the first ones tell how it is meant."""
+"""PDOs shown in each direction. A device may have 512, and the first ones show the idea."""
 MAX_WAIT = 2.0
 """Seconds for a heartbeat that shows the NMT state."""
 
 Facts = dict[str, tuple[Any, str]]
-"""What is found out: a name for people -> (for --json, for people)."""
+"""Facts about a node: a name for people -> (value for --json, text for people)."""
 
 
 @click.command()
@@ -44,7 +44,7 @@ Facts = dict[str, tuple[Any, str]]
 def info(settings: Settings, node_id: int) -> None:
     """Show what a node is, and how it is.
 
-    With -e FILE also, whether it is the device that the file describes.
+    With -e FILE, also tell whether it is the device that the file describes.
     """
     screen = settings.screen()
     facts = run(settings, screen, lambda: _info(settings, screen, node_id))
@@ -59,7 +59,7 @@ def info(settings: Settings, node_id: int) -> None:
 async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
     async with open_session(settings, screen) as session:
         node = session.node(node_id)
-        # Each device has this one: where it does not answer, nobody is there, and the error says so.
+        # Every device has this object: if the node does not answer, it is not there, and the error says so.
         device_type = int.from_bytes(await node.read_bytes(0x1000), "little")
         facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
         for name, index in (("name", 0x1008), ("hardware version", 0x1009), ("software version", 0x100A)):
@@ -81,7 +81,7 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
 
 
 def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:
-    """Whether the node is of the type that its file describes. What the file does not say, or says as 0, fits everything."""
+    """Compare the identity of the node with its file. A number that the file lacks, or has as 0, fits every node."""
     compared = {name: number for name, number in _identity_of(description, node_id).items() if name in facts}
     different = [
         {"field": name, "node": facts[name][0], "file": number} for name, number in compared.items() if facts[name][0] != number
@@ -96,7 +96,7 @@ def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tup
 
 
 def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]:
-    """What the file says, by the names of `Facts`. A serial number counts only where the file is of one device."""
+    """Return what the file says, by the names of `Facts`. A serial number counts only in the file of a single device."""
     device = description.device_info
     said = {"vendor-ID": device.vendor_number, "product code": device.product_number, "revision": device.revision_number}
     for subindex, name in IDENTITY:
@@ -113,7 +113,7 @@ def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]
 
 
 def _said(variable: Variable, node_id: int) -> Value | None:
-    """What an object holds at first, where the file says it."""
+    """Return the value of an object after start-up, or None if the file does not say."""
     return None if variable.default is None and variable.configured is None else variable.initial_of(node_id)
 
 
@@ -142,7 +142,7 @@ async def _add_health(node: Node, facts: Facts) -> None:
 
 
 async def _add_pdos(session: Session, node: Node, facts: Facts) -> None:
-    """The PDOs that the device has set up; those that are not valid are left out."""
+    """Read the PDOs that the device has set up. Those that are not valid are left out."""
     for direction in Direction:
         for number in range(1, MAX_PDOS_SHOWN + 1):
             try:
@@ -169,7 +169,7 @@ def _pdo(settings: PdoSettings, description: DeviceDescription | None) -> tuple[
 
 
 def _object_name(dictionary: ObjectDictionary | None, index: int, subindex: int) -> str:
-    """What an object is called by the device's own file, else by the standard."""
+    """Return the name of an object in the device's own file, else in the standard."""
     own = None if dictionary is None else dictionary.get(index, subindex)
     variable = own or find_standard(index, subindex)
     return f"{index:04X}:{subindex:02X}" if variable is None else variable.name
@@ -195,7 +195,7 @@ async def _add_drive(node: Node, facts: Facts) -> None:
 
 
 async def _standard(node: Node, index: int, subindex: int = 0) -> Value | None:
-    """An object as the standard types it; None where the device refuses it."""
+    """Read an object with the type of the standard; None if the device refuses."""
     try:
         data = await node.read_bytes(index, subindex)
     except SdoRefused:

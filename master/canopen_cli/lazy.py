@@ -17,7 +17,7 @@ from canopen_cli.importing import importing
 
 
 class LazyGroup(click.Group):
-    """table: by the name of a command, the module in canopen_cli that has it, and its line. Listed in the order of the table."""
+    """A group with a table: by the name of a command, its module in canopen_cli and its line. The table gives the order, too."""
 
     def __init__(self, *arguments: Any, table: Mapping[str, tuple[str, str]], **options: Any) -> None:
         super().__init__(*arguments, **options)

@@ -1,4 +1,4 @@
-"""`canopen log`: log files of CAN buses, read, said again, and put in words. `--trace FILE` of any command records one."""
+"""`canopen log`: convert, replay, count and decode log files of CAN buses. `--trace FILE` of any command records one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=Tru
 
 
 def _reader(source: Path) -> LogReader:
-    """Of a file, or of standard input (-): what candump says."""
+    """Return a reader of a log file, or of standard input (-) in candump's form."""
     if str(source) != "-":
         return LogReader(source)
     return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
@@ -52,7 +52,7 @@ def log() -> None:
 @common
 @click.pass_obj
 def convert(settings: Settings, source: Path, target: Path) -> int:
-    """Write a log file anew as another kind, which the names tell. What the kind cannot hold is told.
+    """Convert a log file to another kind, which the names tell. Records that this kind cannot hold are counted.
 
     \b
     canopen log convert trace.blf trace.log
@@ -63,7 +63,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
     check_new_file(settings, screen, target)
     reader, kind = LogReader(source), kind_of(target)
     records = iter(reader)
-    first = list(islice(records, 1))  # a source that cannot be read shall not cost the target that is there
+    first = list(islice(records, 1))  # if the source cannot be read, an older target stays
     writer = log_writer(target)
     count = 0
     try:
@@ -96,7 +96,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
 @common
 @click.pass_obj
 def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> None:
-    """Say on a bus again what is in a file. DRIVES MAY MOVE: what a master said then is a command now.
+    """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
 
     \b
     canopen log replay trace.log -b socketcan:vcan0
@@ -156,7 +156,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
         bits[frame.key] += frame_bits(frame)
         if frame.key not in what:
             meaning = decoder.decode(frame)
-            service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first of them is the boot-up
+            service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first one is the boot-up
             what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
     seconds = 0.0 if first is None or last is None else (last - first) / SECOND
     rows = [(*what[key], frames[key], _per(frames[key], seconds), _per(bits[key] / rate * 100, seconds)) for key in sorted(what)]

@@ -1,7 +1,7 @@
-"""New files: whether one may be written, and writing it whole or not at all.
+"""Check that a new file may be written, and write it whole or not at all.
 
-Every command that writes a file which a user has named (-o, --trace, --plot ...) asks `check_new_file` before its work begins:
-what is there already is overwritten only if the user says so, on a terminal or by --force.
+Every command that writes a file which a user has named (-o, --trace, --plot ...) calls `check_new_file` before its work begins:
+an existing file is overwritten only if the user agrees, on a terminal or by --force.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
     """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it is there already and the user does
     not want it overwritten.
 
-    Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). What exists and is
-    no regular file, such as /dev/null or a pipe, needs no leave: nothing there is overwritten.
+    Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). If the path is not a
+    regular file (/dev/null, a pipe), nothing is asked: nothing is overwritten there.
     """
     target = Path(path)
     if not target.parent.is_dir():
@@ -44,7 +44,7 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
 
 
 def write_file(path: str, data: bytes, *inputs: str) -> None:
-    """Write a file as `whole_file` does. A Problem where it is one of the inputs, or cannot be written."""
+    """Write a file as `whole_file` does. Raises a Problem if it is one of the inputs, or cannot be written."""
     _check_no_input(Path(path), inputs)
     try:
         with whole_file(path) as file:
@@ -55,7 +55,7 @@ def write_file(path: str, data: bytes, *inputs: str) -> None:
 
 @contextmanager
 def new_file(path: str) -> Iterator[IO[bytes]]:
-    """Open a file as `whole_file` does. A Problem where it cannot be opened."""
+    """Open a file as `whole_file` does. Raises a Problem if it cannot be opened."""
     with ExitStack() as stack:
         try:
             file = stack.enter_context(whole_file(path))

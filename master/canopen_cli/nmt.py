@@ -1,4 +1,4 @@
-"""`canopen nmt`: start, stop and reset nodes. What concerns all nodes, or resets one, has to be confirmed."""
+"""`canopen nmt`: start, stop and reset nodes. Commands to all nodes, and resets, must be confirmed."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _question(command: NmtCommand, word: str, node_id: int | None) -> str:
 
 
 def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
-    """Have a dangerous command confirmed: by --yes, or by an answer on a terminal. A Problem where neither comes."""
+    """Ask the user to confirm a dangerous command, unless --yes did. Raises a Problem if it is not confirmed."""
     if yes or not needed:
         return
     if not (screen.err.is_terminal and sys.stdin.isatty()):
@@ -84,7 +84,7 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
 
 
 async def _has_no_heartbeat(node: Node) -> bool:
-    """Whether the node says that it sends none. One that says nothing, as while it is Stopped, may send one."""
+    """Whether the node says that it sends no heartbeat. A node that does not answer, such as a Stopped one, may send one."""
     try:
         return not any(await node.read_bytes(0x1017))
     except SdoError:

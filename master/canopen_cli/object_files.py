@@ -1,7 +1,7 @@
-"""`canopen read -o FILE` and `canopen write --file FILE`: objects that go into files and come from them, piece by piece.
+"""`canopen read -o FILE` and `canopen write --file FILE`: move objects into files and back, piece by piece.
 
-The bytes are those of the wire. Nothing is held whole where the device knows block transfer. A checksum stands at the end of the
-transfer: a file gets its new content (`whole_file`) when that was right, so that a broken file replaces no good one.
+The bytes are those of the wire. If the device has block transfer, no object is held whole in memory. A checksum ends the
+transfer: the file gets its new content (`whole_file`) only if the checksum was right, so a broken transfer destroys no good file.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ PIECE: Final = 4096
 PATIENCE: Final = 1.0
 """Seconds without progress on the screen: most transfers take less."""
 REDRAW: Final = 0.1
-"""Seconds between two pictures of the progress."""
+"""Seconds between two updates of the progress."""
 
 
 @dataclass
 class FileTransfer:
-    """What was transferred. seconds: how long that took."""
+    """A finished transfer. seconds: how long it took."""
 
     node_id: int
     variable: Variable
@@ -71,9 +71,9 @@ async def read_into_file(
 
 
 async def write_from_file(screen: Screen, node: Node, variable: Variable, path: str, block: Block, verify: bool) -> FileTransfer:
-    """Write what a file holds to an object, and with `verify` read it back and compare.
+    """Write the content of a file to an object, and with `verify` read it back and compare.
 
-    Raises Problem where the file can't be read or the device shows something else, and what Node.write_stream raises.
+    Raises Problem if the file cannot be read or the device reads back something else, and what Node.write_stream raises.
     """
     started = trio.current_time()
     with _opened(path) as file, progress(screen, node, variable, size_of(file)) as show:
@@ -114,7 +114,7 @@ async def _compare(screen: Screen, node: Node, variable: Variable, path: str, bl
 
 
 def size_of(file: IO[bytes]) -> int | None:
-    """The size of a file; None where only reading it tells (a pipe)."""
+    """Return the size of a file; None if only reading it tells (a pipe)."""
     status = os.fstat(file.fileno())
     return status.st_size if stat.S_ISREG(status.st_mode) else None
 
@@ -133,14 +133,14 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def progress(screen: Screen, node: Node, variable: Variable, size: int | None) -> Iterator[Callable[[int], None]]:
-    """A bar on a terminal, once the transfer lasts longer than PATIENCE. Call what it gives with the bytes so far."""
+    """Show a bar on a terminal once the transfer lasts longer than PATIENCE. Gives a function to call with the bytes so far."""
     bar = Progress(
         TextColumn(f"{node_text(node.node_id)} {escape(variable.label)}"),
         BarColumn(),
         DownloadColumn(),
         TransferSpeedColumn(),
         console=screen.err,
-        auto_refresh=False,  # it draws when something came; no thread
+        auto_refresh=False,  # it is drawn when bytes came, without a thread
         transient=True,
         get_time=trio.current_time,
     )

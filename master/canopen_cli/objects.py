@@ -1,4 +1,4 @@
-"""`canopen read` and `canopen write`: objects of a node by SDO, by name or number."""
+"""`canopen read` and `canopen write`: read and write objects of a node by SDO, by name or number."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _BLOCK = click.option(
 
 @dataclass
 class Reading:
-    """One object's value as it was read."""
+    """The value of an object as it was read."""
 
     node_id: int
     variable: Variable
@@ -76,7 +76,7 @@ COLUMNS = ("object", "name", "value", "hex", "constants")
 
 
 async def read_object(node: Node, variable: Variable, block: bool | None = None) -> Reading:
-    """Read it now; also one that the node's dictionary does not have. block: see --block; None decides by the object."""
+    """Read an object, also one that the node's dictionary lacks. block: see --block; None decides by the object."""
     how = block_of(variable, block)
     if node.dictionary.get(variable.index, variable.subindex) is not None:
         message = await node.read_message(variable, block=how)
@@ -86,14 +86,14 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
 
 
 def block_of(variable: Variable, block: bool | None) -> Block:
-    """What --block means for an object. By itself a number is never asked for in blocks: the device might not know them."""
+    """Return what --block means for an object. Without it a number is never read in blocks: the device might not know them."""
     if block is not None:
         return block
     return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
 
 
 def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
-    """The object that a key names; one that only --type describes, too. Raises ObjectNotFound, Problem."""
+    """Return the object that a key names, or that --type describes. Raises ObjectNotFound, Problem."""
     try:
         return dictionary.variable(key)
     except ObjectNotFound as unknown:
@@ -134,7 +134,7 @@ def read(
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
         check_new_file(settings, screen, output)
-        with new_file(output) as file:  # a pipe waits for its reader: here, where Ctrl-C ends that
+        with new_file(output) as file:  # opening a pipe waits for its reader: do it here, where Ctrl-C ends the wait
             taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output, file))
         _tell_file(settings, screen, taken, "→")
         return
@@ -215,8 +215,8 @@ def write(
 ) -> None:
     """Write an object of a node, and show its value before and after.
 
-    A VALUE is a number (12, 0x0C, -5), or the name of a constant. What does not fit the object is refused before anything is
-    sent. Negative numbers go behind `--`.
+    A VALUE is a number (12, 0x0C, -5), or the name of a constant. A value that does not fit the object is refused
+    before anything is sent. Negative numbers go behind `--`.
 
     \b
     canopen write 3 controlword sm_shutdown -b demo

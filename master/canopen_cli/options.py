@@ -1,7 +1,7 @@
 """The options and the kinds of argument that all commands share.
 
 `common` adds -b, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They may
-also stand before the command's name (`canopen -b can0 scan`); behind it they count more. CANOPEN_BUS names the bus where no
+also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus if no
 option does.
 """
 
@@ -35,15 +35,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 BUS_VARIABLE: Final = "CANOPEN_BUS"
 DEMO: Final = "demo"
-"""The bus on which six simulated drives live, in this very process."""
+"""The bus on which six simulated drives live, in the same process."""
 
 
 @dataclass
 class Settings:
-    """What the common options say. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
-    overlays.py. trace: where all that is said on the bus is recorded. encoding: of device files, "" = to be found out. force:
-    overwrite files, and nothing else. clock: a test's virtual one. late: what is to be said when the command has
-    told its results. master_id: under which the drives that we enable hear us."""
+    """The values of the common options. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
+    overlays.py. trace: the file that records the traffic of the bus. encoding: of device files, "" for a guess. force: overwrite
+    files, and nothing else. clock: a test's virtual one. late: a problem to be shown after the results of the command. master_id:
+    the node-ID of our heartbeat, which the drives that we enable watch."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
@@ -61,7 +61,7 @@ class Settings:
 
     @property
     def grip(self) -> Grip:
-        """How drives that are enabled notice that we are gone."""
+        """How enabled drives notice that this program is gone."""
         from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
         return DEFAULT_GRIP if self.master_id is None else Grip(node_id=self.master_id)
@@ -73,11 +73,11 @@ class Settings:
         return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color)
 
     def named_bus(self) -> str | None:
-        """The bus of -b or CANOPEN_BUS, or None."""
+        """Return the bus of -b or CANOPEN_BUS, or None."""
         return self.bus or os.environ.get(BUS_VARIABLE) or None
 
     def required_bus(self, first: str = "-b demo                        six simulated drives, for trying things out") -> str:
-        """As `named_bus`; a Problem where there is none. first: what to try first."""
+        """Return the bus as `named_bus` does. Raises a Problem if there is none. first: what to try first."""
         bus = self.named_bus()
         if bus is None:
             raise usage(
@@ -177,7 +177,7 @@ class Fault(Kind):
 
 
 def node_id_of(text: str) -> int:
-    """A node-ID from text; a Problem (CO120) that says what was perhaps meant."""
+    """Return the node-ID in a text. Raises a Problem (CO120) that says what was perhaps meant."""
     text = text.strip()
     try:
         node_id = int(text, 16 if text.lower().startswith("0x") else 10)
@@ -227,7 +227,7 @@ def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
 
 
 def enabling(command: F) -> F:
-    """Add the option of commands that enable drives."""
+    """Add the option that commands have which enable drives."""
     from canopen_proto.procedures.grip import DEFAULT_GRIP
 
     help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {DEFAULT_GRIP.node_id}]"

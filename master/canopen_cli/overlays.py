@@ -1,4 +1,4 @@
-"""--overlay: side files with units, names of values and bits, and aliases; see canopen_data/overlay.py.
+"""The option --overlay: side files with units, names of values and bits, and aliases; see canopen_data/overlay.py.
 
 canopen read 5 position -e drive.eds --overlay units.toml
 """
@@ -15,11 +15,11 @@ from canopen_data.overlay import lay_over
 from canopen_proto.dictionary import ObjectDictionary
 
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
-"""Bytes: as of all data files. A larger one is none of ours."""
+"""Bytes, as for all data files. A larger file is not one of ours."""
 
 
 def read_text(path: Path) -> str:
-    """A text file that the user names. Raises Problem."""
+    """Read a text file that the user names. Raises Problem."""
     try:
         if path.stat().st_size > MAX_FILE_SIZE:
             raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
@@ -32,9 +32,11 @@ def read_text(path: Path) -> str:
 
 
 def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen) -> ObjectDictionary:
-    """The dictionary with these side files laid over it, the later over the earlier. What they name in vain is told with -v.
+    """Return the dictionary with these side files laid over it, the later over the earlier.
 
-    Raises Problem where one cannot be read, DictionaryError for what is wrong in one.
+    With -v, names without an object are told.
+
+    Raises Problem if a file cannot be read, DictionaryError for its faults.
     """
     for path in paths:
         dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)

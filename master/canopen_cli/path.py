@@ -1,8 +1,8 @@
-"""The path of the demonstration: each joint swings around the position where it stands, and ends there, all at rest.
+"""The path of the demonstration: each joint swings around the position where it stands, and comes to rest there.
 
-A sine per joint, of a frequency of its own so that the arm's figure is not dull, times a window that rises and falls smoothly:
-position, velocity and acceleration begin and end at zero, and nothing jumps. Speed and acceleration are limited: a joint that
-would pass a limit swings less far, so that it can be halted at any moment well within the time that a halt may take.
+A joint follows a sine with a frequency of its own, times a window that rises and falls smoothly. So position, velocity and
+acceleration begin and end at zero, and nothing jumps. Speed and acceleration are limited: a joint that would exceed a limit
+swings less far, so that it can be halted at any moment well within the time that a halt may take.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ MAX_SPEED: Final = math.radians(60)
 """Per second. A drive that brakes with 100°/s² stands within 0.6 s."""
 MAX_ACCELERATION: Final = math.radians(300)
 
-_SLOPE: Final = 1.875  # of _smooth at its steepest
-_CURVATURE: Final = 5.774  # of _smooth where it is bent most
+_SLOPE: Final = 1.875  # the steepest slope of _smooth
+_CURVATURE: Final = 5.774  # the strongest curvature of _smooth
 
 
 class Path:
@@ -40,12 +40,12 @@ class Path:
         self._swings = [min(swing, self._limit(*speeds)) for speeds in zip(self._speeds, fastest, strict=True)]
 
     def _limit(self, speed: float, fastest: float) -> float:
-        """How far a joint may swing: by the triangle inequality over sine and window and their derivatives."""
+        """Return how far a joint may swing, by the triangle inequality over sine, window and their derivatives."""
         slope, curvature = _SLOPE / self._ramp, _CURVATURE / self._ramp**2
         return min(fastest / (speed + slope), MAX_ACCELERATION / (speed**2 + 2 * speed * slope + curvature))
 
     def at(self, time: float) -> list[float]:
-        """Where the joints are to be; before 0 and after `duration` at their start."""
+        """Return the set-points of the joints; before 0 and after `duration` the start."""
         window = _smooth(time / self._ramp) * _smooth((self.duration - time) / self._ramp)
         return [
             start + window * swing * math.sin(speed * time)
@@ -54,6 +54,6 @@ class Path:
 
 
 def _smooth(x: float) -> float:
-    """From 0 to 1 for x from 0 to 1, with first and second derivative 0 at both ends."""
+    """Rise from 0 to 1 for x from 0 to 1, with first and second derivative 0 at both ends."""
     x = min(max(x, 0.0), 1.0)
     return x * x * x * (x * (6 * x - 15) + 10)

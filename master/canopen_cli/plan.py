@@ -1,4 +1,4 @@
-"""`canopen plan`: does a network fit on its bus? Asked before it is built: no bus is opened."""
+"""`canopen plan`: find out whether a network fits on its bus before it is built. No bus is opened."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from canopen_transports.wire import QueueOrder
 DEFAULTS = ChainSettings()
 COLUMNS = ("what", "CAN-ID", "bytes", "each", "worst", "simulated", "margin")
 GROUPED = ("heartbeat", "EMCY")
-"""Streams that are shown in one line for all devices: the worst of them."""
+"""Streams that share one line for all devices: the worst of them is shown."""
 SYNCHRONOUS = 240
 """The highest transmission type of a TPDO that a SYNC asks for."""
 
@@ -122,7 +122,7 @@ def _exchange(
 
 
 def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Screen) -> Exchange:
-    """The PDOs of a device that are valid and not empty."""
+    """Return the PDOs of a device that are valid and not empty."""
     received, sent, events = [], [], []
     for index in [each for each in description.dictionary.objects if 0x1400 <= each < 0x1600 or 0x1800 <= each < 0x1A00]:
         cob_id, kind, inhibit_100us, timer_ms = (_number(description.dictionary, index, each, node_id) for each in (1, 2, 3, 5))
@@ -188,7 +188,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
 
 
 def _rows(streams: Sequence[StreamPlan]) -> list[list[StreamPlan]]:
-    """One stream for each line, or several of which the first one is the worst."""
+    """Return the streams of each line. If there are several, the first is the worst."""
     rows = [[each] for each in sorted(streams, key=lambda each: each.stream.can_id) if each.stream.kind not in GROUPED]
     for kind in GROUPED:
         group = sorted((each for each in streams if each.stream.kind == kind), key=lambda each: each.margin)

@@ -20,7 +20,7 @@ _FAULT = "#ba2525"
 
 
 def check_plot(path: Path) -> None:
-    """Raise a Problem, before anything moves, where no picture could be written: no matplotlib, no folder, an unknown format."""
+    """Raise a Problem, before anything moves, if no picture could be written: no matplotlib, no folder, an unknown format."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError as missing:
@@ -46,7 +46,7 @@ def check_plot(path: Path) -> None:
 
 
 def write_plot(path: Path, recording: Recording, title: str, subtitle: str) -> None:
-    """Draw the recording into a file; its suffix says in which format. Raises Problem where it cannot be written."""
+    """Draw the recording into a file; its suffix tells the format. Raises Problem if it cannot be written."""
     from matplotlib.figure import Figure
 
     rows = -(-len(recording.joints) // COLUMNS)

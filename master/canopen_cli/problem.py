@@ -1,4 +1,4 @@
-"""What went wrong, as one screen for people, one JSON object for programs, and one exit status for scripts.
+"""A failure as one screen for people, one JSON object for programs, and one exit status for scripts.
 
 A command that cannot go on raises a `Problem`: what failed (node, object, value), what was seen, the likely cause, what to try
 next. `failures.problem_of` makes one of every other exception. A traceback is shown with -vv only.
@@ -26,7 +26,7 @@ class ExitCode(IntEnum):
     NO_ANSWER = 5
     BAD_FILE = 6
     PARTIAL = 7
-    """Finished, but not all that should be there could be read, or too many cycles were late."""
+    """Finished, but something could not be read, or too many cycles were late."""
     PERMISSION = 9
     INTERNAL = 10
     SDO_ABORT = 11
@@ -36,7 +36,7 @@ class ExitCode(IntEnum):
 
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""Why a file system takes no more."""
+"""Errors of a file system that cannot take more data."""
 
 KINDS = {
     ExitCode.USAGE: "usage",
@@ -55,7 +55,7 @@ KINDS = {
 
 
 class Problem(Exception):
-    """A command cannot go on. code: "CO201" and the like; node, index, subindex, abort: where it is about one; else None."""
+    """A command cannot go on. code: "CO201" and the like; node, index, subindex, abort: what it is about, else None."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Problem(Exception):
         self.subindex = subindex
         self.abort = abort
         self.more: list[str] = []
-        """What else is to be said: what was done with the drives, what went wrong besides."""
+        """More lines: what was done with the drives, and what else went wrong."""
 
     def __str__(self) -> str:
         lines = [f"{self.code}: {self.failed}"]
@@ -91,14 +91,14 @@ class Problem(Exception):
         return "\n".join(lines)
 
     def details(self) -> list[tuple[str, str]]:
-        """The lines below the first, as (label, text)."""
+        """Return the lines below the first, as (label, text)."""
         rows = [("seen: ", self.seen)] if self.seen else []
         rows += [("cause:", self.cause)] if self.cause else []
         rows += [("also: ", text) for text in self.more]
         return rows + [("or:   " if number else "try:  ", text) for number, text in enumerate(self.tries)]
 
     def on_bus(self, bus: str | None) -> Problem:
-        """Itself, with the bus of -b in each command that it advises: what is typed next is to ask the same bus."""
+        """Add the bus of -b to each command that it advises, so that the next command asks the same bus. Returns itself."""
         if bus is not None:
             self.tries = tuple(_with_bus(step, bus) for step in self.tries)
         return self
@@ -121,12 +121,12 @@ class Problem(Exception):
 
 
 def usage(code: str, failed: str, **more: Any) -> Problem:
-    """A Problem of what was typed."""
+    """Make a Problem about what the user typed."""
     return Problem(ExitCode.USAGE, code, failed, **more)
 
 
 _ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim|backup|restore|dump|(?:check|compare) [0-9])\b")
-_BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # a remark behind the command, or what must stand last
+_BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # before a remark, or before arguments that must stand last
 
 
 def _with_bus(step: str, bus: str) -> str:

@@ -1,4 +1,4 @@
-"""What a demonstration records in each cycle, and what it says about each joint at the end."""
+"""The values that a demonstration records in each cycle, and what they show for each joint."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 @dataclass
 class JointTrack:
-    """One joint's course. commanded, actual: degrees, one value per cycle, both for the same instant. commanded: NaN where the
-    joint follows nothing any more."""
+    """One joint's course. commanded, actual: degrees, one value per cycle, both for the same instant. commanded: NaN while
+    the joint follows no set-point."""
 
     name: str
     node_id: int
@@ -25,8 +25,8 @@ class JointTrack:
 
 @dataclass
 class Recording:
-    """times: seconds since the first cycle, one for each value of the joints. broken: when the chain was stopped by a fault, and
-    whose it was: a name of the joints."""
+    """times: seconds since the first cycle, one for each value of the joints. broken: the time at which a fault stopped the
+    chain, and the name of the faulty joint."""
 
     joints: list[JointTrack]
     times: list[float] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""`canopen restore`: the settings of a DCF, written to a node in the order in which a device takes them."""
+"""`canopen restore`: write the settings of a DCF to a node, in the order in which a device takes them."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from canopen_proto.procedures.restore import restore as carry_out
 from canopen_proto.procedures.steps import SdoFailed
 
 IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
-"""Subindices of 0x1018 by which a device shows that it is of the type that a file describes."""
+"""Subindices of 0x1018 that show whether a device is of the type that a file describes."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to be restored. values: of `dictionary`, by mux; skip: muxes; options: of `plan_restore`."""
+    """The settings to restore. values: of `dictionary`, by mux; skip: muxes; options: of `plan_restore`."""
 
     node_id: int
     path: str
@@ -78,8 +78,8 @@ def restore(
 
     The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
     is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
-    Set-points, outputs, commands and what is read-only are not written, nor what could not be read before. A file of another
-    node-ID, or of another type of device, is refused. Exit status: 7 if something was left out that could not be read.
+    Set-points, outputs, commands and read-only objects are not written, nor objects that could not be read before. A file of
+    another node-ID, or of another type of device, is refused. Exit status: 7 if something was left out that could not be read.
 
     \b
     canopen restore 5 before.dcf --dry-run
@@ -109,7 +109,7 @@ def restore(
 
 
 def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> ObjectDictionary:
-    """The dictionary of a file that sets something. A Problem where it is of another node, or sets nothing."""
+    """Return the dictionary of a file. Raises a Problem if the file is of another node, or sets nothing."""
     from canopen_cli.eds_files import open_description
 
     description = open_description(path, encoding).description
@@ -154,7 +154,7 @@ async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: l
 
 
 async def _check_identity(session: Session, wanted: Wanted) -> None:
-    """A Problem where the device is not of the type that the file describes. What either does not tell is no difference."""
+    """Return a Problem if the device is not of the type that the file describes. A number that either lacks is no difference."""
     node = session.node(wanted.node_id)
     for subindex, name in IDENTITY:
         variable = wanted.dictionary.get(0x1018, subindex)

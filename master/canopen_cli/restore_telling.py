@@ -1,4 +1,4 @@
-"""What `canopen restore` tells: each write, old and new; what was left out; and where it failed, what now stands."""
+"""The output of `canopen restore`: each write, old and new; what was left out; after a failure, what was written."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from canopen_proto.procedures.backup import ReadResult
 from canopen_proto.procedures.restore import PlannedWrite, Restoration, RestoreFailed, VerifyMismatch
 
 MISSING: Final = frozenset(str(each) for each in ReadResult if each.is_missing)
-"""What a file says of objects that a complete backup would have."""
+"""Remarks in a file about objects that a complete backup would have."""
 MAX_NAMED: Final = 5
-"""Objects that one line names; the rest is counted."""
+"""Objects named in one line; the rest is counted."""
 
 
 def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> None:
-    """The writes, with what each object held before; of a dry run, those to come."""
+    """Show the writes with the old value of each object; for a dry run, the planned ones."""
     plan = so_far.plan
     writes = plan.writes if dry_run else so_far.done
     if screen.json_output:
@@ -58,7 +58,7 @@ def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> No
 
 
 def tell_unread(screen: Screen, dictionary: ObjectDictionary, so_far: Restoration) -> bool:
-    """Name the objects that could not be read: in this device now, or in the file's device then. Returns whether there are any in
+    """Name the objects that could not be read: in this device now, or in the file's device then. Return whether there are any in
     this device."""
     plan = so_far.plan
     unread = [dictionary.variable(split_mux(key)) for key in sorted(plan.unread) if key in plan.left_out]
@@ -97,7 +97,7 @@ def _as_json(write: PlannedWrite, is_done: bool) -> dict[str, Any]:
 
 
 def story(so_far: Sequence[Restoration]) -> list[str]:
-    """What was done until a restore was interrupted or failed, line by line."""
+    """Tell what was done until a restore was interrupted or failed, line by line."""
     if not so_far or so_far[0].state is None:
         return ["nothing was written"]
     found = so_far[0]
@@ -123,7 +123,7 @@ def _places(variables: Sequence[Variable]) -> str:
 
 
 def told(error: Exception, so_far: Sequence[Restoration], path: str) -> Problem:
-    """The Problem that a failure is, with what now stands."""
+    """Return the Problem for a failure, with what was written before it."""
     if not isinstance(error, RestoreFailed):
         return problem_of(error)
     reason = error.__cause__ or error

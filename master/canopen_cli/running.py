@@ -1,10 +1,10 @@
-"""Runs the async part of a command, so that Ctrl-C ends it in good order.
+"""Run the async part of a command, so that Ctrl-C ends it in good order.
 
 The first Ctrl-C (or SIGTERM) cancels the command. The master then halts what moves before it lets go of the bus; see session.py
 for how long that may take. A second Ctrl-C meanwhile changes nothing, since drives must not be left running. Then comes a
 `Problem` with exit status 130, which tells what was done.
 
-With --trace all that is said on the buses meanwhile is recorded, to the last frame of that way out.
+With --trace all traffic of the buses is recorded meanwhile, including the last frames of that ending.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from canopen_transports.tracing import Trace, recording
 T = TypeVar("T")
 
 Story: TypeAlias = Callable[[bool], list[str]]
-"""What has happened to the drives, line by line. Its argument: whether all of them confirmed that they stand."""
+"""Tells what happened to the drives, line by line. Its argument: whether all of them confirmed that they stand."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -45,11 +45,12 @@ def run(
     devices: bool = False,
     reads: Path | None = None,
 ) -> T:
-    """What `command` returns. story: told on interruption. devices: the simulated devices are what this command is about.
-    reads: a log file that it reads.
+    """Run `command` and return its result.
 
-    Raises a Problem of status 130 after a Ctrl-C, one where --trace would overwrite a file, and whatever the command raises;
-    LogFileError where --trace cannot begin.
+    story: told on interruption. devices: this command is about its simulated devices. reads: a log file that it reads.
+
+    Raises a Problem with status 130 after a Ctrl-C, a Problem if --trace would overwrite a file, LogFileError if --trace cannot
+    begin, and what the command raises.
     """
     if settings.trace is None:
         with _warnings_on(screen):
@@ -71,7 +72,7 @@ def run(
 
 @contextmanager
 def _warnings_on(screen: Screen) -> Iterator[None]:
-    """What the master warns of (a drive that will not stop by itself) is shown on the screen."""
+    """Shows warnings of the master (a drive that will not stop by itself) on the screen."""
 
     class OnScreen(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -86,7 +87,7 @@ def _warnings_on(screen: Screen) -> Iterator[None]:
 
 
 def _missing(path: Path, trace: Trace) -> Problem | None:
-    """What the trace lacks."""
+    """Return a Problem if the trace lacks something."""
     tries = ("--trace FILE.log, where there is room",)
     if trace.failure is not None:
         seen = f"{trace.failure.strerror} after {trace.recorded} frames"
@@ -100,7 +101,7 @@ def _missing(path: Path, trace: Trace) -> Problem | None:
 
 
 def same_file(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one file that is there."""
+    """Whether two paths lead to the same existing file."""
     try:
         return one.samefile(other)
     except OSError:
@@ -126,7 +127,7 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
                 nursery.start_soon(watch, signals, scope)
                 try:
                     results.append(await command())
-                except BaseException as error:  # an Exception is raised below: here it would come out wrapped in a group
+                except BaseException as error:  # raised below: if raised here, it would come out wrapped in a group
                     failure = error
                     if not isinstance(error, Exception):
                         raise
@@ -152,7 +153,7 @@ def _interrupted(number: int, story: Story, failure: BaseException | None) -> Pr
 
 
 def all_stand(error: BaseException | None) -> bool:
-    """Whether no exception says that a drive did not confirm that it stands: none is that itself, and none bears a note."""
+    """Whether all drives confirmed that they stand: no exception is HaltNotConfirmed, and none has a note about it."""
     if isinstance(error, BaseExceptionGroup):
         return all(all_stand(each) for each in error.exceptions)
     is_halt = isinstance(error, HaltNotConfirmed) or (error is not None and isinstance(error.__cause__, HaltNotConfirmed))
@@ -160,7 +161,7 @@ def all_stand(error: BaseException | None) -> bool:
 
 
 def notes_of(error: BaseException | None) -> list[str]:
-    """The notes on an exception, and on those in it if it is a group: which drives did not confirm that they stand."""
+    """Return the notes of an exception, and of those in a group: which drives did not confirm that they stand."""
     notes: list[str] = list(getattr(error, "__notes__", ()))
     if isinstance(error, BaseExceptionGroup):
         for each in error.exceptions:

@@ -1,4 +1,4 @@
-"""`canopen scan`: who is on the bus. Listens first, then asks, paced; rows come as nodes are found."""
+"""`canopen scan`: find the nodes of a bus. It listens first, then asks a few at a time, and shows each node when it is found."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from canopen_proto.procedures.scan import scan as scan_procedure
 
 COLUMNS: Final = ("node", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark")
 DETAILS: Final = ("revision", "serial number")
-"""Columns that are shown with -v, and always in JSON: a row is to fit into a terminal."""
+"""Columns shown only with -v and in JSON, so that a row fits into a terminal."""
 
 
 @click.command()
@@ -50,7 +50,7 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
 
 
 def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
-    """What else was heard; and where that was nobody, what may be wrong."""
+    """Tell what else was heard; if nothing was heard, what may be wrong."""
     rest = set(ALL_NODE_IDS) - {node.node_id for node in found}
     others = [network.heard(node_id) for node_id in sorted(rest)]
     text = "".join(f"; heard, by {each.service.value}: {node_text(each.node_id)}" for each in others if each.service is not None)
@@ -89,7 +89,7 @@ async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], l
 
 
 async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:
-    """A bar on a terminal, with each node as it is found; nothing elsewhere: the table comes at the end."""
+    """Show a bar on a terminal, with each node when it is found. Elsewhere show nothing: the table comes at the end."""
     if not screen.draws:
         return
     columns = (TextColumn("scanning"), BarColumn(30), TextColumn("{task.fields[nodes]}"))

@@ -1,9 +1,9 @@
-"""Where a command writes: data to stdout, talk and progress to stderr, both without colour where nobody looks.
+"""The output of a command: data to stdout, messages and progress to stderr, both with colour on a terminal only.
 
-Strings of others pass `escape` (or `clean`) on their way here; the consoles themselves let no control character through.
+Foreign strings pass `escape` (or `clean`) on their way here. The consoles let no control character through in any case.
 
 A Screen is made once per command, from the common options. `--json` makes data JSON, and errors too; `--quiet` leaves only data
-and errors. Progress (what is drawn anew again and again) is shown on a terminal only; elsewhere it becomes plain lines.
+and errors. Progress (a picture that is drawn again and again) is shown on a terminal only; elsewhere it becomes plain lines.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from canopen_cli.problem import ExitCode, Problem
 from canopen_master.plain_text import clean, clean_lines, json_text
 
 WIDTH_OFF_TERMINAL: Final = 200
-"""Columns of a table that goes into a file or a pipe: nothing of ours is wider, so nothing is cut."""
+"""Columns of a table in a file or a pipe. No table of ours is wider, so nothing is cut."""
 
 NAME_WIDTH: Final = 18
-"""Of the names of facts, with the gap behind them."""
+"""Characters for the name of a fact, with the gap after it."""
 
 GAP: Final = 2
 """Characters between two columns of a table."""
 
 
 def escape(text: str) -> str:
-    """A string of others (of a device, a file, a driver, the user) for markup: clean, and without markup of its own."""
+    """Make a foreign string (of a device, a file, a driver, the user) fit for markup: clean, and without markup of its own."""
     return markup.escape(clean(text))
 
 
 def node_text(node_id: int) -> str:
-    """A node as all outputs show it, in both notations: 10 and 0x10 are two nodes."""
+    """Return the text for a node, in both notations: 10 and 0x10 are two nodes."""
     return f"node {node_id} (0x{node_id:02X})"
 
 
@@ -59,28 +59,28 @@ class Screen:
 
     @property
     def draws(self) -> bool:
-        """Whether progress is drawn: somebody looks at a terminal."""
+        """Whether progress is drawn: stderr is a terminal, and --quiet was not given."""
         return self.err.is_terminal and not self.err.is_dumb_terminal and self.verbosity >= 0
 
     # ---- data ----
 
     def data(self, renderable: RenderableType) -> None:
-        """A result, to stdout."""
+        """Print a result to stdout."""
         self.out.print(renderable)
 
     def fact(self, name: str, text: str) -> None:
-        """One of several named results, to stdout: where a line is too long, it goes on below itself."""
+        """Print a named result to stdout. A long text continues on the next line, aligned."""
         lines = textwrap.wrap(clean(text), max(self.out.width - NAME_WIDTH, NAME_WIDTH), break_on_hyphens=False) or [""]
         head = [name, *[""] * (len(lines) - 1)]
         for label, line in zip(head, lines, strict=True):
             self.out.print(f"[dim]{label:<{NAME_WIDTH}}[/]{markup.escape(line)}", soft_wrap=True)
 
     def json(self, value: Any) -> None:
-        """A result as one JSON document, to stdout."""
+        """Print a result to stdout as one JSON document."""
         self.out.out(json_text(value, None if isinstance(value, str) else 2))
 
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> None:
-        """A table to stdout. right: the columns that are aligned at the right. Where it is too wide, one block for each row."""
+        """Print a table to stdout; if it is too wide, one block for each row. right: the columns to align at the right."""
         rows = [tuple(row) for row in rows]
         table = plain_table(columns, rows, right=right)
         if self._fit(table, [list(column) for column in zip(columns, *rows, strict=True)]):
@@ -98,7 +98,7 @@ class Screen:
             self.out.print(block)
 
     def _fit(self, table: Table, columns: Sequence[Sequence[RenderableType]]) -> bool:
-        """Give the columns widths with which no word is broken; False where there are none."""
+        """Set widths of the columns so that no word is broken. Return False if that is impossible."""
         wide = self.out.options.update(max_width=10_000)
         sizes = []
         for column, (_, *cells) in zip(table.columns, columns, strict=True):
@@ -116,14 +116,14 @@ class Screen:
         return True
 
     def check_reader(self) -> None:
-        """BrokenPipeError where whoever was to read stdout has gone: a command that takes its time need not go on then.
+        """Raise BrokenPipeError if the reader of stdout has gone, so that a long command need not go on.
 
-        Only a system that can be asked without writing anything (not Windows) knows it before the end.
+        Does nothing on a system that cannot tell without writing (Windows).
         """
         try:
             stdout = sys.stdout.fileno()
         except (OSError, ValueError):
-            return  # no file: a test, a notebook
+            return  # not a file: a test, a notebook
         if hasattr(select, "poll"):
             poll = select.poll()
             poll.register(stdout, 0)
@@ -168,7 +168,7 @@ class Screen:
 
 
 def plain_table(columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> Table:
-    """The look of all our tables: no frame, a rule below the heads."""
+    """Make a table with the look of all our tables: no frame, a rule below the heads."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold", show_edge=False)
     numbers = frozenset(right)
     for name in columns:
@@ -179,19 +179,19 @@ def plain_table(columns: Sequence[str], rows: Iterable[Sequence[RenderableType]]
 
 
 class _Console(Console):
-    """rich's own way out of a closed pipe, SystemExit, would come out of trio in a group, with the other stream put to rest."""
+    """A console that raises BrokenPipeError on a closed pipe. rich raises SystemExit, which trio would wrap in a group."""
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
 
     def _render_buffer(self, buffer: Iterable[Segment]) -> str:
-        """Whatever came here unclean is shown, not obeyed; control codes of rich's own are segments of their own."""
+        """Show control characters instead of obeying them. Control codes of rich's own are separate segments."""
         return super()._render_buffer(each if each.control else each._replace(text=clean_lines(each.text)) for each in buffer)
 
 
 def _console(stream: IO[str], color: bool) -> Console:
     if hasattr(stream, "reconfigure"):
-        stream.reconfigure(errors="replace")  # a pipe of another encoding must not end a command
+        stream.reconfigure(errors="replace")  # a pipe with another encoding must not end a command
     console = _Console(file=stream, no_color=not color, highlight=False, emoji=False)
     if not console.is_terminal:
         columns = os.environ.get("COLUMNS", "")

@@ -1,7 +1,7 @@
-"""What most commands begin with: the dictionary, the bus of the options, a master on it, and for `-b demo` the drives too.
+"""The session of most commands: the dictionary, the bus of the options, a master on it, and for `-b demo` the drives too.
 
-A command that gets no answer has listened for no longer than its time limit, while heartbeats come each second or so. It listens
-on for LISTEN_ON before it says what it heard: of the node that is asked, and of the others.
+A command that gets no answer has listened only for its time limit, while heartbeats come about each second. So it listens on for
+LISTEN_ON before it says what it heard of the node that it asked, and of others.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from canopen_proto.procedures.steps import SdoFailed
 LISTEN_ON: Final = 1.5
 """Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may only be late."""
 LOOK_AGAIN: Final = 0.05
-"""Seconds between two looks at what was heard."""
+"""Seconds between two checks of what was heard."""
 
 
 class Session:
-    """An open master, and the dictionaries: that of the data files, and those of the devices' own files."""
+    """An open master with the dictionary of the data files and those of the devices' own files."""
 
     def __init__(self, master: Master, dictionary: ObjectDictionary, files: DeviceFiles) -> None:
         self.master = master
@@ -50,16 +50,16 @@ class Session:
         self._files = files
 
     def node(self, node_id: int) -> Node:
-        """A node of the only bus."""
+        """Return a node of the only bus."""
         return self.master.node(node_id, self.dictionary_of(node_id))
 
     def dictionary_of(self, node_id: int) -> ObjectDictionary:
-        """What a node is: by its own file where -e names one."""
+        """Return the dictionary of a node: of its own file if -e names one."""
         description = self.description_of(node_id)
         return self._dictionary if description is None else description.dictionary
 
     def description_of(self, node_id: int) -> DeviceDescription | None:
-        """A node's own file, or None."""
+        """Return the description of a node in its own file, or None."""
         return description_of(self._files, node_id)
 
     @property
@@ -69,7 +69,7 @@ class Session:
 
 
 def read_dictionary(screen: Screen) -> ObjectDictionary:
-    """The object dictionary. That a file of the user's is used is told; warnings about it are told with -v."""
+    """Read the object dictionary. Tells if a user's own file is used; with -v also warnings about it."""
     dictionary, findings = load_dictionary()
     for finding in findings:
         if finding.severity is Severity.NOTICE:
@@ -81,7 +81,7 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
 
 @asynccontextmanager
 async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Session]:
-    """A master on the bus of the options, while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
+    """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
     bus = settings.required_bus()
     names = read_dictionary(screen)
     files = {
@@ -106,10 +106,10 @@ async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Sess
 
 
 def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
-    """The missing answer that an exception is, be it in the group that a nursery makes of one."""
+    """Return the missing answer in an exception, also in a group that a nursery made of it; else None."""
     if isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         return _silence_in(error.exceptions[0])
-    if isinstance(error, SdoTimeout) and error.code == NO_ANSWER:  # SdoNotConfirmed may also be a transfer that we gave up
+    if isinstance(error, SdoTimeout) and error.code == NO_ANSWER:  # SdoNotConfirmed: may also be a transfer that we gave up
         return error
     if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
         return error
@@ -117,8 +117,8 @@ def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
 
 
 async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed) -> Problem:
-    """The problem that a missing answer is, by what was heard until now and a little longer."""
-    if not node.was_enabled:  # else a drive may move, and has to be halted first
+    """Return the Problem for a missing answer, with what was heard until now and a little longer."""
+    if not node.was_enabled:  # else a drive may move and must be halted first
         with trio.move_on_after(LISTEN_ON):
             while not _is_explained(node, session.network):
                 await trio.sleep(LOOK_AGAIN)
@@ -129,5 +129,5 @@ async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed
 
 
 def _is_explained(node: Node, network: Network) -> bool:
-    """Whether nothing that could still be heard would change what is said."""
+    """Whether further listening could not change the message."""
     return node.nmt_state is NmtState.STOPPED or network.heard(node.node_id).late_answer is not None

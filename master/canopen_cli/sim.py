@@ -1,4 +1,4 @@
-"""`canopen sim`: simulated devices on any bus, for other programs or another terminal to play with; any device's file is one."""
+"""`canopen sim`: serve simulated devices on any bus, made of any device's file, for other programs and terminals."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def sim(
     canopen sim plant.toml
     """
     screen = settings.screen()
-    files += settings.eds  # -e says the same: the file that a device is described by
+    files += settings.eds  # -e means the same here: the file of a device
     common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults, encoding=settings.encoding)
     plant = wanted(files, node_ids, common_entry) if files else None
     if plant is not None and plant.bus and settings.named_bus() is None:
@@ -117,11 +117,11 @@ def sim(
     except Problem as ended:
         if ended.exit_code is not ExitCode.INTERRUPTED:
             raise
-        screen.say("ended")  # as it was to end
+        screen.say("ended")  # Ctrl-C is how it is meant to end
 
 
 def _teller(screen: Screen) -> Callable[[Event], None]:
-    """Tells what happens to the devices."""
+    """Tell what happens to the devices."""
 
     def tell(event: Event) -> None:
         match event:

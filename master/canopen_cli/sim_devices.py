@@ -1,4 +1,4 @@
-"""What `canopen sim` serves: files of devices and what was asked for them, made into models of devices."""
+"""The devices of `canopen sim`: make models of devices from their files and the options."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from canopen_proto.multiplexer import Mux
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
 PLANT_SUFFIX: Final = ".toml"
 MAX_NOTICES: Final = 5
-"""What does not work in a device, line by line; the rest is counted, and told with -v."""
+"""Notices about a device that are shown, line by line; the rest is counted, and shown with -v."""
 
 _WITH_IDS: Final = re.compile(r"([0-9][0-9A-Fa-fxX,-]*)=(.+)")
 
 
 def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> Plant:
-    """The devices that the arguments name: "5=drive.eds", "drive.eds" with --id, "plant.toml".
+    """Return the devices that the arguments name: "5=drive.eds", "drive.eds" with --id, "plant.toml".
 
-    common: what the options say of all of them. Raises Problem, DictionaryError.
+    common: the options for all of them. Raises Problem, DictionaryError.
     """
     plants = [name for name in files if name.lower().endswith(PLANT_SUFFIX)]
     if plants:
@@ -69,10 +69,10 @@ def _path(plant: Path, name: str) -> str:
 
 
 def _beside(plant: Path, entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry:
-    """Paths are relative to the plant file; what it does not say, the options do."""
+    """Complete an entry of a plant file. Paths are relative to that file; the options fill in what it leaves out."""
     return replace(
         entry,
-        file=_path(plant, entry.file) if (plant.parent / entry.file).exists() else entry.file,  # else a sample's name
+        file=_path(plant, entry.file) if (plant.parent / entry.file).exists() else entry.file,  # else the name of a sample
         script=_path(plant, entry.script) or common.script,
         overlays=(*common.overlays, *(_path(plant, name) for name in entry.overlays)),
         profile=entry.profile if entry.profile != "auto" else common.profile,
@@ -83,7 +83,7 @@ def _beside(plant: Path, entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry
 
 
 def models(entries: Iterable[DeviceEntry], screen: Screen) -> list[DeviceModel]:
-    """The devices, as they are to be served; tells what each is, and what of its file does not work. Raises Problem."""
+    """Make the models of the devices. Tells what each is, and what in its file does not work. Raises Problem."""
     names, _ = load_dictionary()
     made: dict[int, DeviceModel] = {}
     for entry in entries:
@@ -98,7 +98,7 @@ def models(entries: Iterable[DeviceEntry], screen: Screen) -> list[DeviceModel]:
 
 def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> DeviceDescription:
     from canopen_cli.eds_files import open_description, tell_faults
-    from canopen_data.descriptions import with_names  # the readers are read in only where there is a file
+    from canopen_data.descriptions import with_names  # the readers are imported only if there is a file
 
     file = open_description(entry.file, entry.encoding)
     tell_faults(screen, file)
@@ -119,7 +119,7 @@ def _script(path: str) -> Script | None:
 
 
 def script_problem(error: ScriptError) -> Problem:
-    """A script that cannot be used."""
+    """Return the Problem for a script that cannot be used."""
     return Problem(ExitCode.BAD_FILE, "CO331", f"{error.place}: {error.message}", cause="a mistake in the script")
 
 
@@ -160,12 +160,12 @@ def _model(
 
 
 def shape_of(description: DeviceDescription) -> Shape:
-    """What the drives of that maker are like, beyond their dictionary."""
+    """Return how the drives of that maker behave, beyond their dictionary."""
     return Shape.SCHUNK_POWERBALL if "schunk" in description.device_info.vendor_name.casefold() else Shape.STANDARD
 
 
 def configured(dictionary: ObjectDictionary, values: Mapping[str, Any], node_id: int, file: str) -> ObjectDictionary:
-    """The dictionary with values for power-on, by key. Raises Problem."""
+    """Return the dictionary with other values at power-on, by key. Raises Problem."""
     by_mux: dict[Mux, Value] = {}
     for key, value in values.items():
         try:

@@ -1,4 +1,4 @@
-"""Values of objects as text: what a user types, and what he gets to see."""
+"""Convert values of objects from what a user types, and to what is shown."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 _TRUTH: Final = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 BYTES: Final = "bytes"
-"""The --type of any object as it goes over the wire: what files hold."""
+"""The --type for the bytes of any object as they go over the wire, which files hold."""
 TYPES: Final = {
     **{f"u{bits}": DataType[f"UNSIGNED{bits}"] for bits in (8, 16, 24, 32, 40, 48, 56, 64)},
     **{f"i{bits}": DataType[f"INTEGER{bits}"] for bits in (8, 16, 24, 32, 40, 48, 56, 64)},
@@ -22,16 +22,16 @@ TYPES: Final = {
     "text": DataType.VISIBLE_STRING,
     BYTES: DataType.OCTET_STRING,
 }
-"""What --type takes, for objects that the dictionary does not have."""
+"""The values of --type, for objects that the dictionary lacks."""
 
 
 def place_text(variable: Variable) -> str:
-    """Index and subindex as all outputs show them: 6041:00."""
+    """Return index and subindex as all outputs show them: 6041:00."""
     return f"{variable.index:04X}:{variable.subindex:02X}"
 
 
 def value_text(variable: Variable, value: Value) -> str:
-    """A value for people. A text of a device is UTF-8 where it is valid, else Latin-1."""
+    """Return a value for people. A text of a device is read as UTF-8 if it is valid, else as Latin-1."""
     if isinstance(value, bytes):
         return value.hex(" ") if len(value) <= 64 else f"{value[:64].hex(' ')} ... ({len(value)} bytes)"
     if isinstance(value, str):
@@ -40,8 +40,8 @@ def value_text(variable: Variable, value: Value) -> str:
 
 
 def hex_text(variable: Variable, value: Value) -> str:
-    """A whole number as the wire has it, with all its digits; the bytes of a text or REAL that its notation for people does not
-    tell exactly; "" for anything else."""
+    """Return a whole number in hexadecimal with all its digits; the bytes of a text or REAL whose text is not exact; "" for
+    anything else."""
     if not isinstance(value, int) or isinstance(value, bool):
         return "" if isinstance(value, bytes) else bytes_text(variable, value) or ""
     bits = variable.bit_length or 32
@@ -49,34 +49,34 @@ def hex_text(variable: Variable, value: Value) -> str:
 
 
 def physical(variable: Variable, value: Value) -> float | None:
-    """The physical value in the object's unit; None where nobody has said what that is."""
+    """Return the physical value in the object's unit; None if no side file gives a unit."""
     if not variable.unit and variable.factor == 1.0:
         return None
     return value * variable.factor if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def physical_text(variable: Variable, value: Value) -> str:
-    """The same for people: "12.5 deg"; "" where there is none."""
+    """Return the physical value for people: "12.5 deg"; "" if there is none."""
     number = physical(variable, value)
     return "" if number is None else f"{number:.10g} {variable.unit}".rstrip()
 
 
 def as_json(variable: Variable, value: Value) -> Any:
-    """A value of an object in a JSON document: a text as people read it, all else as `plain_json` has it."""
+    """Return the value of an object for a JSON document: a text as people read it, all else by `plain_json`."""
     return text_for_people(value, variable.data_type) if isinstance(value, str) else plain_json(value)
 
 
 def plain_json(value: Value) -> Any:
-    """A value in a JSON document: bytes as hexadecimal text, times as text. (`json_text` knows what to do with NaN.)"""
+    """Return a value for a JSON document: bytes as hexadecimal text, times as text. (`json_text` takes care of NaN.)"""
     if isinstance(value, bytes):
         return value.hex()
     return value if isinstance(value, int | float | str) else str(value)
 
 
 def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:
-    """What a user means by `text` for an object: a constant's name, a number, a text, or bytes in hexadecimal.
+    """Return the value that a user typed for an object: a constant's name, a number, a text, or bytes in hexadecimal.
 
-    A name that is no constant raises ConstantNotFound; other nonsense is a Problem. Range and limits are not looked at here.
+    Raises ConstantNotFound for a name that is no constant, else Problem. Range and limits are not checked here.
     """
     if any(constant.name == text for constant in dictionary.constants_of(variable)):
         return dictionary.value_from(variable, text)
@@ -102,7 +102,7 @@ def _number(text: str) -> int | float | None:
     except ValueError:
         pass
     try:
-        # "007" is no literal of Python, but what people type; "1.5" for a whole number is refused with its range later.
+        # People type "007", which is no literal of Python. "1.5" for a whole number is refused later, with its range.
         return int(text) if text.lstrip("+-").isdecimal() else float(text)
     except ValueError:
         return None

@@ -21,7 +21,7 @@ INTERVAL = 0.01  # seconds, as the master's cycle
 
 
 def serve(options: Options) -> None:
-    """The master. It needs the main thread for nothing, and any number of clients may call its chains."""
+    """Run the master. It does not need the main thread, and any number of clients may call its chains."""
     (device,) = options.node_ids
     canopen.using_master_thread = True
     if device == 12:
@@ -37,12 +37,12 @@ def serve(options: Options) -> None:
     client = ThreadPoolExecutor(max_workers=1).submit(command, options)
     while not client.done():
         time.sleep(INTERVAL)
-    client.result()  # raises what the client did not get done
+    client.result()  # raises what made the client fail
     canopen.close_connection()
 
 
 def command(options: Options) -> None:
-    """A client, in a thread of its own."""
+    """Run a client in a thread of its own."""
     chain = canopen.chain_map["chain1"]
     check(chain.init(), "The chain could not be initialized; aborting.")
     print(f"homing {', '.join(chain.joints)}")
@@ -54,7 +54,7 @@ def command(options: Options) -> None:
 
     duration = options.steps * INTERVAL
     end = [position + round(SPEED * duration) for position in start]
-    for cycle in chain.cycles():  # its time waits for a client that is late, so that the path never jumps
+    for cycle in chain.cycles():  # this time waits for a late client, so the path never jumps
         now = min(cycle.time, duration)
         chain.set_pos([position + round(SPEED * now) for position in start])
         if cycle.time >= duration + 5 * INTERVAL:  # the last set-points are reached two cycles later

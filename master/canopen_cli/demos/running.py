@@ -1,4 +1,4 @@
-"""What the demos share: their arguments, how they fail, and that they always end with the drives halted."""
+"""The common part of the demos: their arguments, how they fail, and that they always end with the drives halted."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from canopen_master.plain_text import clean_lines
 
 @dataclass(frozen=True)
 class Options:
-    """What was asked for. cycles, steps: how often, and how far, a demo moves; pause: seconds before that."""
+    """The arguments of a demo. cycles, steps: how often and how far it moves; pause: seconds before that."""
 
     node_ids: tuple[int, ...]
     bus: str
@@ -32,7 +32,7 @@ class Failed(Exception):
 
 
 def check(succeeded: bool, otherwise: str) -> None:
-    """Go on if a call gave True; else end the demo with these words, and with the reason."""
+    """Go on if a call returned True; else end the demo with these words and the reason."""
     if not succeeded:
         raise Failed(otherwise) from canopen.last_error()
 
@@ -48,9 +48,9 @@ def parse(
     steps: int | None = None,
     pause: float | None = None,
 ) -> Options | None:
-    """A demo's arguments; None, with `usage` printed, where there are no node-IDs, or more than `most`. Raises Problem.
+    """Parse the arguments of a demo; print `usage` and return None if there are no node-IDs, or more than `most`. Raises Problem.
 
-    ids: where none are given. cycles, steps, pause: what they are if nothing else is said; None for a demo that has none.
+    ids: the default node-IDs. cycles, steps, pause: the defaults; None if the demo does not have the option.
     """
     parser = argparse.ArgumentParser(description=about.splitlines()[0], epilog=usage)
     parser.add_argument("ids", metavar="ID", nargs="*", help="CAN device ID, decimal")
@@ -79,7 +79,7 @@ def _count(text: str) -> int:
 
 
 def run(demo: Callable[[Options], None], read_options: Callable[[], Options | None]) -> int:
-    """Run a demo to its end, whatever that is; the exit status. On a virtual bus there are simulated drives for its node-IDs."""
+    """Run a demo to its end and return the exit status. On a virtual bus, drives are simulated for its node-IDs."""
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
