@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from canopen_proto.drive.axis import AxisSettings as AxisSettings
     from canopen_proto.emcy import EmcyReceived as EmcyReceived
     from canopen_proto.frame import Frame as Frame
+    from canopen_proto.frame import RoutingKey as RoutingKey
+    from canopen_proto.frame import routing_key as routing_key
     from canopen_proto.group import Group as Group
     from canopen_proto.heartbeat import HeartbeatLost as HeartbeatLost
     from canopen_proto.heartbeat import HeartbeatReceived as HeartbeatReceived
@@ -62,7 +64,7 @@ else:
             "canopen_proto.dictionary.model": "NotInDictionary ObjectDictionary",
             "canopen_proto.drive.axis": "Axis AxisSettings",
             "canopen_proto.emcy": "EmcyReceived",
-            "canopen_proto.frame": "Frame",
+            "canopen_proto.frame": "Frame RoutingKey routing_key",
             "canopen_proto.group": "Group",
             "canopen_proto.heartbeat": "HeartbeatLost HeartbeatReceived HeartbeatRecovered NodeBooted",
             "canopen_proto.local_node": "LocalNode",

@@ -31,7 +31,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.error_codes import error_text as error_text
-from canopen_proto.frame import COB_ID_INVALID, EMCY, Frame, frame_for_key, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, EMCY, Frame, RoutingKey, frame_for_key, key_of_cob_id, routing_key
 from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 
 NO_ERROR: Final = 0x0000
@@ -106,13 +106,13 @@ class EmcyProducer(Machine):
 
     __slots__ = ("_active", "_next_free", "_pending", "enabled", "error_register", "history", "inhibit_time", "key", "node_id")
 
-    def __init__(self, out: Outbox, node_id: int, key: int | None = None, history_length: int = 8) -> None:
+    def __init__(self, out: Outbox, node_id: int, key: RoutingKey | None = None, history_length: int = 8) -> None:
         """node_id: 1..127. key: None for 0x80 + node-ID. history_length: 1..254 entries of 0x1003. Else LocalProtocolError."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         if not 1 <= history_length <= MAX_HISTORY:
             raise LocalProtocolError(f"an error history has 1 to {MAX_HISTORY} entries, not {history_length}")
-        self.key: int | None = EMCY + node_id if key is None else key
+        self.key: RoutingKey | None = routing_key(EMCY + node_id) if key is None else key
         self.error_register = 0
         self.history: deque[int] = deque(maxlen=history_length)
         self.inhibit_time: Time = 0
@@ -252,14 +252,14 @@ class EmcyConsumer(Machine):
 
     __slots__ = ("key", "last", "node_id")
 
-    def __init__(self, out: Outbox, node_id: int, key: int | None = None) -> None:
+    def __init__(self, out: Outbox, node_id: int, key: RoutingKey | None = None) -> None:
         """node_id: 1..127, else LocalProtocolError. key: None for 0x80 + node-ID."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
-        self.key = EMCY + node_id if key is None else key
+        self.key = routing_key(EMCY + node_id) if key is None else key
         self.last: EmcyReceived | None = None
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return (self.key,)
 
     def receive(self, frame: Frame, now: Time) -> None:

@@ -8,13 +8,17 @@ Three numbers that are easily mixed up:
 - CAN-ID   what stands on the wire, 11 or 29 bits: `Frame.can_id`.
 - COB-ID   what stands in an object such as 0x1800:01: a CAN-ID with three flag bits above it (CiA 301 v4.2.0, 7.5.2.33).
 - key      a CAN-ID with the frame's flags above it, which is what machines ask for in `Machine.can_ids()` and what routing
-           tables are made of: `Frame.key`. For an ordinary 11-bit data frame the key is the CAN-ID.
+           tables are made of: `Frame.key`. For an ordinary 11-bit data frame the key is the CAN-ID. `RoutingKey` is a type of
+           its own, so that mypy tells it from the other two; `routing_key` makes one.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Final
+from typing import Final, NewType
+
+RoutingKey = NewType("RoutingKey", int)
+"""A CAN-ID with the frame's flags above it; see this module's text."""
 
 REMOTE: Final = 1
 """Frame flag: remote transmission request; the frame has no data, only a length."""
@@ -32,11 +36,12 @@ COB_ID_NO_RTR: Final = 1 << 30
 COB_ID_EXTENDED: Final = 1 << 29
 """29-bit identifier."""
 
-# Function codes of the predefined connection set, as the CAN-ID of node 0 (CiA 301 v4.2.0, 7.3.3, tables 36 and 37)
-NMT: Final = 0x000
-SYNC: Final = 0x080
+# Function codes of the predefined connection set, as the CAN-ID of node 0 (CiA 301 v4.2.0, 7.3.3, tables 36 and 37). To NMT, SYNC
+# and TIME no node-ID is added: they are whole CAN-IDs, and so routing keys.
+NMT: Final = RoutingKey(0x000)
+SYNC: Final = RoutingKey(0x080)
 EMCY: Final = 0x080
-TIME: Final = 0x100
+TIME: Final = RoutingKey(0x100)
 TPDO1: Final = 0x180
 RPDO1: Final = 0x200
 TPDO2: Final = 0x280
@@ -70,7 +75,8 @@ class Frame:
         self.data = data
         self.flags = flags
         self.dlc = len(data) if dlc < 0 else dlc
-        self.key = can_id | flags << 29 if flags else can_id  # nearly every frame has none: that is cheaper to see than to shift
+        # As `routing_key` does, without its call. Nearly every frame has no flags: to see that costs less than to shift.
+        self.key: RoutingKey = can_id | flags << 29 if flags else can_id  # type: ignore[assignment]
 
     @classmethod
     def parse(cls, text: str) -> Frame:
@@ -109,15 +115,28 @@ class Frame:
         return hash((self.can_id, self.data, self.flags, self.dlc))
 
 
-def key_of_cob_id(cob_id: int) -> int:
-    """The routing key of a COB-ID as it stands in the dictionary: its CAN-ID, and EXTENDED where bit 29 is set."""
+def routing_key(can_id: int, flags: int = 0) -> RoutingKey:
+    """Return the routing key of frames with this CAN-ID and these flags (REMOTE, EXTENDED)."""
+    return RoutingKey(can_id | flags << 29)
+
+
+def key_of_cob_id(cob_id: int) -> RoutingKey:
+    """Return the routing key of a COB-ID as it stands in the dictionary: its CAN-ID, and EXTENDED if bit 29 is set."""
     if cob_id & COB_ID_EXTENDED:
-        return cob_id & 0x1FFFFFFF | KEY_EXTENDED
-    return cob_id & 0x7FF
+        return routing_key(cob_id & 0x1FFFFFFF, EXTENDED)
+    return routing_key(cob_id & 0x7FF)
 
 
-def frame_for_key(key: int, data: bytes) -> Frame:
-    """A data frame to the CAN-ID that stands in a routing key."""
-    if key & KEY_EXTENDED:
-        return Frame(key & 0x1FFFFFFF, data, EXTENDED)
-    return Frame(key, data)
+def can_id_of(key: RoutingKey) -> int:
+    """Return the CAN-ID in a routing key."""
+    return key & 0x1FFFFFFF
+
+
+def flags_of(key: RoutingKey) -> int:
+    """Return the frame flags in a routing key."""
+    return key >> 29
+
+
+def frame_for_key(key: RoutingKey, data: bytes) -> Frame:
+    """Return a data frame with the CAN-ID of a routing key."""
+    return Frame(can_id_of(key), data, flags_of(key) & EXTENDED)

@@ -19,7 +19,7 @@ from heapq import heapify, heappop, heappush
 from types import TracebackType
 from typing import Any, Final, TypeAlias
 
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Machine, Outbox, Time
 
 Reaction: TypeAlias = Callable[[Any, Time], None]
@@ -39,11 +39,11 @@ class Members:
 
     def __init__(self, out: Outbox) -> None:
         self._out = out
-        self._keys: dict[Machine, tuple[int, ...]] = {}
+        self._keys: dict[Machine, tuple[RoutingKey, ...]] = {}
         self.heap: list[tuple[Time, int, Machine]] = []
         self._sequence = 0
-        self.routes: dict[int, tuple[Machine, ...]] = {}
-        self.receivers: dict[int, tuple[Machine, ...]] = {}
+        self.routes: dict[RoutingKey, tuple[Machine, ...]] = {}
+        self.receivers: dict[RoutingKey, tuple[Machine, ...]] = {}
 
     def __iter__(self) -> Iterator[Machine]:
         return iter(self._keys)
@@ -90,7 +90,7 @@ class Members:
             # Sorted by attachment, wherever a machine that changed its CAN-IDs comes from.
             self._set_route(key, tuple(member for member in self._keys if member in sharers) if len(sharers) > 1 else (machine,))
 
-    def _set_route(self, key: int, machines: tuple[Machine, ...]) -> None:
+    def _set_route(self, key: RoutingKey, machines: tuple[Machine, ...]) -> None:
         if machines:
             self.routes[key] = machines
             self.receivers[key] = tuple(machine.receiver_of(key) for machine in machines)
@@ -178,7 +178,7 @@ class Group(Machine):
         self._members = Members(self.inner)
         self._reactions: dict[type[Event], Reaction] = {}
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         self._members.refresh()
         return tuple(self._members.routes)
 
@@ -190,7 +190,7 @@ class Group(Machine):
             machine.receive(frame, now)
         self._settle(mark, now)
 
-    def receiver_of(self, key: int) -> Machine:
+    def receiver_of(self, key: RoutingKey) -> Machine:
         """Return the entrance for a key; the group itself if its class has a `receive` of its own, as LocalNode has."""
         if type(self).receive is not Group.receive:
             return self

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from canopen_proto.frame import ERROR_CONTROL, KEY_REMOTE, REMOTE, Frame
+from canopen_proto.frame import ERROR_CONTROL, REMOTE, Frame, RoutingKey, routing_key
 from canopen_proto.machine import (
     MILLISECOND,
     NEVER,
@@ -169,8 +169,8 @@ class GuardingMaster(Machine):
         self._next_request: Time = NEVER
         self._unanswered_since: Time = NEVER  # when the oldest request was sent that waits for an answer
 
-    def can_ids(self) -> Iterable[int]:
-        return (ERROR_CONTROL + self.node_id,)
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (routing_key(ERROR_CONTROL + self.node_id),)
 
     def start(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
         """Ask now, and then once per guard time (ns, 1 ms or more); a master that asks already begins anew.
@@ -283,8 +283,8 @@ class GuardingSlave(Machine):
         self._begun = False  # a request came: life guarding has begun
         self._toggle = 0
 
-    def can_ids(self) -> Iterable[int]:
-        return (ERROR_CONTROL + self.node_id | KEY_REMOTE,) if self.enabled else ()
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (routing_key(ERROR_CONTROL + self.node_id, REMOTE),) if self.enabled else ()
 
     def set_enabled(self, enabled: bool) -> None:
         """Whether the node uses guarding: it may not while it has a producer heartbeat time. CiA 301 v4.2.0, 7.2.8.3.2"""

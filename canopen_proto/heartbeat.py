@@ -34,7 +34,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from canopen_proto.frame import ERROR_CONTROL, Frame
+from canopen_proto.frame import ERROR_CONTROL, Frame, RoutingKey, routing_key
 from canopen_proto.machine import (
     MILLISECOND,
     NEVER,
@@ -210,8 +210,8 @@ class OwnHeartbeat(HeartbeatProducer):
         self.state = NmtState.OPERATIONAL
         self._told = False
 
-    def can_ids(self) -> Iterable[int]:
-        return (ERROR_CONTROL + self.node_id,)
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (routing_key(ERROR_CONTROL + self.node_id),)
 
     def start(self, period: Time, now: Time) -> None:
         """Send a heartbeat now and then once per period (ns); one that runs with that period goes on."""
@@ -255,8 +255,8 @@ class HeartbeatConsumer(Machine):
         self.lost = False
         self._begun = False  # a heartbeat was heard: monitoring has begun
 
-    def can_ids(self) -> Iterable[int]:
-        return (ERROR_CONTROL + self.node_id,)
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (routing_key(ERROR_CONTROL + self.node_id),)
 
     def set_timeout(self, timeout: Time, now: Time) -> None:
         """Set the consumer heartbeat time: 0 only listens; else 1 ms or more.

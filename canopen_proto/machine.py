@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, ClassVar, Final, TypeAlias
 
-from canopen_proto.frame import MAX_NODE_ID, Frame
+from canopen_proto.frame import MAX_NODE_ID, Frame, RoutingKey
 
 Time: TypeAlias = int
 """Nanoseconds on any monotonic clock that the driver chooses. Durations are ns too."""
@@ -157,14 +157,14 @@ class Machine:
         self._in_armed = False
         self._in_rerouted = False
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         """The keys (`Frame.key`) of the frames that it wants. Changes are announced in `out.rerouted`."""
         return ()
 
     def receive(self, frame: Frame, now: Time) -> None:
         """Handle a frame whose key is among `can_ids()`. Never raises, whatever the frame holds."""
 
-    def receiver_of(self, key: int) -> Machine:
+    def receiver_of(self, key: RoutingKey) -> Machine:
         """Return the machine whose `receive` gets the frames of a key: this one, or one that has done its look-ups already."""
         return self
 

@@ -23,7 +23,7 @@ from typing import Final, Protocol, TypeVar, runtime_checkable
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.group import Members, Reaction
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtCommandSent
@@ -104,7 +104,7 @@ class Network:
         self._members.detach(machine)
         self._followers.pop(machine, None)
 
-    def can_ids(self) -> tuple[int, ...]:
+    def can_ids(self) -> tuple[RoutingKey, ...]:
         """The keys of all frames that any machine wants, for a transport that can filter."""
         self._members.refresh()
         return tuple(self._members.routes)

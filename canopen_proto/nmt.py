@@ -25,7 +25,7 @@ from enum import Enum, IntEnum
 from types import MappingProxyType
 from typing import Final
 
-from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingKey
 from canopen_proto.machine import Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 
 ALL_NODES: Final = 0
@@ -194,7 +194,7 @@ class NmtSlave(Machine):
         self.node_id = check_node_id(node_id)
         self.state = NmtState.INITIALISING
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return (NMT,)
 
     def allows(self, service: Service) -> bool:

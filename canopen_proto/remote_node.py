@@ -34,7 +34,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
-from canopen_proto.frame import KEY_EXTENDED
+from canopen_proto.frame import KEY_EXTENDED, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
@@ -114,7 +114,7 @@ class RemoteNode(Group):
         self.rpdos: dict[int, PdoProducer] = {}
         self.tpdos: dict[int, PdoConsumer] = {}
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
-        self._mpdo_rpdos: dict[int, int] = {}  # RPDO number -> key
+        self._mpdo_rpdos: dict[int, RoutingKey] = {}  # RPDO number -> key
         self.commanded: set[Mux] = set()
         self._in_doubt: dict[Mux, set[Value | None]] = defaultdict(set)
         self.held = HeldRpdos()
@@ -182,7 +182,7 @@ class RemoteNode(Group):
         self._settle(mark, now)
         return was_open
 
-    def add_sdo_channel(self, request_key: int, response_key: int) -> SdoClient:
+    def add_sdo_channel(self, request_key: RoutingKey, response_key: RoutingKey) -> SdoClient:
         """A client for a further SDO server of the node (0x1201 and on): its keys (`Frame.key`) to the server and from it.
 
         It has a transfer and a queue of its own, so a long one holds nobody else up. Its requests end like those of `sdo` when
@@ -248,12 +248,12 @@ class RemoteNode(Group):
         number = description.number if number is None else number
         if number is None:
             raise LocalProtocolError(f"PDO {description.name}: 0x{description.cob_base:X} has no predefined number; give one")
-        mapping, key = Mapping.from_description(description), description.can_id(self.node_id)
+        mapping, key = Mapping.from_description(description), routing_key(description.can_id(self.node_id))
         if description.direction is Direction.TPDO:
             return self.add_tpdo(number, key, mapping, now)
         return self.add_rpdo(number, key, mapping, transmission_type)
 
-    def add_tpdo(self, number: int, key: int, mapping: Mapping, now: Time) -> PdoConsumer:
+    def add_tpdo(self, number: int, key: RoutingKey, mapping: Mapping, now: Time) -> PdoConsumer:
         """Receive the device's TPDO `number` (1..512) on a CAN-ID (a routing key)."""
         self._check_pdo(Direction.TPDO, number, key)
         self.remove_pdo(Direction.TPDO, number)
@@ -264,7 +264,7 @@ class RemoteNode(Group):
         self._reroute()
         return consumer
 
-    def add_rpdo(self, number: int, key: int, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
+    def add_rpdo(self, number: int, key: RoutingKey, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
         """Send the device's RPDO `number` (1..512) on a CAN-ID (a routing key), once `enable_rpdo` was called."""
         self._check_pdo(Direction.RPDO, number, key)
         before = self.rpdos.get(number)
@@ -276,12 +276,12 @@ class RemoteNode(Group):
         self._members.attach(producer)
         return producer
 
-    def _check_pdo(self, direction: Direction, number: int, key: int) -> None:
+    def _check_pdo(self, direction: Direction, number: int, key: RoutingKey) -> None:
         if not 1 <= number <= MAX_PDOS:
             raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: PDOs have the numbers 1..{MAX_PDOS}")
         self._check_key(f"{direction} {number}", key)
 
-    def _check_key(self, what: str, key: int) -> None:
+    def _check_key(self, what: str, key: RoutingKey) -> None:
         if key > 0x7FF and not key & KEY_EXTENDED:
             raise LocalProtocolError(f"{what} of node {self.node_id}: CAN-ID 0x{key:X} has more than 11 bits")
 
@@ -342,7 +342,7 @@ class RemoteNode(Group):
 
     # ---- multiplexed PDOs ----
 
-    def add_mpdo(self, direction: Direction, number: int, key: int) -> None:
+    def add_mpdo(self, direction: Direction, number: int, key: RoutingKey) -> None:
         """Exchange a multiplexed PDO with the node; it replaces the PDO of that number (1..512) and direction.
 
         A TPDO: one in source address mode is received by this key from now on, whatever objects it brings: `values` and

@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from canopen_proto.frame import SYNC, Frame, frame_for_key
+from canopen_proto.frame import SYNC, Frame, RoutingKey, frame_for_key
 from canopen_proto.machine import MICROSECOND, NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
 
 MAX_COUNTER: Final = 240
@@ -91,7 +91,7 @@ class SyncProducer(Machine):
 
     __slots__ = ("counter", "counter_overflow", "key", "period")
 
-    def __init__(self, out: Outbox, key: int = SYNC, counter_overflow: int = 0) -> None:
+    def __init__(self, out: Outbox, key: RoutingKey = SYNC, counter_overflow: int = 0) -> None:
         """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`). LocalProtocolError for a counter overflow value that is reserved."""
         super().__init__(out)
         self.key = key
@@ -99,7 +99,7 @@ class SyncProducer(Machine):
         self.counter = 1
         self.period: Time = 0
 
-    def configure(self, key: int, counter_overflow: int) -> None:
+    def configure(self, key: RoutingKey, counter_overflow: int) -> None:
         """Take another COB-ID (0x1005) and counter overflow value (0x1019); LocalProtocolError for a reserved one.
 
         It stops: a running counter can't change its range. CiA 301 v4.2.0, 7.5.2.22
@@ -160,16 +160,16 @@ class SyncConsumer(Machine):
 
     __slots__ = ("counter_overflow", "key")
 
-    def __init__(self, out: Outbox, key: int = SYNC, counter_overflow: int = 0) -> None:
+    def __init__(self, out: Outbox, key: RoutingKey = SYNC, counter_overflow: int = 0) -> None:
         """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`). LocalProtocolError for a counter overflow value that is reserved."""
         super().__init__(out)
         self.key = key
         self.counter_overflow = check_counter_overflow(counter_overflow)
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return (self.key,)
 
-    def configure(self, key: int, counter_overflow: int) -> None:
+    def configure(self, key: RoutingKey, counter_overflow: int) -> None:
         """Take another COB-ID (0x1005) or counter overflow value (0x1019); LocalProtocolError for a reserved one."""
         self.counter_overflow = check_counter_overflow(counter_overflow)
         if key != self.key:

@@ -21,7 +21,7 @@ import datetime
 from collections.abc import Iterable
 
 from canopen_proto.datatypes import DataType, ValueRangeError, decode, encode
-from canopen_proto.frame import TIME, Frame, frame_for_key
+from canopen_proto.frame import TIME, Frame, RoutingKey, frame_for_key
 from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time
 
 
@@ -53,7 +53,7 @@ class TimeProducer(Machine):
 
     __slots__ = ("key",)
 
-    def __init__(self, out: Outbox, key: int = TIME) -> None:
+    def __init__(self, out: Outbox, key: RoutingKey = TIME) -> None:
         """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`)."""
         super().__init__(out)
         self.key = key
@@ -73,15 +73,15 @@ class TimeConsumer(Machine):
 
     __slots__ = ("key",)
 
-    def __init__(self, out: Outbox, key: int | None = TIME) -> None:
+    def __init__(self, out: Outbox, key: RoutingKey | None = TIME) -> None:
         """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`), or None."""
         super().__init__(out)
         self.key = key
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return () if self.key is None else (self.key,)
 
-    def set_key(self, key: int | None) -> None:
+    def set_key(self, key: RoutingKey | None) -> None:
         """Take another COB-ID (0x1012); None to hear none."""
         if key != self.key:
             self.key = key

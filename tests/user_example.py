@@ -24,8 +24,10 @@ from canopen_proto import (
     ProcedureFailed,
     ProcedureFinished,
     RemoteNode,
+    RoutingKey,
     Time,
     powerball,
+    routing_key,
 )
 from canopen_proto.procedures import Procedure, read_int, sleep, write
 from canopen_transports import open_transport
@@ -54,8 +56,8 @@ class Thermometer(Machine):
         self.limit = limit
         self._arm(now + SECOND)
 
-    def can_ids(self) -> Iterable[int]:
-        return (0x123,)
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (routing_key(0x123),)
 
     def receive(self, frame: Frame, now: Time) -> None:
         self._arm(now + SECOND)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canopen_proto import RemoteNode, mux
+from canopen_proto import RemoteNode, mux, routing_key
 
 
 def writes_at_an_index(node: RemoteNode) -> None:
@@ -13,3 +13,9 @@ def writes_at_an_index(node: RemoteNode) -> None:
 def asks_for_an_index(node: RemoteNode) -> None:
     node.fresh(mux(0x6041), 0)
     node.fresh(0x6041, 0)  # type: ignore[arg-type]
+
+
+def takes_a_routing_key_for_a_mux(node: RemoteNode) -> None:
+    node.add_sdo_channel(routing_key(0x61A), routing_key(0x59A))
+    node.add_sdo_channel(mux(0x6041), routing_key(0x59A))  # type: ignore[arg-type]
+    node.fresh(routing_key(0x181), 0)  # type: ignore[arg-type]

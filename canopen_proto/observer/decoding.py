@@ -31,6 +31,7 @@ from canopen_proto.frame import (
     TPDO1,
     TPDO4,
     Frame,
+    routing_key,
 )
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
@@ -73,7 +74,7 @@ class Decoder:
 
     def decode(self, frame: Frame) -> Meaning:
         """What the frame means, after all that were told before."""
-        pdo = self._pdos.find(frame.key & ~(REMOTE << 29), frame.can_id & 0x7F, len(frame.data))
+        pdo = self._pdos.find(routing_key(frame.can_id, frame.flags & ~REMOTE), frame.can_id & 0x7F, len(frame.data))
         if pdo is not None:
             return _of_pdo(pdo, self._dictionaries[pdo.node_id], frame)
         if frame.flags & EXTENDED:

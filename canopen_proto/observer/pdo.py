@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.frame import COB_ID_INVALID, RPDO1, TPDO1, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, RPDO1, TPDO1, RoutingKey, key_of_cob_id
 from canopen_proto.multiplexer import Mux, index_of, mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappingError, entries_of
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
@@ -61,7 +61,7 @@ class OverheardPdos:
         if self._recorded.pop(node_id, None):
             self._renew(node_id)
 
-    def find(self, key: int, node_id: int, length: int) -> OverheardPdo | None:
+    def find(self, key: RoutingKey, node_id: int, length: int) -> OverheardPdo | None:
         """The PDO with a routing key, or None. node_id: what the CAN-ID says; length: bytes of the frame; both for PDOs.csv."""
         if self._by_key is None:
             self._by_key = {}
@@ -77,7 +77,7 @@ class OverheardPdos:
         self._of_node[node_id] = self._pdos_of(node_id)
         self._by_key = None
 
-    def _of_csv(self, key: int, node_id: int, length: int) -> OverheardPdo | None:
+    def _of_csv(self, key: RoutingKey, node_id: int, length: int) -> OverheardPdo | None:
         pdos = self._dictionaries[node_id].pdos if node_id in self._dictionaries else ()
         candidates = [each for each in pdos if each.can_id(node_id) == key]
         if not candidates:
@@ -88,7 +88,7 @@ class OverheardPdos:
         except MappingError:
             return None
 
-    def _pdos_of(self, node_id: int) -> list[tuple[int, OverheardPdo]]:
+    def _pdos_of(self, node_id: int) -> list[tuple[RoutingKey, OverheardPdo]]:
         """The valid PDOs of a device that the recording and its file tell, with their routing keys."""
         recorded = set(_pdos_at(index_of(mux) for mux in self._recorded.get(node_id, ())))
         found = []

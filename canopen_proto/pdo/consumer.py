@@ -34,7 +34,7 @@ from typing import Final
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, PdoDescription
-from canopen_proto.frame import REMOTE, Frame
+from canopen_proto.frame import REMOTE, Frame, RoutingKey, routing_key
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.mapping import Mapping
@@ -64,7 +64,7 @@ class PdoReceived(Event):
         self,
         node_id: int,
         number: int,
-        key: int,
+        key: RoutingKey,
         mapping: Mapping,
         data: bytes,
         components: tuple[Value, ...],
@@ -97,7 +97,7 @@ class PdoLengthError(Event):
     __match_args__ = ("node_id", "number", "key", "expected", "received", "emcy_code", "timestamp")
 
     def __init__(
-        self, node_id: int, number: int, key: int, expected: int, received: int, emcy_code: int, timestamp: int | None
+        self, node_id: int, number: int, key: RoutingKey, expected: int, received: int, emcy_code: int, timestamp: int | None
     ) -> None:
         self.node_id = node_id
         self.number = number
@@ -114,7 +114,7 @@ class PdoTooLate(Event):
     __slots__ = ("key", "late", "number", "timestamp")
     __match_args__ = ("node_id", "number", "key", "late", "timestamp")
 
-    def __init__(self, node_id: int, number: int, key: int, late: Time, timestamp: int | None) -> None:
+    def __init__(self, node_id: int, number: int, key: RoutingKey, late: Time, timestamp: int | None) -> None:
         self.node_id = node_id
         self.number = number
         self.key = key
@@ -128,7 +128,7 @@ class PdoOverdue(Event):
     __slots__ = ("emcy_code", "key", "number")
     __match_args__ = ("node_id", "number", "key", "emcy_code")
 
-    def __init__(self, node_id: int, number: int, key: int, emcy_code: int) -> None:
+    def __init__(self, node_id: int, number: int, key: RoutingKey, emcy_code: int) -> None:
         self.node_id = node_id
         self.number = number
         self.key = key
@@ -164,7 +164,7 @@ class PdoConsumer(Machine):
         out: Outbox,
         node_id: int,
         number: int,
-        key: int | None,
+        key: RoutingKey | None,
         mapping: Mapping,
         store: dict[Mux, Value],
         transmission_type: int = EVENT_DRIVEN,
@@ -175,7 +175,7 @@ class PdoConsumer(Machine):
         self.number = number
         self.store = store
         self.enabled = False
-        self.key: int | None = None
+        self.key: RoutingKey | None = None
         self._held: bytes | None = None  # what waits for a SYNC
         self._held_timestamp: int | None = None
         self._window: Time = 0
@@ -186,9 +186,11 @@ class PdoConsumer(Machine):
     def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoConsumer:
         """A consumer of what PDOs.csv describes: the master's view of a node's TPDO. store: the caller's. Raises MappingError."""
         mapping = Mapping.from_description(description)
-        return cls(out, node_id, description.number or 0, description.can_id(node_id), mapping, store)
+        return cls(out, node_id, description.number or 0, routing_key(description.can_id(node_id)), mapping, store)
 
-    def configure(self, key: int | None, mapping: Mapping, transmission_type: int = EVENT_DRIVEN, event_time: Time = 0) -> None:
+    def configure(
+        self, key: RoutingKey | None, mapping: Mapping, transmission_type: int = EVENT_DRIVEN, event_time: Time = 0
+    ) -> None:
         """Take up other parameters. Data held for a SYNC are dropped: they were meant for another mapping."""
         self.mapping = mapping
         self.synchronous = transmission_type <= LAST_SYNCHRONOUS
@@ -226,7 +228,7 @@ class PdoConsumer(Machine):
         """Whether it would process a frame now: valid, mapped, and the node Operational."""
         return self.enabled and self.key is not None
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return () if self.key is None else (self.key,)
 
     def receive(self, frame: Frame, now: Time) -> None:

@@ -36,7 +36,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Access, Direction, ObjectDictionary, Values, Variable
-from canopen_proto.frame import MAX_NODE_ID, Frame, frame_for_key
+from canopen_proto.frame import MAX_NODE_ID, Frame, RoutingKey, frame_for_key
 from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
@@ -79,7 +79,15 @@ class MpdoReceived(Event):
     __match_args__ = ("node_id", "number", "key", "producer", "index", "subindex", "value", "timestamp")
 
     def __init__(
-        self, node_id: int, number: int, key: int, producer: int, index: int, subindex: int, value: Value, timestamp: int | None
+        self,
+        node_id: int,
+        number: int,
+        key: RoutingKey,
+        producer: int,
+        index: int,
+        subindex: int,
+        value: Value,
+        timestamp: int | None,
     ) -> None:
         self.node_id = node_id
         self.number = number
@@ -97,7 +105,7 @@ class MpdoNotProcessed(Event):
     __slots__ = ("emcy_code", "index", "key", "number", "subindex")
     __match_args__ = ("node_id", "number", "key", "index", "subindex", "emcy_code")
 
-    def __init__(self, node_id: int, number: int, key: int, index: int, subindex: int, emcy_code: int) -> None:
+    def __init__(self, node_id: int, number: int, key: RoutingKey, index: int, subindex: int, emcy_code: int) -> None:
         self.node_id = node_id
         self.number = number
         self.key = key
@@ -133,7 +141,7 @@ class DispatcherEntry(NamedTuple):
         return cls(ScannerEntry.of(number >> 32), number >> 16 & 0xFFFF, number >> 8 & 0xFF, number & 0xFF)
 
 
-def destination_frame(key: int, node_id: int, index: int, subindex: int, data: bytes) -> Frame:
+def destination_frame(key: RoutingKey, node_id: int, index: int, subindex: int, data: bytes) -> Frame:
     """An MPDO in destination address mode: writes an object of a node, or of all (0). data: 1 to 4 bytes. LocalProtocolError."""
     if not ALL_NODES <= node_id <= MAX_NODE_ID:
         raise LocalProtocolError(f"MPDO to node-ID {node_id}: outside 0 (all) to {MAX_NODE_ID}")
@@ -171,14 +179,14 @@ class MpdoConsumer(Machine):
         self.node_id = check_node_id(node_id)
         self.enabled = False
         self._values = values
-        self._pdos: dict[int, tuple[int, MpdoMode]] = {}  # RPDO number -> key and mode
-        self._routes: dict[int, list[tuple[int, MpdoMode]]] = {}  # key -> numbers and modes
+        self._pdos: dict[int, tuple[RoutingKey, MpdoMode]] = {}  # RPDO number -> key and mode
+        self._routes: dict[RoutingKey, list[tuple[int, MpdoMode]]] = {}  # key -> numbers and modes
         self._dispatch: dict[tuple[int, int], list[DispatcherEntry]] = {}  # by producer and its index
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return tuple(self._routes)
 
-    def set_pdo(self, number: int, key: int | None, mode: MpdoMode | None) -> None:
+    def set_pdo(self, number: int, key: RoutingKey | None, mode: MpdoMode | None) -> None:
         """Say what RPDO `number` is: an MPDO that is received by this key, or none (mode or key is None)."""
         wanted = None if key is None or mode is None else (key, mode)
         if wanted == self._pdos.get(number):
@@ -227,13 +235,13 @@ class MpdoConsumer(Machine):
                 code = EMCY_DESTINATION_NOT_AVAILABLE
                 self.out.events.append(MpdoNotProcessed(self.node_id, number, key, index, subindex, code))
 
-    def _dispatch_to(self, number: int, key: int, producer: int, index: int, subindex: int, content: bytes) -> None:
+    def _dispatch_to(self, number: int, key: RoutingKey, producer: int, index: int, subindex: int, content: bytes) -> None:
         for entry in self._dispatch.get((producer, index), ()):
             offset = subindex - entry.first
             if 0 <= offset < entry.local.block:
                 self._write(number, key, producer, entry.local.at, entry.local.first + offset, content)
 
-    def _write(self, number: int, key: int, producer: int, index: int, subindex: int, content: bytes) -> bool:
+    def _write(self, number: int, key: RoutingKey, producer: int, index: int, subindex: int, content: bytes) -> bool:
         """Whether there was an object to take it."""
         variable = self._values.dictionary.get(index, subindex)
         if variable is None or not suits_mpdo(variable, Direction.RPDO):
@@ -269,8 +277,8 @@ class MpdoProducer(Machine):
         self.node_id = check_node_id(node_id)
         self.enabled = False
         self._values = values
-        self._destinations: dict[int, int] = {}  # TPDO number -> key, in destination address mode
-        self._source: tuple[int, int] | None = None  # TPDO number and key, in source address mode
+        self._destinations: dict[int, RoutingKey] = {}  # TPDO number -> key, in destination address mode
+        self._source: tuple[int, RoutingKey] | None = None  # TPDO number and key, in source address mode
         self._inhibit_time: Time = 0
         self._event_time: Time = 0
         self._inhibited_until: Time = -NEVER
@@ -285,7 +293,7 @@ class MpdoProducer(Machine):
         return self.enabled and self._source is not None
 
     def set_pdo(
-        self, number: int, key: int | None, mode: MpdoMode | None, now: Time, inhibit_time: Time = 0, event_time: Time = 0
+        self, number: int, key: RoutingKey | None, mode: MpdoMode | None, now: Time, inhibit_time: Time = 0, event_time: Time = 0
     ) -> None:
         """Say what TPDO `number` is: an MPDO that is sent by this key, or none (mode or key is None). Times: ns, 0 = none."""
         self._destinations.pop(number, None)

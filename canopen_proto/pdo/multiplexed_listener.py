@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from canopen_proto.dictionary import Direction, Values
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import FrameIgnored, Machine, Outbox, Time, check_node_id
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
 from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoReceived, suits_mpdo
@@ -29,12 +29,12 @@ class MpdoListener(Machine):
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self._values = values
-        self._keys: dict[int, int] = {}  # TPDO number -> key
+        self._keys: dict[int, RoutingKey] = {}  # TPDO number -> key
 
-    def can_ids(self) -> Iterable[int]:
+    def can_ids(self) -> Iterable[RoutingKey]:
         return tuple(self._keys.values())
 
-    def set_pdo(self, number: int, key: int | None) -> None:
+    def set_pdo(self, number: int, key: RoutingKey | None) -> None:
         """Receive the node's TPDO `number` by this key; None: no more."""
         self._keys.pop(number, None)
         if key is not None:

@@ -27,7 +27,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, Values
-from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.owner import Owner
@@ -207,7 +207,7 @@ class DevicePdos(Owner):
             answers_requests=not cob_id & COB_ID_NO_RTR,
         )
 
-    def _key(self, index: int, cob_id: int) -> int | None:
+    def _key(self, index: int, cob_id: int) -> RoutingKey | None:
         """Of a COB-ID that stands at `index`: the key of its PDO's frames, or None where it is not valid, or cannot be."""
         self.faults.pop(index, None)
         if cob_id & COB_ID_INVALID:

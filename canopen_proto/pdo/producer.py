@@ -36,7 +36,7 @@ from typing import Final
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
-from canopen_proto.frame import KEY_REMOTE, Frame, frame_for_key
+from canopen_proto.frame import REMOTE, Frame, RoutingKey, can_id_of, flags_of, frame_for_key, routing_key
 from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, LAST_SYNCHRONOUS
@@ -53,7 +53,7 @@ class PdoPeriodsSkipped(Event):
     __slots__ = ("key", "number", "skipped")
     __match_args__ = ("node_id", "number", "key", "skipped")
 
-    def __init__(self, node_id: int, number: int, key: int, skipped: int) -> None:
+    def __init__(self, node_id: int, number: int, key: RoutingKey, skipped: int) -> None:
         self.node_id = node_id
         self.number = number
         self.key = key
@@ -66,7 +66,7 @@ class PdoNotSent(Event):
     __slots__ = ("key", "number", "reason")
     __match_args__ = ("node_id", "number", "key", "reason")
 
-    def __init__(self, node_id: int, number: int, key: int, reason: str) -> None:
+    def __init__(self, node_id: int, number: int, key: RoutingKey, reason: str) -> None:
         self.node_id = node_id
         self.number = number
         self.key = key
@@ -109,7 +109,7 @@ class PdoProducer(Machine):
         out: Outbox,
         node_id: int,
         number: int,
-        key: int | None,
+        key: RoutingKey | None,
         mapping: Mapping,
         store: dict[Mux, Value],
         transmission_type: int = EVENT_DRIVEN,
@@ -122,7 +122,7 @@ class PdoProducer(Machine):
         self.number = number
         self.store = store
         self.enabled = False
-        self.key: int | None = None
+        self.key: RoutingKey | None = None
         self.answers_requests = False
         self.sent_at: Time | None = None
         self._sample: bytes | None = None  # of type 252: the data of the last SYNC
@@ -137,11 +137,11 @@ class PdoProducer(Machine):
     def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoProducer:
         """A producer of what PDOs.csv describes: the master's end of a node's RPDO. store: the caller's. Raises MappingError."""
         mapping = Mapping.from_description(description)
-        return cls(out, node_id, description.number or 0, description.can_id(node_id), mapping, store)
+        return cls(out, node_id, description.number or 0, routing_key(description.can_id(node_id)), mapping, store)
 
     def configure(
         self,
-        key: int | None,
+        key: RoutingKey | None,
         mapping: Mapping,
         now: Time,
         transmission_type: int = EVENT_DRIVEN,
@@ -205,8 +205,12 @@ class PdoProducer(Machine):
         if self.key is not None:
             self._try_to_emit(self.key, now)
 
-    def can_ids(self) -> Iterable[int]:
-        return (self.key | KEY_REMOTE,) if self.answers_requests and self.key is not None else ()
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (
+            (routing_key(can_id_of(self.key), flags_of(self.key) | REMOTE),)
+            if self.answers_requests and self.key is not None
+            else ()
+        )
 
     def receive(self, frame: Frame, now: Time) -> None:
         """Answer a remote request; see this module's text. `PdoNotSent` as in `trigger`. CiA 301 v4.2.0, 7.2.2.5.2"""
@@ -278,7 +282,7 @@ class PdoProducer(Machine):
             if skipped and self.key is not None:
                 self.out.events.append(PdoPeriodsSkipped(self.node_id, self.number, self.key, skipped))
 
-    def _emit(self, key: int, now: Time) -> None:
+    def _emit(self, key: RoutingKey, now: Time) -> None:
         self.out.frames.append(frame_for_key(key, self.mapping.pack_from(self.store)))
         self.sent_at = now
         self._triggered = False
@@ -291,7 +295,7 @@ class PdoProducer(Machine):
         if self.enabled and self.key is not None:
             self._try_to_emit(self.key, now)
 
-    def _try_to_emit(self, key: int, now: Time) -> None:
+    def _try_to_emit(self, key: RoutingKey, now: Time) -> None:
         """Send where there is nobody to raise to: the fault becomes an event, and the turn has passed."""
         try:
             self._emit(key, now)

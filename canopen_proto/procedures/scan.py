@@ -23,7 +23,7 @@ from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, text_for_people
-from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.nmt import SERVICES, STATE_OF_BYTE, NmtState, Service
@@ -116,8 +116,8 @@ class _Ears(Machine):
         super().__init__(out)
         self.heard: dict[int, NmtState] = {}
 
-    def can_ids(self) -> Iterable[int]:
-        return range(ERROR_CONTROL + 1, ERROR_CONTROL + MAX_NODE_ID + 1)
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return (routing_key(ERROR_CONTROL + node_id) for node_id in range(1, MAX_NODE_ID + 1))
 
     def receive(self, frame: Frame, now: Time) -> None:
         state = STATE_OF_BYTE[frame.data[0]] if len(frame.data) == 1 else None

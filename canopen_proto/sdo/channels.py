@@ -39,6 +39,7 @@ from canopen_proto.frame import (
     MAX_NODE_ID,
     SDO_CLIENT_TO_SERVER,
     SDO_SERVER_TO_CLIENT,
+    RoutingKey,
     key_of_cob_id,
 )
 from canopen_proto.group import Members
@@ -81,7 +82,7 @@ def _allowed(index: int, subindex: int) -> Container[int]:
     return _FIRST_SERVERS[subindex] if index in CLIENTS else ()
 
 
-def channel_of(values: Values, index: int) -> tuple[int, int] | None:
+def channel_of(values: Values, index: int) -> tuple[RoutingKey, RoutingKey] | None:
     """The channel of the record at an index, as `Frame.key`: client to server, server to client. None: it holds none.
 
     Nor does one with a CAN-ID that nobody could have written: a file may give a further server those of the first.
@@ -112,11 +113,11 @@ class ChannelClient(SdoClient):
         """node_id: of the device itself, until the record names the server."""
         super().__init__(out, node_id)
         self.index = index
-        self._channel: tuple[int, int] | None = None
+        self._channel: tuple[RoutingKey, RoutingKey] | None = None
         self._lives = False
 
     @property
-    def channel(self) -> tuple[int, int] | None:
+    def channel(self) -> tuple[RoutingKey, RoutingKey] | None:
         """Client to server, server to client, as `Frame.key`; None if it has none."""
         return self._channel
 
@@ -125,7 +126,7 @@ class ChannelClient(SdoClient):
         """Whether it takes requests: it has a channel, and SDO lives in the NMT state of the device."""
         return self._lives and self._channel is not None
 
-    def set_channel(self, channel: tuple[int, int] | None, now: Time) -> None:
+    def set_channel(self, channel: tuple[RoutingKey, RoutingKey] | None, now: Time) -> None:
         """Be the client of another channel, or of none. Does nothing if it is the same; else open requests end."""
         if channel == self._channel:
             return
@@ -143,7 +144,7 @@ class ChannelClient(SdoClient):
                 self.abort_all(AbortCode.DEVICE_STATE, now)  # `send` keeps it off the bus
             self._reroute()
 
-    def can_ids(self) -> tuple[int, ...]:
+    def can_ids(self) -> tuple[RoutingKey, ...]:
         return super().can_ids() if self.is_open else ()
 
     def _submit(self, transfer: Transfer, urgent: bool, now: Time) -> RequestId:

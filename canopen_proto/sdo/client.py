@@ -47,7 +47,7 @@ from __future__ import annotations
 from typing import Final, Literal, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, STREAM_TIMEOUT
 from canopen_proto.sdo.block_client import NO_BLOCKS, BlockDownload, BlockUpload
@@ -110,8 +110,8 @@ class SdoClient(ChannelEnd):
         out: Outbox,
         node_id: int,
         *,
-        request_key: int | None = None,
-        response_key: int | None = None,
+        request_key: RoutingKey | None = None,
+        response_key: RoutingKey | None = None,
         timeout: Time = TIMEOUT,
         max_upload: int = MAX_UPLOAD,
         max_queue: int = MAX_QUEUE,
@@ -146,8 +146,8 @@ class SdoClient(ChannelEnd):
         self._transfer: Transfer | None = None
         self._nameless_abort = b""  # one that came while a block transfer was initiated
         self._use(
-            SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key,
-            SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key,
+            routing_key(SDO_CLIENT_TO_SERVER + node_id) if request_key is None else request_key,
+            routing_key(SDO_SERVER_TO_CLIENT + node_id) if response_key is None else response_key,
         )
 
     # ---- commands ----
@@ -277,7 +277,7 @@ class SdoClient(ChannelEnd):
         """The number of requests that wait."""
         return len(self._queue)
 
-    def can_ids(self) -> tuple[int, ...]:
+    def can_ids(self) -> tuple[RoutingKey, ...]:
         return (self._hears,)
 
     # ---- inputs ----

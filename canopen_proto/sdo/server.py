@@ -39,7 +39,7 @@ from collections.abc import Callable
 from typing import Final, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
@@ -87,8 +87,8 @@ class SdoServer(ChannelEnd):
         node_id: int,
         store: ObjectStore,
         *,
-        request_key: int | None = None,
-        response_key: int | None = None,
+        request_key: RoutingKey | None = None,
+        response_key: RoutingKey | None = None,
         timeout: Time = TIMEOUT,
         access_timeout: Time = ACCESS_TIMEOUT,
         max_download: int = MAX_DOWNLOAD,
@@ -118,10 +118,10 @@ class SdoServer(ChannelEnd):
         self._door = Door(store)
         self._transfer: Transfer | None = None
         self._straggler = 0  # the number of a segment that may come though its block download has ended; 0: none
-        request_key = SDO_CLIENT_TO_SERVER + node_id if request_key is None else request_key
-        response_key = SDO_SERVER_TO_CLIENT + node_id if response_key is None else response_key
-        self._channel: tuple[int, int] | None = (request_key, response_key)
-        self._use(response_key, request_key)
+        from_client = routing_key(SDO_CLIENT_TO_SERVER + node_id) if request_key is None else request_key
+        to_client = routing_key(SDO_SERVER_TO_CLIENT + node_id) if response_key is None else response_key
+        self._channel: tuple[RoutingKey, RoutingKey] | None = (from_client, to_client)
+        self._use(to_client, from_client)
 
     # ---- commands ----
 
@@ -173,7 +173,7 @@ class SdoServer(ChannelEnd):
             self.report_abort(self._transfer, AbortCode.DEVICE_STATE, AbortOrigin.CANCELLED, False)
             self._become_idle()
 
-    def set_channel(self, channel: tuple[int, int] | None) -> None:
+    def set_channel(self, channel: tuple[RoutingKey, RoutingKey] | None) -> None:
         """Be the server of another channel: client to server, server to client, as `Frame.key`. None: of no channel.
 
         Does nothing if it is the same one. Else a running transfer ends, still on the old channel, with an abort (0x08000022), so
@@ -191,7 +191,7 @@ class SdoServer(ChannelEnd):
     # ---- getters ----
 
     @property
-    def channel(self) -> tuple[int, int] | None:
+    def channel(self) -> tuple[RoutingKey, RoutingKey] | None:
         """Client to server, server to client, as `Frame.key`; None if it has none."""
         return self._channel
 
@@ -208,7 +208,7 @@ class SdoServer(ChannelEnd):
         """Whether a transfer is under way."""
         return self._transfer is not None
 
-    def can_ids(self) -> tuple[int, ...]:
+    def can_ids(self) -> tuple[RoutingKey, ...]:
         return (self._hears,) if self._channel is not None and self.enabled else ()
 
     # ---- inputs ----

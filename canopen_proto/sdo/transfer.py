@@ -34,7 +34,7 @@ from enum import Enum
 from typing import ClassVar, Final, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import NEVER, FrameIgnored, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
 from canopen_proto.sdo.codec import ABORT, BLOCK_UPLOAD, INITIATE, INITIATE_UPLOAD, SPECIFIER, TOGGLE
@@ -102,7 +102,7 @@ class ChannelEnd(Machine):
         """Report that a transfer ended by an abort. not_confirmed: a download that may have been executed nevertheless."""
         raise NotImplementedError
 
-    def _use(self, sends: int, hears: int) -> None:
+    def _use(self, sends: RoutingKey, hears: RoutingKey) -> None:
         """Use this channel from now on; both as `Frame.key`."""
         self._hears = hears
         self.can_id = can_id = sends & 0x1FFF_FFFF

@@ -36,6 +36,7 @@ from canopen_proto.frame import (
     SDO_SERVER_TO_CLIENT,
     SYNC,
     Frame,
+    RoutingKey,
     frame_for_key,
     key_of_cob_id,
 )
@@ -233,11 +234,11 @@ class Bench:
 
     def send(self, key: int, data: bytes = b"") -> Procedure[None]:
         """Send a data frame."""
-        yield from act(lambda now: self.probe.send(frame_for_key(key, data), now))
+        yield from act(lambda now: self.probe.send(frame_for_key(RoutingKey(key), data), now))
 
     def send_remote(self, key: int, dlc: int) -> Procedure[None]:
         """Send a remote frame that asks for `dlc` bytes."""
-        extended = frame_for_key(key, b"").flags
+        extended = frame_for_key(RoutingKey(key), b"").flags
         yield from act(lambda now: self.probe.send(Frame(key & 0x1FFF_FFFF, b"", extended | REMOTE, dlc), now))
 
     def sleep(self, duration: Time) -> Procedure[None]:

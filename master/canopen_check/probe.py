@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import Event, Machine, Outbox, Time
 
 MAX_HEARD: Final = 10_000
@@ -40,8 +40,8 @@ class RawProbe(Machine):
         self._keys = tuple(keys)
         self.heard: deque[FrameHeard] = deque(maxlen=MAX_HEARD)
 
-    def can_ids(self) -> Iterable[int]:
-        return self._keys
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return map(RoutingKey, self._keys)
 
     def listen(self, keys: Iterable[int]) -> None:
         """Listen to these keys from now on, and to no others. What was heard is forgotten."""

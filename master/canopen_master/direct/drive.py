@@ -39,6 +39,7 @@ from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.drive.following import FollowingLost, read_unsent
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import read_limits
+from canopen_proto.frame import routing_key
 from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
@@ -263,7 +264,7 @@ class DirectDrive:
         if description.direction is Direction.TPDO or mapping.find_component((0x60C1, 1)) is None:
             return
         remote = self.node.remote
-        key = description.can_id(self.node.node_id)
+        key = routing_key(description.can_id(self.node.node_id))
         store = remote.values.store
         self._producer = PdoProducer(remote.out, remote.node_id, number or 0, key, mapping, store, transmission_type)
         self._producer.set_enabled(True, self._master.now())
