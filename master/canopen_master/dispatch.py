@@ -99,7 +99,7 @@ class Dispatcher:
     def __init__(self) -> None:
         self._waiters: dict[tuple[object, RequestId], Waiter] = {}
         self._watchers: list[Watcher] = []
-        self._by_kind: dict[type[Event], tuple[Watcher, ...]] = {}
+        self._by_kind: dict[type[Event], tuple[bool, tuple[Watcher, ...]]] = {}  # whether a request may wait for it; who watches
 
     def expect(self, root: object, request_id: RequestId, canceller: Canceller) -> Waiter:
         """Wait for the outcome of a request of the network whose `out.root` is given."""
@@ -134,18 +134,14 @@ class Dispatcher:
 
     def dispatch(self, bus: Bus, event: Event) -> None:
         """Tell an event that came out of a bus's network. Raises what the first callback raised, once all were called."""
-        if isinstance(event, Outcome):
-            waiter = self._waiters.pop((bus.network.out.root, event.request_id), None)
-            if waiter is not None:
-                waiter.resolve(event)
-        elif isinstance(event, SdoProgress):
-            waiter = self._waiters.get((bus.network.out.root, event.request_id))
-            if waiter is not None:
-                waiter.tell(event)
         kind = type(event)
-        watchers = self._by_kind.get(kind)
-        if watchers is None:
-            watchers = self._by_kind[kind] = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+        told = self._by_kind.get(kind)
+        if told is None:
+            watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+            told = self._by_kind[kind] = issubclass(kind, Outcome | SdoProgress), watching
+        is_of_request, watchers = told
+        if is_of_request:
+            self._tell_waiter(bus, event)
         failure: Exception | None = None
         for watcher in watchers:
             if (watcher.bus is None or watcher.bus is bus) and watcher.node_id in (0, event.node_id):
@@ -155,3 +151,13 @@ class Dispatcher:
                     failure = failure or error
         if failure is not None:
             raise failure
+
+    def _tell_waiter(self, bus: Bus, event: Event) -> None:
+        if isinstance(event, Outcome):
+            waiter = self._waiters.pop((bus.network.out.root, event.request_id), None)
+            if waiter is not None:
+                waiter.resolve(event)
+        elif isinstance(event, SdoProgress):
+            waiter = self._waiters.get((bus.network.out.root, event.request_id))
+            if waiter is not None:
+                waiter.tell(event)

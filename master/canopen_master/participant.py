@@ -28,7 +28,7 @@ from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, Unknown
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
 from canopen_master.subscription import Subscription
-from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
@@ -70,6 +70,7 @@ class Participant:
         self.failure: Exception | None = None
         self.is_closed = False
         self._body = trio.CancelScope()
+        self.watch((ProcedureFinished, ProcedureFailed, ProcedureCancelled), self._on_procedure_ended, self._own_buses[0])
 
     def _add_bus(self, name: str, transport: Transport) -> None:
         network = Network(next(iter(self.buses.values())).network.runner if self.buses else None)
@@ -268,10 +269,11 @@ class Participant:
     # ---- what the pump tells ----
 
     def on_event(self, bus: Bus, event: Event) -> None:
-        if isinstance(event, ProcedureFinished | ProcedureFailed | ProcedureCancelled) and bus is self._own_buses[0]:
-            self._procedures.discard(event.request_id)
-            self._procedure_ended.unpark_all()
         self._dispatcher.dispatch(bus, event)
+
+    def _on_procedure_ended(self, outcome: Outcome) -> None:
+        self._procedures.discard(outcome.request_id)
+        self._procedure_ended.unpark_all()
 
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         if self.failure is None:

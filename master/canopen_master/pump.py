@@ -36,17 +36,23 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.alarm import Alarm, best_alarm
-from canopen_master.bus import Bus, FramesLost
-from canopen_proto.machine import NEVER, SECOND, Event, Time
+from canopen_master.bus import Bus
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.sync import SyncReceived
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, TransportError
+from canopen_transports import FrameNotSent, Received, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
 MAX_CATCH_UP: Final = 4096
 """Frames that are taken in before a due timeout is handled. A bus that brings more, without end, must not hold up the time."""
 
-_QUIET_TICKS: Final = 2
-"""A frame that is there reaches us within two rounds of trio's scheduler."""
+_STALL: Final = 5 * MILLISECOND
+"""An alarm that comes later than this means that the process was stalled."""
+
+_TICKS: Final = 2
+"""A frame that is there reaches us within two rounds of trio's scheduler; through a thread, the second one is needed."""
+
+QUIET_TICKS: Final = 3
+"""A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
 
 
 class Listener(Protocol):
@@ -75,20 +81,26 @@ class _LastLook(trio.abc.Instrument):
 
 
 class Pump:
-    """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner."""
+    """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
-    def __init__(self, buses: Sequence[Bus], listener: Listener) -> None:
+    quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
+    """
+
+    def __init__(self, buses: Sequence[Bus], listener: Listener, quiet_ticks: int = QUIET_TICKS) -> None:
         self.buses = tuple(buses)
         self._listener = listener
+        self._quiet_ticks = quiet_ticks
         self._scope = trio.CancelScope(shield=True)
         self._alarm: Alarm | None = None
         self._is_pumping = False
         self._received = 0
+        self._clock = trio.lowlevel.current_clock()
+        self._filtered = tuple(bus for bus in self.buses if bus.is_filtered)
         self._renew_filters()
 
     def now(self) -> Time:
         """trio's clock in ns: the one time of all machines."""
-        return round(trio.current_time() * SECOND)
+        return round(self._clock.current_time() * SECOND)
 
     @enable_ki_protection
     def pump(self, now: Time | None = None) -> None:
@@ -113,7 +125,7 @@ class Pump:
         self._set_alarm()
 
     def _renew_filters(self) -> None:
-        for bus in self.buses:
+        for bus in self._filtered:
             bus.renew_filters()
 
     def _take(self, bus: Bus, now: Time) -> None:
@@ -159,19 +171,24 @@ class Pump:
     async def _receive(self, bus: Bus) -> None:
         while not bus.failed:
             try:
-                frame, timestamp = await bus.transport.receive()
-            except ReceiveOverrun as overrun:
-                self._turn(bus.network.out.events.append, FramesLost(0, overrun.lost, overrun.seen))
-            except BusStateChanged as change:
-                self._turn(bus.change, change.state, change.seen)
+                received = await bus.receive()
             except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
                 self._fail(bus, error, "receive")
             else:
-                self._received += 1
-                if bus.state is BusState.BUS_OFF:
-                    self._turn(bus.change, BusState.ACTIVE, "a frame was received")
-                now = self.now()
-                self._turn(bus.network.receive, frame, now, timestamp, now=now)
+                self._received += len(received)
+                self._take_in(bus, received, self.now())
+
+    def _take_in(self, bus: Bus, received: Sequence[Received | TransportError], now: Time) -> None:
+        """Hand over all that came, and pump once."""
+        try:
+            for item in received:
+                try:
+                    bus.take_in(item, now)
+                except Exception as error:  # noqa: BLE001 - as in `_turn`, but the rest of the frames shall be heard
+                    self._listener.on_failure(None, error)
+            self.pump(now)
+        except Exception as error:  # noqa: BLE001 - as in `_turn`
+            self._listener.on_failure(None, error)
 
     @enable_ki_protection
     async def _send(self, bus: Bus) -> None:
@@ -193,15 +210,21 @@ class Pump:
             while True:
                 self._set_alarm()
                 await self._alarm.wait()
-                if self._next_deadline() <= self.now():
-                    await self._catch_up()
+                late = self.now() - self._next_deadline()
+                if late >= 0:
+                    await self._catch_up(late > _STALL)
                     self._turn(self._handle_timeouts)
 
-    async def _catch_up(self) -> None:
-        """Let the receivers handle what is already there."""
-        for _ in range(MAX_CATCH_UP):
+    async def _catch_up(self, stalled: bool) -> None:
+        """Let the receivers handle what is already there; after a stall, until nothing more comes."""
+        if not stalled:
+            for _ in range(_TICKS):
+                await trio.lowlevel.checkpoint()
+            return
+        enough = self._received + MAX_CATCH_UP
+        while self._received < enough:
             received = self._received
-            for _ in range(_QUIET_TICKS):
+            for _ in range(self._quiet_ticks):
                 await trio.lowlevel.checkpoint()
             if received == self._received:
                 return
@@ -226,10 +249,11 @@ class Pump:
                 nearest = deadline
         return nearest
 
-    def _turn(self, mutate: Callable[..., object], *args: object, now: Time | None = None) -> None:
+    def _turn(self, mutate: Callable[..., object], *args: object) -> None:
+        """Call something that mutates machines, then pump."""
         try:
             mutate(*args)
-            self.pump(now)
+            self.pump()
         except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
             self._listener.on_failure(None, error)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import trio
 
@@ -32,6 +32,10 @@ from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_transports import BusState, Transport, TransportError
+
+PATIENCE: Final = 16
+"""Rounds of trio's scheduler. A master in this process is stalled together with its devices, and takes some rounds to send its
+SYNC; the devices wait for it before they handle their own timeouts."""
 
 DeviceMaker: TypeAlias = Callable[[Outbox], LocalNode]
 """Makes a device with the outbox of the network that it will be attached to."""
@@ -103,7 +107,7 @@ class Host:
     ) -> None:
         network = Network()
         self._bus = Bus(getattr(transport, "locator", "bus"), transport, network)
-        self._pump = Pump((self._bus,), self)
+        self._pump = Pump((self._bus,), self, PATIENCE)
         self._on_event = on_event
         self._keeper = ParameterKeeper() if keeper is None else keeper
         self._say = say

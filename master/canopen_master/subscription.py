@@ -19,6 +19,9 @@ E = TypeVar("E", bound=Event)
 QUEUE_SIZE: Final = 4096
 """Events that wait for a slow reader: four seconds of six drives with one PDO a cycle of 10 ms, and more."""
 
+HANDED_OVER: Final = 64
+"""Events that a reader takes in a row before other tasks get their turn."""
+
 
 class Subscription(Generic[E]):
     """Iterate over it: `async for event in subscription`. Made by `Master.events`; `with` or `async with` ends it.
@@ -32,6 +35,7 @@ class Subscription(Generic[E]):
         self._size = size
         self._events: deque[E] = deque()
         self._waiting = trio.lowlevel.ParkingLot()
+        self._in_a_row = 0  # so many may be taken before the next checkpoint; never more than there are
         self._end: BaseException | None = None
 
     def put(self, event: E) -> None:
@@ -40,7 +44,8 @@ class Subscription(Generic[E]):
             self._events.popleft()
             self.dropped += 1
         self._events.append(event)
-        self._waiting.unpark()
+        if self._waiting:
+            self._waiting.unpark()
 
     def end(self, reason: BaseException) -> None:
         """Nothing more will come: what is queued can still be taken, then `reason` is raised."""
@@ -48,18 +53,27 @@ class Subscription(Generic[E]):
         self._waiting.unpark_all()
 
     async def receive(self) -> E:
-        """The next event. Cancelled, it took none. Raises BusError or MasterClosed when no more can come."""
-        await trio.lowlevel.checkpoint()
+        """Wait for the next event and return it. Cancelled, it took none. Events that wait are handed over in a row, HANDED_OVER
+        at most; then other tasks run first.
+
+        Raises BusError or MasterClosed when no more can come.
+        """
+        if self._in_a_row:
+            await trio.lowlevel.checkpoint_if_cancelled()
+        elif self._events or self._end is not None:
+            await trio.lowlevel.checkpoint()
         while not self._events:
             if self._end is not None:
                 raise self._end
             await self._waiting.park()
+        self._in_a_row = (self._in_a_row or min(len(self._events), HANDED_OVER)) - 1
         return self._events.popleft()
 
     def take(self) -> list[E]:
         """All events that are waiting, at once."""
         taken = list(self._events)
         self._events.clear()
+        self._in_a_row = 0
         return taken
 
     def close(self) -> None:

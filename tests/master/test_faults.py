@@ -290,6 +290,7 @@ async def test_a_second_fault_does_not_hide_the_first() -> None:
 async def test_a_joint_that_was_shut_down_is_supervised_no_more() -> None:
     async with following_arm(3) as (host, _, arm):
         await arm.shut_down()
+        await trio.sleep(0.001)  # the NMT command is handed over by now, and also handled
         _reset(host)
         await trio.sleep(1)
         assert arm.state is ChainState.OFF

@@ -333,10 +333,11 @@ async def test_abilities_of_the_transport_below(tmp_path: Path) -> None:
             await kernel.send(Frame(0x80))
             await tap.receive()
         assert lines(tmp_path / "a.log") == ["virtual0 080# T", "virtual0 081# R", "virtual0 080# R"]
-        plain = await open_transport("virtual:plain")
+        plain = await open_transport(f"file:{tmp_path}/a.log")  # a recording does none of that
         assert isinstance(plain, TracingTransport)
         assert not plain.sends_sync
         assert not plain.send_nowait(Frame(0x80))
+        assert [str(item[0]) for item in await plain.receive_many(64) if isinstance(item, tuple)] == ["080#"]
         assert [
             trace.channel_of(name) for name in ("can3", "socketcan:can4", "tcp", "/dev/pcan32", "pcan:PCAN_USBBUS2@500k")
         ] == [

@@ -6,11 +6,20 @@ from canopen_transports.opening import OpenTransport, open_transport
 from canopen_transports.python_can import PythonCanTransport
 from canopen_transports.replay import ReplayTransport
 from canopen_transports.tcp import TcpTransport
-from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport, Received, Transport, check_frame
+from canopen_transports.transport import (
+    BatchTransport,
+    CyclicTransport,
+    EagerTransport,
+    FilteringTransport,
+    Received,
+    Transport,
+    check_frame,
+)
 from canopen_transports.virtual import VirtualTransport
 from canopen_transports.virtual_wire import WireTransport
 
 __all__ = [
+    "BatchTransport",
     "BusState",
     "BusStateChanged",
     "CyclicTransport",

@@ -221,6 +221,14 @@ class PythonCanTransport(trio.abc.AsyncResource):
             elif (received := await self._reader.get()) is not None:
                 return received
 
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """What came from the bus, as soon as there is something."""
+        try:
+            first: Received | TransportError = await self.receive()
+        except (ReceiveOverrun, BusStateChanged) as report:
+            first = report
+        return [first] if self._queue.is_empty() else [first, *self._queue.take_many(limit - 1)]
+
     def _take(self, timeout: float) -> bool:
         """One look at the bus, in the trio thread or in the reader thread: what came goes into the queue. False: it is over."""
         if self._closed:
@@ -330,12 +338,10 @@ class PythonCanTransport(trio.abc.AsyncResource):
         return BusStateChanged(self.locator, state, seen, cause=why.cause, tries=why.tries)
 
     def _end(self, error: Exception) -> None:
-        """Report that the bus is gone. From now on it is opened anew, if it can be."""
+        """The bus is gone. If it can be opened again, report that; else `receive` raises it, after what came before."""
         self._lost = error
         self._is_over = True
-        if self._reopen is None:
-            self._queue.report(self._bus_lost("receive"))
-        else:
+        if self._reopen is not None:
             self._queue.report(self._down(error))
 
     def _bus_lost(self, doing: str) -> TransportError:

@@ -74,7 +74,8 @@ class ReceiveQueue:
 
     def wake(self) -> None:
         """Let whoever waits look again. Only in the trio thread."""
-        self._waiting.unpark_all()
+        if self._waiting:
+            self._waiting.unpark_all()
 
     def close(self) -> None:
         """Wake whoever waits with ClosedResourceError. Only in the trio thread."""
@@ -88,10 +89,24 @@ class ReceiveQueue:
 
     async def get(self) -> Received:
         """The next frame. Cancelled, it took none."""
-        await trio.lowlevel.checkpoint()
-        while (received := self.take()) is None:
+        await self._filled()
+        while (received := self.take()) is None:  # another task was quicker
             await self.woken()
         return received
+
+    async def get_many(self, limit: int) -> list[Received | TransportError]:
+        """Wait until something is there; return it, at most `limit` frames and reports. Cancelled, it took nothing."""
+        await self._filled()
+        while not (taken := self.take_many(limit)):  # another task was quicker
+            await self.woken()
+        return taken
+
+    async def _filled(self) -> None:
+        """Wait until something is there, or `close` was called; a checkpoint in any case."""
+        if self._items or self._closed:
+            await trio.lowlevel.checkpoint()
+        else:
+            await self._waiting.park()
 
     async def woken(self) -> None:
         """Wait for the next `wake`, or for `close`."""
@@ -103,8 +118,23 @@ class ReceiveQueue:
             raise trio.ClosedResourceError(f"{self._locator} was closed")
         with self._lock:
             item = self._items.popleft() if self._items else None
+        if isinstance(item, _Lost):
+            raise self._overrun(item)
         if isinstance(item, TransportError):
             raise item
-        if isinstance(item, _Lost):
-            raise ReceiveOverrun(self._locator, item.count, f"the receive queue of {self._size} frames was full")
         return item
+
+    def take_many(self, limit: int) -> list[Received | TransportError]:
+        """What is there, at most `limit` frames and reports. Only in the trio thread."""
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self._locator} was closed")
+        taken: list[Received | TransportError] = []
+        items = self._items
+        with self._lock:
+            while items and len(taken) < limit:
+                item = items.popleft()
+                taken.append(self._overrun(item) if isinstance(item, _Lost) else item)
+        return taken
+
+    def _overrun(self, lost: _Lost) -> ReceiveOverrun:
+        return ReceiveOverrun(self._locator, lost.count, f"the receive queue of {self._size} frames was full")

@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Final
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import ReceiveOverrun
+from canopen_transports.errors import ReceiveOverrun, TransportError
 from canopen_transports.locator import parse_locator
 from canopen_transports.log_files import LogWriter
 from canopen_transports.record import Record
-from canopen_transports.transport import CyclicTransport, EagerTransport, Received
+from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, Received
 
 if TYPE_CHECKING:
     from canopen_transports.opening import OpenTransport
@@ -117,6 +117,7 @@ class TracingTransport(trio.abc.AsyncResource):
         self.locator = transport.locator
         self.transport = transport
         self._eager = transport if isinstance(transport, EagerTransport) else None
+        self._batch = transport if isinstance(transport, BatchTransport) else None
         self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
         self.sends_sync = self._cyclic is not None
         self._trace = trace
@@ -158,11 +159,22 @@ class TracingTransport(trio.abc.AsyncResource):
         try:
             received = await self.transport.receive()
         except ReceiveOverrun as overrun:
-            self._trace.lost += overrun.lost if self._trace.records(self) else 0
+            self._count_lost(overrun)
             raise
-        frame = received[0]
-        self._record_in_turn(self._record_of(frame, self._ours == (frame.key in self._cyclic_keys)))
+        self._record_received(received[0])
         return received
+
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """As the transport below; one by one if that one hands out no more at once."""
+        if self._batch is None:
+            return [await self.receive()]
+        taken = await self._batch.receive_many(limit)
+        for item in taken:
+            if isinstance(item, tuple):
+                self._record_received(item[0])
+            elif isinstance(item, ReceiveOverrun):
+                self._count_lost(item)
+        return taken
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
         """As the transport below, whose frames come back by `receive`."""
@@ -185,6 +197,12 @@ class TracingTransport(trio.abc.AsyncResource):
 
     def _record_of(self, frame: Frame, sent: bool) -> Record:
         return Record(self._trace.now(), self._channel, frame, sent)
+
+    def _record_received(self, frame: Frame) -> None:
+        self._record_in_turn(self._record_of(frame, self._ours == (frame.key in self._cyclic_keys)))
+
+    def _count_lost(self, overrun: ReceiveOverrun) -> None:
+        self._trace.lost += overrun.lost if self._trace.records(self) else 0
 
     def _record_in_turn(self, record: Record) -> None:
         if self._sending:

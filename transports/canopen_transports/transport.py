@@ -19,6 +19,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_transports.errors import TransportError
 
 MAX_STANDARD_ID = 0x7FF
 MAX_EXTENDED_ID = 0x1FFFFFFF
@@ -70,6 +71,18 @@ class EagerTransport(Protocol):
 
     def send_nowait(self, frame: Frame) -> bool:
         """Hand a frame to the bus; False, and nothing was sent, where it has no room: then use `send`. Errors as there."""
+
+
+@runtime_checkable
+class BatchTransport(Protocol):
+    """What a transport has besides that can hand over many frames at once."""
+
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """Wait until something has come; return what is there, in order: one frame or report at least, `limit` at most.
+
+        Reports (ReceiveOverrun, BusStateChanged) stand in the list at their place. Everything else is as in `receive`: cancelled,
+        it took nothing, and what ends the transport is raised once everything before it was returned.
+        """
 
 
 @runtime_checkable

@@ -36,6 +36,7 @@ class VirtualTransport(trio.abc.AsyncResource):
         self.locator = f"virtual:{name}"
         self._name = name
         self._closed = False
+        self._clock = trio.lowlevel.current_clock()
         self._queue = ReceiveQueue(self.locator, queue_size)
         self._members = _names().setdefault(name, [])
         self._members.append(self)
@@ -44,19 +45,32 @@ class VirtualTransport(trio.abc.AsyncResource):
         """Put the frame into the queue of every other member. Never waits for them: CAN has no back-pressure."""
         check_frame(frame)
         await trio.lowlevel.checkpoint_if_cancelled()
+        self._hand_over(frame)
+        # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
+        await trio.lowlevel.cancel_shielded_checkpoint()
+
+    def send_nowait(self, frame: Frame) -> bool:
+        """The same without letting other tasks run; always True, as there is always room."""
+        check_frame(frame)
+        self._hand_over(frame)
+        return True
+
+    def _hand_over(self, frame: Frame) -> None:
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
-        received = (frame, round(trio.current_time() * 1e9))
+        received = (frame, round(self._clock.current_time() * 1e9))
         for member in self._members:
             if member is not self:
                 member._queue.put(received)
                 member._queue.wake()
-        # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
-        await trio.lowlevel.cancel_shielded_checkpoint()
 
     async def receive(self) -> Received:
         """The next frame that another member sent."""
         return await self._queue.get()
+
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """What other members have sent, as soon as there is something."""
+        return await self._queue.get_many(limit)
 
     async def aclose(self) -> None:
         """Leave the bus; the last one to leave takes it down."""

@@ -222,19 +222,33 @@ class WireTransport(trio.abc.AsyncResource):
             with trio.move_on_after(ROOM_TIME):
                 while not self._closed and self.member.state is not BusState.BUS_OFF and not self.member.has_room:
                     await self.bus.room()
-            if self._closed:
-                raise trio.ClosedResourceError(f"{self.locator} was closed")
-            if self.member.state is BusState.BUS_OFF:
-                raise FrameNotSent(NOT_ACKNOWLEDGED, self.locator, f"{frame} was not sent", seen="the controller is bus-off")
-            if not self.member.has_room:
+            if not self._try_to_send(frame):
                 raise self._no_room(frame)
-            self.bus.send(self.member, frame)
         # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
         await trio.lowlevel.cancel_shielded_checkpoint()
+
+    def send_nowait(self, frame: Frame) -> bool:
+        """Queue the frame; False, and nothing was queued, if there is no room or others wait for it."""
+        check_frame(frame)
+        return not self._sending.locked() and self._try_to_send(frame)
+
+    def _try_to_send(self, frame: Frame) -> bool:
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+        if self.member.state is BusState.BUS_OFF:
+            raise FrameNotSent(NOT_ACKNOWLEDGED, self.locator, f"{frame} was not sent", seen="the controller is bus-off")
+        if not self.member.has_room:
+            return False
+        self.bus.send(self.member, frame)
+        return True
 
     async def receive(self) -> Received:
         """The next frame that another member sent."""
         return await self.queue.get()
+
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """What other members have sent, as soon as there is something."""
+        return await self.queue.get_many(limit)
 
     async def aclose(self) -> None:
         """Leave the bus; the last one to leave takes it down."""

@@ -1,18 +1,19 @@
-"""What only some transports can do besides: see `EagerTransport`, `FilteringTransport` and `CyclicTransport`."""
+"""What only some transports can do: see `EagerTransport`, `BatchTransport`, `FilteringTransport` and `CyclicTransport`."""
 
 from __future__ import annotations
 
 from contextlib import suppress
+from random import Random
 from typing import Final
 
 import trio
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
-from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, NotApplicable, case, expect, expect_numbers
-from canopen_transports.conformance.frames import END, IMPOSSIBLE, numbered
-from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport, Transport
+from canopen_transports.conformance.bench import HEAR_TIME, Bench
+from canopen_transports.conformance.case import Case, NotApplicable, Violation, case, expect, expect_numbers
+from canopen_transports.conformance.frames import END, IMPOSSIBLE, number_of, numbered
+from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, FilteringTransport, Transport
 
 EAGER: Final = 500
 """Frames; more than any transmit queue holds."""
@@ -41,6 +42,30 @@ async def eager_send(bench: Bench) -> None:
     await one.aclose()
     with suppress(trio.ClosedResourceError):
         expect(not one.send_nowait(END), "send_nowait on what was closed says that it has sent")
+
+
+@case
+async def many_at_once(bench: Bench) -> None:
+    """receive_many returns what waits, in order, never more than asked for; cancelled, it takes nothing."""
+    one, other = await bench.members(2)
+    if not isinstance(other, BatchTransport):
+        raise NotApplicable("it has no receive_many")
+    bench.say(one, [numbered(number) for number in range(EAGER)])
+    heard: list[int] = []
+    with trio.fail_after(HEAR_TIME):
+        while len(heard) < EAGER:
+            limit = 1 + len(heard) % 7
+            with trio.CancelScope() as scope:
+                if len(heard) % 5 == 0:
+                    bench.disturb(scope, Random(len(heard)))
+                items = await other.receive_many(limit)
+                expect(0 < len(items) <= limit, f"receive_many({limit}) returned {len(items)} items")
+                heard += [number_of(item[0]) for item in items if isinstance(item, tuple)]
+    expect_numbers(heard, list(range(EAGER)), "what receive_many returned")
+    await other.aclose()
+    with suppress(trio.ClosedResourceError):
+        await other.receive_many(1)
+        raise Violation("receive_many returns although the transport was closed")
 
 
 @case
@@ -90,4 +115,4 @@ async def cyclic_frames(bench: Bench) -> None:
         await bench.numbers_until_end(one)
 
 
-CASES: Final[tuple[Case, ...]] = (eager_send, filters, cyclic_frames)
+CASES: Final[tuple[Case, ...]] = (eager_send, many_at_once, filters, cyclic_frames)

@@ -210,8 +210,16 @@ class SocketCanTransport(trio.abc.AsyncResource):
             raise item
         return item
 
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """What the kernel has received, as soon as there is something: one batch at most. One task at a time."""
+        await trio.lowlevel.checkpoint_if_cancelled()
+        items = self._items
+        while not items:
+            await self._wait()
+        return [items.popleft() for _ in range(min(limit, len(items)))]
+
     async def _wait(self) -> None:
-        """Wait for something, and take it in."""
+        """Wait until the socket is readable, then read one batch of frames."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if self.state is BusState.DOWN:

@@ -64,6 +64,26 @@ class TcpTransport(trio.abc.AsyncResource):
 
     async def receive(self) -> Received:
         """The next frame of another member. Raises ReceiveOverrun where the server had to drop frames for us."""
+        await self._read()
+        return self._next()
+
+    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+        """What other members have sent, as soon as there is something."""
+        await self._read()
+        taken: list[Received | TransportError] = []
+        while self._waiting and len(taken) < limit:
+            try:
+                taken.append(self._next())
+            except ReceiveOverrun as overrun:
+                taken.append(overrun)
+            except TransportError:
+                if not taken:
+                    raise
+                break  # the end of the connection, which the next call raises again
+        return taken
+
+    async def _read(self) -> None:
+        """Wait until a line is there."""
         await trio.lowlevel.checkpoint()
         while not self._waiting:
             self._check_open()
@@ -77,7 +97,6 @@ class TcpTransport(trio.abc.AsyncResource):
                 raise self._lose("receive", "the connection was closed", _SERVER_GONE)
             self._waiting.extend(self._lines.feed(chunk))
         self._check_open()
-        return self._next()
 
     async def aclose(self) -> None:
         """Leave the bus."""
