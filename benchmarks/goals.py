@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import imports
+import master_edge
 from measure import Result
 
 import canopen_proto
@@ -81,6 +82,10 @@ GOALS = (
     Goal("PDO in, four values, RemoteNode", worst("PDO decode, 4 objects (RemoteNode)"), 4.2, 8, 10),
     Goal("heartbeat, RemoteNode, one by one", worst("heartbeat, frame to state (RemoteNode, one by one)"), 0.8, 1.5, 2),
     Goal("cost for a frame, 127 nodes / 6 nodes", among_many, 1.1, 1.1, 1.0, " times"),
+    Goal("`open_master` read, virtual bus", worst(master_edge.READ), 1.8, 2.2, 3),
+    Goal("`open_master` read, virtual bus; ratio to a bare trio ping-pong", worst(master_edge.PING_PONG), 0.5, 0.6, 0.8),
+    Goal("9,000 frames/s into a master, share of a core", master_edge.share(master_edge.FRAMES), 4, 3, 2, " %"),
+    Goal("9,000 frames/s into a master with a subscriber", master_edge.share(master_edge.SUBSCRIBED), 9, 7, 4, " %"),
     Goal(f"`{imports.NETWORK}`, over bare Python", starting(imports.NETWORK), 20, 20, 10, " ms"),
     Goal("`canopen --help`, over bare Python", starting(imports.HELP), 120, 120, 80, " ms"),
 )  # fmt: skip
