@@ -1,8 +1,8 @@
 """CANopen as pure state machines: frames and time go in, frames and events come out. See docs/contract.md.
 
-These are the names that a program needs which runs the core in a loop of its own. `canopen_proto.procedures` has sequences of
-requests, `canopen_proto.drive` those that move a CiA 402 drive, `canopen_proto.dictionary` what describes a device. Every other
-name is imported from its module.
+These are the names for a program that runs the core in its own loop. `canopen_proto.procedures` has sequences of requests,
+`canopen_proto.drive` the sequences for a CiA 402 drive, `canopen_proto.dictionary` the description of a device. Import every
+other name from its module.
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,8 @@
 """SDO abort codes and their texts: the table of the "SDO abort transfer" protocol.
 
-Either side may end a transfer with one frame that carries the multiplexer and one of these codes; it is not answered
-(CiA 301 v4.2.0, 7.2.4.3.17, table 22). Device profiles and makers may use further codes, so a code that came from a peer is
-kept as the plain number that it is, and `text_of` has an answer to every number.
+Either side may end a transfer with one frame that carries the mux and one of these codes; it is not answered (CiA 301 v4.2.0,
+7.2.4.3.17, table 22). Device profiles and makers may use further codes. So a code from a peer stays a plain number, and `text_of`
+has a text for every number.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final
 
 
 class AbortCode(IntEnum):
-    """What CiA 301 v4.2.0, table 22, lists."""
+    """The abort codes of CiA 301 v4.2.0, table 22."""
 
     TOGGLE_NOT_ALTERNATED = 0x05030000
     TIMED_OUT = 0x05040000
@@ -48,16 +48,16 @@ class AbortCode(IntEnum):
 
 
 class AbortOrigin(Enum):
-    """Who ended a transfer."""
+    """The side that ended a transfer, and why."""
 
     PEER = "peer"
     """The other side sent an abort."""
     TIMEOUT = "timeout"
-    """The other side (or the host, where it was its turn) fell silent; we sent an abort."""
+    """The other side fell silent (or our host, if it was the host's turn); we sent an abort."""
     LOCAL = "local"
-    """We found a fault in what the other side sent, or refused it, and sent an abort."""
+    """We found a fault in a frame of the other side, or refused the transfer, and sent an abort."""
     CANCELLED = "cancelled"
-    """Our own caller gave it up; an abort was sent if the transfer had begun."""
+    """Our own caller cancelled it; an abort was sent if the transfer had begun."""
     REPLACED = "replaced"
     """Server only: the client began another transfer instead. No abort was exchanged."""
 
@@ -104,7 +104,7 @@ _CLASSES: Final[dict[int, str]] = {
 
 
 def text_of(code: int) -> str:
-    """What an abort code says, for people. Codes beyond table 22 are told by their error class as far as it is known."""
+    """Return an abort code in words. For a code beyond table 22, these are its error class, if that is known, and the number."""
     text = _TEXTS.get(code)
     if text is None:
         text = f"{_CLASSES.get(code >> 24, 'error')} outside of CiA 301 (0x{code:08X})"

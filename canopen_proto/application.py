@@ -1,8 +1,8 @@
-"""What a device does besides communicating, as its `LocalNode` sees it.
+"""`Application`: the work of a device besides communicating, as its `LocalNode` calls it.
 
 A `LocalNode` is complete without an application: then its objects are plain memory. An application, such as the simulated drive,
-shares them: it reads and writes the node's values, is asked before a client changes one of its objects, and is told of whatever
-it has to act on. The LocalNode calls these methods; the host never does.
+shares them. It reads and writes the node's values. The node asks it before a client changes one of its objects, and calls it for
+everything that it has to act on. Only the LocalNode calls these methods, never the host.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from canopen_proto.machine import Time
 
 
 class Application(Protocol):
-    """What a device does besides communicating: it shares the node's values, and is told of what concerns it.
+    """The work of a device besides communicating. It shares the node's values.
 
-    It is a Machine too (made with the node's `inner` outbox), so that time drives it.
+    It must also be a Machine, made with the node's `inner` outbox, so that time drives it.
     """
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Whether it would take this value, right in type and limits already: None, or the abort code. Changes nothing."""
+        """Return None if it accepts this value, else an abort code. Changes nothing. Type and limits were checked before."""
 
     def written(self, index: int, subindex: int, now: Time) -> None:
-        """A value was stored, by SDO or PDO (perhaps the same as before)."""
+        """Act on a value that was stored, by SDO or PDO (perhaps the same as before)."""
 
     def refresh(self, now: Time) -> None:
-        """Bring the values that it shows up to date: they are about to be read."""
+        """Bring its values up to date: they are about to be read."""
 
     def on_sync(self, now: Time) -> None:
-        """A SYNC came; synchronous RPDOs were taken."""
+        """Act on a SYNC; the synchronous RPDOs were taken before."""
 
     def connection_lost(self, now: Time, error_code: int) -> None:
-        """A heartbeat that the node monitors was lost, nobody guards it any more, CAN was off the bus (0x8130), or the node was
-        taken out of Operational (0x8100). error_code: what to report where that is a fault."""
+        """Act on a lost connection: a heartbeat or the guarding of the node was lost, or CAN was off the bus (0x8130), or the
+        node was taken out of Operational (0x8100). error_code: to report, if this is a fault."""
 
     def reset(self, now: Time) -> None:
-        """Power-on: the values are back at their defaults."""
+        """Start as at power-on: the values have their defaults again."""
 
 
 class PlainMemory:
-    """The application of a device that has none: its objects hold what is written to them, and nothing follows."""
+    """The application of a device without one: its objects hold the values written to them, and nothing follows."""
 
     __slots__ = ()
 

@@ -1,26 +1,26 @@
-"""What was last heard from each node, so that a failure can say what was seen instead of only what was missed.
+"""`BusKnowledge`: what was last heard from each node, so that an error can say what was seen, not only what was missing.
 
 Theory of operation
 -------------------
-A request that nobody answers has many causes, and most of them were audible: the node is stopped, it has just booted, somebody
-else talks to it, it answered too late, it has another node-ID, or nothing at all is on the bus. `BusKnowledge` remembers the last
-frame of every 11-bit CAN-ID and when it came, whether a machine wanted it or not. A frame costs two list stores; what it tells of
-a node is worked out only when somebody asks. It is bounded by its making: a slot for each of the 2048 CAN-IDs, and three small
-facts for each of the 127 node-IDs.
+A request without an answer has many causes, and most of them can be heard: the node is stopped, it has just booted, another
+client talks to it, it answered too late, it has another node-ID, or there is nothing on the bus. `BusKnowledge` remembers the
+last frame of every 11-bit CAN-ID and its time, whether a machine wanted it or not. A frame costs two list stores; its meaning is
+worked out only on a query. Its size is bounded: a slot for each of the 2048 CAN-IDs, and three small facts for each of the 127
+node-IDs.
 
-Which node sent a frame is read from the predefined connection set (CiA 301 v4.2.0, 7.3.3): CAN-ID = function code + node-ID. That
-is a hint and no proof, since a configuration can give a device's PDOs, its EMCY and its further SDO channels other COB-IDs. Error
-control (0x700 + node-ID) cannot be moved, EMCY and the first SDO server hardly ever are: these count as signs of their node. PDOs
-are moved all the time: they are kept apart (`NodeHeard.pdo`) and make nobody present.
+The sender of a frame follows from the predefined connection set (CiA 301 v4.2.0, 7.3.3): CAN-ID = function code + node-ID. That
+is a hint, not a proof: a configuration can give a device's PDOs, its EMCY and its further SDO channels other COB-IDs. The COB-ID
+of error control (0x700 + node-ID) is fixed, and those of EMCY and of the first SDO server hardly ever change: these count as
+signs of their node. PDOs often have other COB-IDs: they are kept apart (`NodeHeard.pdo`) and are no sign of a node.
 
-Three things the frames alone do not tell. They are learnt from what our SDO clients report:
+The frames alone do not show three things, which come from our SDO clients or follow from the CAN-ID:
 
 - an answer that came for none of our requests (`unasked_answer`): another client asks this node, or two devices have its node-ID;
-- an answer that came after the request had been given up (`late_answer`): the time limit was too short;
-- requests of other clients (`foreign_request`) are simply frames to 0x600 + node-ID, as a bus does not hand us our own.
+- an answer that came after the request had timed out (`late_answer`): the time limit was too short;
+- requests of other clients (`foreign_request`): any frame to 0x600 + node-ID, since we do not receive our own frames.
 
-Left out: 29-bit CAN-IDs and remote frames, of which only the time of the last one is kept; and everything that our own machines
-sent. Where a transport filters what it receives (`hears_all` is False), what was not heard may have been there all the same.
+Left out: 29-bit CAN-IDs and remote frames (only the time of the last one is kept), and all frames of our own machines. If a
+transport filters frames (`hears_all` is False), a node that was not heard may still be there.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ MAX_LATENESS: Final = 10 * SECOND
 """An answer later than this belongs to something else: no device takes so long for one response."""
 
 COPY_TIME: Final = 5 * MILLISECOND
-"""The same answer again within this time is a second copy, which CAN itself can make, and nobody else's."""
+"""The same answer again within this time is a second copy, which CAN itself can make, not the answer to another client."""
 
 _NOT_HEARD: Final = -NEVER
 _TPDOS: Final = (TPDO1, TPDO2, TPDO3, TPDO4)
 
 
 class HeardService(Enum):
-    """What a node was heard by."""
+    """The service by which a node was heard."""
 
     HEARTBEAT = "heartbeat"
     BOOT_UP = "boot-up"
@@ -74,25 +74,25 @@ class Seen(NamedTuple):
 
 
 class EmcySeen(NamedTuple):
-    """The last emergency message. error_code: 0 says that the errors are gone."""
+    """The last emergency message. error_code: 0 means that the errors are gone."""
 
     time: Time
     error_code: int
 
 
 class LateAnswer(NamedTuple):
-    """An answer to a request that had been given up. behind: ns after that; it took so much longer than the time limit."""
+    """An answer to a request that had timed out. behind: ns by which it exceeded the time limit."""
 
     time: Time
     behind: Time
 
 
 class NodeHeard(NamedTuple):
-    """What was heard of one node; see this module's text. None in a field: never.
+    """All that was heard of one node; see this module's text. None in a field: never.
 
-    time, service: of the last sign of it. state, state_time: what its last heartbeat (or its answer to node guarding) said; after
-    a boot-up that is PRE_OPERATIONAL. pdo: the last frame on a CAN-ID that the predefined connection set gives its TPDOs, which
-    may be another node's. answer: the last SDO answer, whomever it was for.
+    time, service: of its last sign. state, state_time: of its last heartbeat or guarding answer; PRE_OPERATIONAL after a boot-up.
+    pdo: the last frame on a CAN-ID that the predefined connection set gives its TPDOs; it may be another node's. answer: the last
+    SDO answer, to any client.
     """
 
     node_id: int
@@ -109,10 +109,10 @@ class NodeHeard(NamedTuple):
 
 
 class BusKnowledge:
-    """The memory of one Network, which writes `times`, `frames` (by CAN-ID) and `other` itself: that is its hot path.
+    """The memory of one Network. The Network itself writes `times`, `frames` (by CAN-ID) and `other`: this is its hot path.
 
-    other: when the last frame came that has no slot. hears_all: False where the transport filters. outage: why
-    nothing passes at present, "" while the bus works.
+    other: when the last frame without a slot came. hears_all: False if the transport filters. outage: why no frame passes at
+    present, "" while the bus works.
     """
 
     __slots__ = ("_given_up", "_late", "_unasked", "frames", "hears_all", "other", "outage", "times")
@@ -128,14 +128,14 @@ class BusKnowledge:
         self._unasked: dict[int, Seen] = {}
         self._late: dict[int, LateAnswer] = {}
 
-    # ---- what our SDO clients report ----
+    # ---- reports of our SDO clients ----
 
     def on_given_up(self, node_id: int, index: int, subindex: int, now: Time) -> None:
-        """A request ended because no answer came in time."""
+        """Take note of a request that ended because no answer came in time."""
         self._given_up[node_id] = now, bytes((index & 0xFF, index >> 8, subindex))
 
     def on_ignored(self, frame: Frame, now: Time) -> None:
-        """A client ignored a frame. Called before the frame gets into its slot, which still holds the one before it."""
+        """Take note of a frame that a client ignored. Called while the frame's slot still holds the one before."""
         node_id = frame.key - SDO_SERVER_TO_CLIENT
         if not (1 <= node_id <= MAX_NODE_ID and frame.data):
             return
@@ -152,25 +152,25 @@ class BusKnowledge:
         if before is None or before.data != frame.data or now - self.times[frame.key] > COPY_TIME:
             self._unasked[node_id] = Seen(now, frame)
 
-    # ---- questions ----
+    # ---- queries ----
 
     @property
     def last_heard(self) -> Time | None:
-        """When the last frame came, whosever it was; None on a bus that has been silent."""
+        """When the last frame came, from any node; None if there was none yet."""
         last = max(*self.times, self.other)
         return None if last == _NOT_HEARD else last
 
     def time_of(self, can_id: int) -> Time | None:
-        """When a frame of a CAN-ID last came; None if none did, or if it has no slot."""
+        """Return when a frame of a CAN-ID last came; None if none came, or if it has no slot."""
         time = self.times[can_id] if 0 <= can_id < SLOTS else _NOT_HEARD
         return None if time == _NOT_HEARD else time
 
     def nodes(self) -> tuple[int, ...]:
-        """The node-IDs that showed a sign of life (PDOs are none), in order."""
+        """Return the node-IDs that showed a sign of life (PDOs do not count), in order."""
         return tuple(node_id for node_id in range(1, MAX_NODE_ID + 1) if self.heard(node_id).time is not None)
 
     def heard(self, node_id: int) -> NodeHeard:
-        """What was heard of a node. Raises LocalProtocolError for a node-ID outside 1..127."""
+        """Return all that was heard of a node. Raises LocalProtocolError for a node-ID outside 1..127."""
         check_node_id(node_id)
         control, emcy = self._seen(ERROR_CONTROL + node_id), self._seen(EMCY + node_id)
         answer = self._seen(SDO_SERVER_TO_CLIENT + node_id)
@@ -209,7 +209,7 @@ class BusKnowledge:
 
 
 def _may_answer(data: bytes, multiplexer: bytes) -> bool:
-    """Whether an SDO answer may be that to a request about an object. Answers amid a transfer do not name it."""
+    """Return whether an SDO answer may belong to a request for this mux. Answers within a transfer do not carry it."""
     specifier = data[0] & SPECIFIER
     if specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE, ABORT):
         return data[1:4] == multiplexer

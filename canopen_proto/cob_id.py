@@ -1,7 +1,7 @@
-"""Which COB-IDs a communication object may have: one copy of the rules, for PDOs, SDO channels, SYNC, EMCY and TIME.
+"""The rules for the COB-IDs of communication objects: PDOs, SDO channels, SYNC, EMCY and TIME.
 
-The table of restricted CAN-IDs stands in CiA 301 v4.2.0, 7.3.5, table 40. Each check returns None, or the abort code with which
-a device refuses the value.
+The table of restricted CAN-IDs is in CiA 301 v4.2.0, 7.3.5, table 40. Each check returns None, or the abort code with which a
+device refuses the value.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def check_can_id(cob_id: int) -> AbortCode | None:
 
 
 def check_cob_id(cob_id: int, standing: int, *, in_use: bool, allowed: Container[int] = ()) -> AbortCode | None:
-    """Return why a COB-ID may not replace the standing one, or None if it may.
+    """Return the abort code if a COB-ID may not replace the standing (present) one, else None.
 
     in_use: the standing COB-ID is valid, so its CAN-ID may not change. allowed: restricted CAN-IDs that this object may have.
     """

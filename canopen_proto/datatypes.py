@@ -2,8 +2,8 @@
 
 Theory of operation
 -------------------
-Every object of a dictionary has one of the static data types of CiA 301 v4.2.0, 7.1 (and table 44 for their codes, which are
-also the indices of the dummy entries of a PDO mapping). On the wire all are little-endian; here they are
+Every object of a dictionary has one of the static data types of CiA 301 v4.2.0, 7.1. (Table 44 has their codes, which are also
+the indices of the dummy entries of a PDO mapping.) On the wire all are little-endian; in Python they are
 
     BOOLEAN                            bool                  one byte by SDO, one bit in a PDO
     INTEGER8 .. 64, UNSIGNED8 .. 64    int                   with the 24-, 40-, 48- and 56-bit ones
@@ -14,10 +14,10 @@ also the indices of the dummy entries of a PDO mapping). On the wire all are lit
     TIME_OF_DAY                        datetime (UTC)        milliseconds and days since 1984-01-01
     TIME_DIFFERENCE                    timedelta             milliseconds and days
 
-`decode` loses nothing: a value that it gave can be encoded again, and gives the same bytes (the four unused bits of the two
-times and the quiet bit of a REAL32 that is no number excepted). So a server may keep values instead of bytes. That is why a
-VISIBLE_STRING is read and written as Latin-1, although the standard allows 0x00 and 0x20..0x7E only (devices do send degree
-signs), and why padding NULs at its end stay: `text.rstrip("\\0")` takes them off for people.
+`decode` loses nothing: `encode` makes the same bytes of a decoded value (except the four unused bits of the two times, and the
+quiet bit of a REAL32 that is NaN). So a server may keep values instead of bytes. For this reason a VISIBLE_STRING is read and
+written as Latin-1, although the standard allows only 0x00 and 0x20..0x7E (devices do send degree signs), and NULs at its end
+stay: `text.rstrip("\\0")` removes them for people.
 
 Left out: the bit-wise types of PDO mapping parameters (INTEGERn with n below 8), which no object has, and the records of
 7.1.6 (PDO parameters and the like), which are objects with subindices and are read as such.
@@ -35,7 +35,7 @@ from typing import Final, TypeAlias
 from canopen_proto.machine import LocalProtocolError
 
 Value: TypeAlias = bool | int | float | str | bytes | datetime.datetime | datetime.timedelta
-"""What an object can hold, as Python sees it."""
+"""A value of an object, in Python."""
 
 EPOCH: Final = datetime.datetime(1984, 1, 1, tzinfo=datetime.UTC)
 """Day 0 of TIME_OF_DAY (CiA 301 v4.2.0, 7.1.6.6)."""
@@ -45,7 +45,7 @@ _TIME = struct.Struct("<IH")
 
 
 class DataType(IntEnum):
-    """Codes of the static data types, as they stand in EDS files and in the dictionary (CiA 301 v4.2.0, 7.4.7, table 44)."""
+    """The codes of the static data types, as in EDS files and in the dictionary (CiA 301 v4.2.0, 7.4.7, table 44)."""
 
     BOOLEAN = 0x01
     INTEGER8 = 0x02
@@ -79,63 +79,62 @@ class ValueRangeError(LocalProtocolError, ValueError):
 
 
 def encode(value: Value, data_type: DataType, name: object = "value") -> bytes:
-    """The bytes of a value as SDO carries them.
+    """Return the bytes of a value, as SDO carries them.
 
-    Integers take int (and bool); reals take float and int; REAL32 rounds to the nearest value that it can hold, and the times
-    drop what is finer than a millisecond. name: how errors call the object, by its `str`. Raises ValueRangeError.
-    Source: CiA 301 v4.2.0, 7.1.
+    Integers take int (and bool); reals take float and int. REAL32 rounds to the nearest value that it can hold; times are cut to
+    whole milliseconds. name: the object's name in errors, by its `str`. Raises ValueRangeError. Source: CiA 301 v4.2.0, 7.1.
     """
     return _CODECS[data_type].encode(value, name)
 
 
 def decode(data: bytes, data_type: DataType, name: object = "value") -> Value:
-    """The value of bytes as SDO carries them.
+    """Return the value of bytes, as SDO carries them.
 
-    Raises ValueRangeError where the length is not the type's, or a time has more milliseconds than a day: machines that decode
-    what a peer sent catch it. Source: CiA 301 v4.2.0, 7.1.
+    Raises ValueRangeError if the length is not the type's, or if a time has more milliseconds than a day. A machine that decodes
+    a peer's bytes catches it. Source: CiA 301 v4.2.0, 7.1.
     """
     return _CODECS[data_type].decode(data, name)
 
 
 def text_for_people(value: str, data_type: DataType) -> str:
-    """A text as people read it. Devices send VISIBLE_STRINGs in UTF-8 as well as in Latin-1: bytes that are valid UTF-8 are
-    taken for that. Only for showing: the value itself stays as it is, and so do its bytes."""
+    """Return a text as people should see it. Devices send VISIBLE_STRINGs in UTF-8 as well as in Latin-1: bytes that are valid
+    UTF-8 are read as UTF-8. Use it only for showing: the value itself and its bytes stay as they are."""
     if data_type is DataType.VISIBLE_STRING:
         try:
             return value.encode("latin-1").decode("utf-8")
-        except UnicodeError:  # Latin-1, or no text of a device
+        except UnicodeError:  # Latin-1, or not a device's text
             pass
     return value
 
 
 def size_of(data_type: DataType) -> int | None:
-    """Bytes by SDO; None where the length varies (strings, DOMAIN)."""
+    """Return the number of bytes by SDO; None if the length varies (strings, DOMAIN)."""
     return _CODECS[data_type].size
 
 
 def bit_length_of(data_type: DataType) -> int | None:
-    """Bits in a PDO (1 for BOOLEAN); None where the length varies."""
+    """Return the number of bits in a PDO (1 for BOOLEAN); None if the length varies."""
     return _CODECS[data_type].bit_length
 
 
 def is_integer(data_type: DataType) -> bool:
-    """INTEGERn or UNSIGNEDn."""
+    """Return whether a type is INTEGERn or UNSIGNEDn."""
     return isinstance(_CODECS[data_type], _Integer)
 
 
 def is_signed(data_type: DataType) -> bool:
-    """INTEGERn."""
+    """Return whether a type is INTEGERn."""
     codec = _CODECS[data_type]
     return isinstance(codec, _Integer) and codec.signed
 
 
 def is_number(data_type: DataType) -> bool:
-    """INTEGERn, UNSIGNEDn or REALn."""
+    """Return whether a type is INTEGERn, UNSIGNEDn or REALn."""
     return isinstance(_CODECS[data_type], _Integer | _Real)
 
 
 def range_of(data_type: DataType) -> tuple[int, int] | None:
-    """Least and greatest value of an integer type (0 and 1 for BOOLEAN); None for all others."""
+    """Return the least and the greatest value of an integer type (0 and 1 for BOOLEAN); None for all others."""
     if data_type == DataType.BOOLEAN:
         return 0, 1
     codec = _CODECS[data_type]
@@ -143,22 +142,22 @@ def range_of(data_type: DataType) -> tuple[int, int] | None:
 
 
 def zero_of(data_type: DataType) -> Value:
-    """What an object without a default value holds: 0, False, "", b"", the epoch."""
+    """Return the value of an object without a default: 0, False, "", b"", the epoch."""
     return _CODECS[data_type].zero
 
 
 def integer_type(size: int, *, signed: bool = False) -> DataType:
-    """The integer type of `size` bytes, 1..8. Raises KeyError for other sizes."""
+    """Return the integer type of `size` bytes, 1..8. Raises KeyError for other sizes."""
     return _INTEGER_TYPES[size, signed]
 
 
 def codec_of(data_type: DataType) -> Codec:
-    """How a data type is written and read: for an object that is looked up once and then transferred often."""
+    """Return the codec of a data type: for an object that is looked up once and then transferred often."""
     return _CODECS[data_type]
 
 
 class Codec(ABC):
-    """How one data type is written and read. size, bit_length, zero: as `size_of`, `bit_length_of`, `zero_of`."""
+    """Encodes and decodes one data type. size, bit_length, zero: as `size_of`, `bit_length_of`, `zero_of`."""
 
     __slots__ = ("bit_length", "data_type", "size", "zero")
 
@@ -182,7 +181,7 @@ class Codec(ABC):
 
 
 class _Boolean(Codec):
-    """One byte by SDO, one bit in a PDO. Any byte but 0 is read as true, since devices send 0xFF as well as 1."""
+    """One byte by SDO, one bit in a PDO. Any byte except 0 is read as true: devices send 0xFF as well as 1."""
 
     __slots__ = ()
 
@@ -202,7 +201,7 @@ class _Boolean(Codec):
 
 
 class _Integer(Codec):
-    """Two's complement for the signed ones."""
+    """An integer, little-endian; a signed one in two's complement."""
 
     __slots__ = ("high", "low", "signed", "width")
 
@@ -229,7 +228,7 @@ class _Integer(Codec):
 
 
 class _Real(Codec):
-    """IEEE 754. Infinities and NaN are values like others."""
+    """An IEEE 754 number. Infinities and NaN are values like others."""
 
     __slots__ = ("layout",)
 
@@ -269,7 +268,7 @@ class _VisibleString(Codec):
 
 
 class _UnicodeString(Codec):
-    """An array of UNSIGNED16 to the standard, which says no more of it: half of a surrogate pair passes, so nothing is lost."""
+    """An array of UNSIGNED16; the standard says no more. Half of a surrogate pair is accepted, so that nothing is lost."""
 
     __slots__ = ()
 
@@ -323,7 +322,7 @@ class _Difference(Codec):
 
 
 class _TimeOfDay(_Difference):
-    """The same bits, counted from the epoch. The standard names no time zone; UTC is what can be told from anywhere."""
+    """The same bits, counted from the epoch. The standard names no time zone; UTC is the same everywhere."""
 
     __slots__ = ()
 
@@ -341,7 +340,7 @@ class _TimeOfDay(_Difference):
 
 
 def _show(value: object) -> str:
-    """A value in an error text, cut to a line; CPython refuses to print integers of thousands of digits."""
+    """Return a value for an error text, cut to one line; CPython refuses to print integers of thousands of digits."""
     if isinstance(value, int) and value.bit_length() > 128:
         return f"an integer of {value.bit_length()} bits"
     return reprlib.repr(value)

@@ -1,26 +1,26 @@
-"""Emergency: a device says what went wrong in it, and when that is over (CiA 301 v4.2.0, 7.2.7).
+"""Emergency: a device reports an error, and its end (CiA 301 v4.2.0, 7.2.7).
 
 Theory of operation
 -------------------
-An emergency frame has 8 bytes: error code (16 bits), the error register 0x1001 as it is now, and 5 bytes that are the
-manufacturer's. It goes out once per error event, never again while the error lasts; CAN-ID 0x80 + node-ID (0x1014). The codes'
-and bits' meanings are in error_codes.py.
+An emergency frame has 8 bytes: error code (16 bits), the present error register 0x1001, and 5 bytes of the manufacturer. It is
+sent once per error event, and not again while the error lasts; CAN-ID 0x80 + node-ID (0x1014). error_codes.py has the meanings of
+codes and bits.
 
-`EmcyProducer` is the device's error memory. Several errors may be there at once; an error is known by its code and its additional
-information (the upper half of its entry in 0x1003: two nodes whose heartbeats are lost are two errors with one code).
+`EmcyProducer` is the device's error memory. Several errors may be present at once. An error is identified by its code and its
+additional information (the upper half of its entry in 0x1003: two nodes whose heartbeats are lost are two errors with one code).
 
     error free --raise_error: its code--> error occurred --raise_error: its code--> error occurred
     error occurred --clear, not the last: no frame, the register loses its bits--> error occurred
     error occurred --clear, the last: code 0x0000, register 0--> error free
 
-The frame for a part that is gone is optional (transition 2) and left out: consumers read code 0x0000 as "all is well".
+The frame for the end of one error among several is optional (transition 2) and not sent: consumers read code 0x0000 as "all is
+well".
 
-A frame that may not go out yet waits in a bounded queue: until the inhibit time (0x1015) is over, or until EMCY lives again
-(`set_enabled`: it does not in STOPPED). Of what waited in STOPPED only the most recent goes out, as 7.3.2.2.4 says; each
-frame bears the whole register, and 0x1003 has the rest. If the queue is full, the oldest is dropped and reported.
+A frame that may not be sent yet waits in a bounded queue until the inhibit time (0x1015) is over, or until EMCY is enabled again
+(`set_enabled`; in STOPPED it is not). Of the frames that waited in STOPPED only the most recent is sent, as 7.3.2.2.4 says: each
+frame carries the whole register, and 0x1003 has the rest. If the queue is full, the oldest frame is dropped and reported.
 
-`EmcyConsumer` reports each frame with its text. A frame that its device cut short is filled up with zeros and not lost, as
-long as it has the error code.
+`EmcyConsumer` reports each frame with its text. A frame that is too short but has the error code is filled up with zeros.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from canopen_proto.frame import COB_ID_INVALID, EMCY, Frame, RoutingKey, frame_f
 from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 
 NO_ERROR: Final = 0x0000
-"""The error code of the frame that says: all errors are gone."""
+"""The error code of the frame that means: all errors are gone."""
 MAX_PENDING: Final = 16
-"""Frames that wait for the inhibit time. A device with more errors than that within it has told enough."""
+"""The most frames that wait for the inhibit time. More errors in so short a time need not all be sent."""
 MAX_HISTORY: Final = 254
 """0x1003 has sub-indices 1 to 254."""
 MAX_ACTIVE: Final = 254
-"""Errors that are there at once: as many as the history can name. A further one is dropped and reported; it does not raise, since
-what leads to it may be a peer's doing, such as a PDO of a wrong length."""
+"""The most errors that can be present at once: as many as the history can name. A further one is dropped and reported. It raises
+nothing, since a peer may cause it, for example by a PDO of a wrong length."""
 VENDOR_BYTES: Final = 5
 _RESERVED_BIT: Final = 0x40
 _GENERIC_BIT: Final = 0x01
@@ -64,7 +64,7 @@ class EmcySent(Event):
 
 
 class EmcyDropped(Event):
-    """An emergency of ours will not go out: the oldest of a full queue (it is in the history), or one beyond MAX_ACTIVE."""
+    """An emergency of ours will not be sent: the oldest of a full queue (it is in the history), or one beyond MAX_ACTIVE."""
 
     __slots__ = ("code",)
     __match_args__ = ("node_id", "code")
@@ -77,8 +77,8 @@ class EmcyDropped(Event):
 class EmcyReceived(Event):
     """A node's emergency frame.
 
-    code: 16 bits; 0x00xx says that errors are gone (all of them if error_register is 0). error_register: 0x1001 as it was
-    then (`register_names`). vendor_data: always 5 bytes. text: what the standards say about the code. length: the bytes that
+    code: 16 bits; 0x00xx means that errors are gone (all of them if error_register is 0). error_register: 0x1001 at that time
+    (`register_names`). vendor_data: always 5 bytes. text: the standards' name for the code. length: the number of bytes that
     came; below 8 the rest was filled up with zeros. timestamp: the transport's, if it has one.
     """
 
@@ -98,16 +98,18 @@ class EmcyReceived(Event):
 
 
 class EmcyProducer(Machine):
-    """A device's errors: the present ones, the register 0x1001, the history 0x1003, and the frames that tell of them.
+    """A device's errors: the present ones, the register 0x1001, the history 0x1003, and the frames that report them.
 
     error_register: 0x1001. history: 0x1003 from sub-index 1 on, newest first, additional information << 16 | code. key: the
-    routing key of its frames, None if its COB-ID is not valid. inhibit_time: ns. enabled: EMCY lives. All read-only outside.
+    routing key of its frames, None if its COB-ID is not valid. inhibit_time: ns. enabled: whether the NMT state allows EMCY. All
+    read-only outside.
     """
 
     __slots__ = ("_active", "_next_free", "_pending", "enabled", "error_register", "history", "inhibit_time", "key", "node_id")
 
     def __init__(self, out: Outbox, node_id: int, key: RoutingKey | None = None, history_length: int = 8) -> None:
-        """node_id: 1..127. key: None for 0x80 + node-ID. history_length: 1..254 entries of 0x1003. Else LocalProtocolError."""
+        """Make a producer without errors. node_id: 1..127. key: its routing key, None for 0x80 + node-ID. history_length: 1..254
+        entries of 0x1003. Raises LocalProtocolError for other values."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         if not 1 <= history_length <= MAX_HISTORY:
@@ -119,20 +121,20 @@ class EmcyProducer(Machine):
         self.enabled = True
         self._active: dict[int, int] = {}  # history entry -> its bits in the error register, oldest first
         self._pending: deque[bytes] = deque()
-        self._next_free: Time = -NEVER  # before it, the inhibit time of the last frame runs
+        self._next_free: Time = -NEVER  # until then, the inhibit time of the last frame runs
 
     @property
     def active(self) -> tuple[int, ...]:
-        """The errors that are there now, oldest first, as entries of the history."""
+        """The present errors, oldest first, as entries of the history."""
         return tuple(self._active)
 
     def raise_error(self, code: int, register_bits: int, vendor_data: bytes, now: Time, additional_info: int = 0) -> None:
-        """An error is there: it enters the register and the history, and its frame is sent. Does nothing if it is there already.
+        """Add an error to the register and the history, and send its frame. Does nothing if the error is already present.
 
         code: 0x0100..0xFFFF. register_bits: of 0x1001 (`register_bits_of(code)`); the generic bit is added. vendor_data: up
-        to 5 bytes. additional_info: 16 bits, for the history, and to tell errors of one code apart. Event: EmcySent, at once
-        or when the frame may go out. EmcyDropped beyond MAX_ACTIVE errors. Raises LocalProtocolError for values outside
-        these. CiA 301 v4.2.0, 7.2.7.1, 7.5.2.2, 7.5.2.4
+        to 5 bytes. additional_info: 16 bits, for the history, and to tell errors with the same code apart. Event: EmcySent, at
+        once or when the frame may be sent; EmcyDropped beyond MAX_ACTIVE errors. Raises LocalProtocolError for other values.
+        CiA 301 v4.2.0, 7.2.7.1, 7.5.2.2, 7.5.2.4
         """
         _check_error(code, additional_info)
         if not 0 <= register_bits <= 0xFF or register_bits & _RESERVED_BIT:
@@ -151,9 +153,9 @@ class EmcyProducer(Machine):
         self._tell(_MESSAGE.pack(code, self.error_register, vendor_data), now)
 
     def clear(self, code: int, now: Time, additional_info: int = 0) -> None:
-        """An error is gone: the register loses the bits that no other error has. With the last one, code 0x0000 is sent.
+        """Remove an error: the register loses the bits that no other error has. With the last error, code 0x0000 is sent.
 
-        Nothing happens if it is not there. Event: EmcySent, with the last one. Raises LocalProtocolError for a code or
+        Does nothing if the error is not present. Event: EmcySent, with the last error. Raises LocalProtocolError for a code or
         information out of range. CiA 301 v4.2.0, 7.2.7.1, transitions 2 and 4
         """
         _check_error(code, additional_info)
@@ -166,7 +168,8 @@ class EmcyProducer(Machine):
             self._tell(_MESSAGE.pack(NO_ERROR, 0, b""), now)
 
     def clear_all(self, now: Time) -> None:
-        """All errors are gone (a drive's fault reset): one frame with code 0x0000, none if there was no error. Event: EmcySent"""
+        """Remove all errors (a drive's fault reset): send one frame with code 0x0000, none if there was no error. Event:
+        EmcySent"""
         if self._active:
             self._active.clear()
             self.error_register = 0
@@ -177,7 +180,8 @@ class EmcyProducer(Machine):
         self.history.clear()
 
     def reset(self) -> None:
-        """As after power-on: no error, no history, nothing waiting. Sends nothing. COB-ID, inhibit time and `enabled` stay."""
+        """Go back to the state after power-on: no error, no history, no frame waiting. Sends nothing. COB-ID, inhibit time and
+        `enabled` stay."""
         self._active.clear()
         self._pending.clear()
         self.history.clear()
@@ -185,9 +189,9 @@ class EmcyProducer(Machine):
         self._arm(NEVER)
 
     def set_cob_id(self, cob_id: int, now: Time) -> None:
-        """Take a COB-ID as in 0x1014. With bit 31 (not valid) nothing is sent and nothing waits; errors are still kept.
+        """Take a COB-ID as in 0x1014. With bit 31 (not valid) nothing is sent and no frame waits; errors are still kept.
 
-        (That bits 0 to 29 change only while it is not valid is for the dictionary's side to check.) CiA 301 v4.2.0, 7.5.2.17
+        (Bits 0 to 29 may change only while it is not valid: the dictionary's side checks that.) CiA 301 v4.2.0, 7.5.2.17
         """
         if cob_id & COB_ID_INVALID:
             self.key = None
@@ -197,7 +201,7 @@ class EmcyProducer(Machine):
             self.key = key_of_cob_id(cob_id)
 
     def set_inhibit_time(self, inhibit_time: Time, now: Time) -> None:
-        """The least time between two emergency frames, in ns (0x1015 counts 100 us); 0 is none. It holds from the next frame on.
+        """Set the least time between two emergency frames, in ns (0x1015 counts 100 us), from the next frame on; 0: none.
 
         Raises LocalProtocolError if it is negative. CiA 301 v4.2.0, 7.5.2.18
         """
@@ -206,7 +210,7 @@ class EmcyProducer(Machine):
         self.inhibit_time = inhibit_time
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether EMCY lives in the node's NMT state. When it does again, the most recent frame that waited goes out.
+        """Say whether the node's NMT state allows EMCY. When it does again, the most recent frame that waited is sent.
 
         Event: EmcySent. CiA 301 v4.2.0, 7.3.2.2.4
         """
@@ -221,14 +225,14 @@ class EmcyProducer(Machine):
             self._tell(newest, now)
 
     def handle_timeout(self, now: Time) -> None:
-        """The inhibit time is over: send the next frame that waits. Late or not, one."""
+        """Send the next frame that waits: the inhibit time is over. Send only one, however late."""
         if now < self.deadline:
             return
         self._send(self._pending.popleft(), now)
         self._arm(self._next_free if self._pending else NEVER)
 
     def _tell(self, message: bytes, now: Time) -> None:
-        """Send now, or queue; in order, so behind what waits already."""
+        """Send a frame now, or queue it behind those that wait already."""
         if self.key is None:
             return
         if self.enabled and not self._pending and now >= self._next_free:
@@ -241,7 +245,7 @@ class EmcyProducer(Machine):
             self._arm(self._next_free)
 
     def _send(self, message: bytes, now: Time) -> None:
-        assert self.key is not None  # nothing is queued without a COB-ID
+        assert self.key is not None  # without a COB-ID no frame is queued
         self.out.frames.append(frame_for_key(self.key, message))
         self.out.events.append(EmcySent(self.node_id, *_MESSAGE.unpack(message)))
         self._next_free = now + self.inhibit_time
@@ -253,7 +257,7 @@ class EmcyConsumer(Machine):
     __slots__ = ("key", "last", "node_id")
 
     def __init__(self, out: Outbox, node_id: int, key: RoutingKey | None = None) -> None:
-        """node_id: 1..127, else LocalProtocolError. key: None for 0x80 + node-ID."""
+        """Hear a node. node_id: 1..127, else LocalProtocolError. key: the routing key, None for 0x80 + node-ID."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.key = routing_key(EMCY + node_id) if key is None else key

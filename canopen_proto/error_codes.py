@@ -1,9 +1,9 @@
-"""What the numbers of an emergency mean: error codes and the error register (CiA 301 v4.2.0, 7.2.7.1 and 7.5.2.2; CiA 402-2).
+"""The numbers of an emergency in words: error codes and the error register (CiA 301 v4.2.0, 7.2.7.1 and 7.5.2.2; CiA 402-2).
 
 Theory of operation
 -------------------
-An error code is read from left to right: the first digit is the class, and each further one says more. So `error_text` takes
-the longest prefix that the table knows, and a code that no standard names still gets its class: 0x8613 is told as 0x8600,
+An error code is read from left to right: the first digit is the class, and each further digit says more. `error_text` uses the
+longest prefix that is in the table. So a code that no standard names still gets its class: 0x8613 is read as 0x8600,
 "positioning controller", not as "unknown". The table has the codes of CiA 301 and those that CiA 402 adds for drives. 0xFFxx is
 the manufacturer's."""
 
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from enum import IntFlag
 from typing import Final, TypeVar
 
-# One line per code: what the standards call it, each line complete in itself, as a person reads one of them and not the table.
+# One line per code, with the name of the standards. Each must make sense alone: people read one line, not the table.
 _TABLE: Final = """
 0000 error reset or no error
 1000 generic error
@@ -208,7 +208,7 @@ _T = TypeVar("_T")
 
 
 def _by_longest_prefix(table: Mapping[int, _T], code: int) -> _T | None:
-    if 0x0FFF < code <= 0xFFFF or 0 <= code <= 0xFF:  # 0x01xx to 0x0Fxx is no class, and must not be read as 0x00xx
+    if 0x0FFF < code <= 0xFFFF or 0 <= code <= 0xFF:  # 0x01xx to 0x0Fxx is not a class, and must not be read as 0x00xx
         for prefix in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
             if code & prefix in table:
                 return table[code & prefix]
@@ -216,7 +216,7 @@ def _by_longest_prefix(table: Mapping[int, _T], code: int) -> _T | None:
 
 
 def error_text(code: int) -> str:
-    """What an EMCY error code or 0x603F says, in a few words: the nearest name that the standards have for it. Never raises."""
+    """Return an EMCY error code, or a value of 0x603F, in a few words: the nearest name of the standards. Never raises."""
     return _by_longest_prefix(ERROR_TEXTS, code) or "unknown error"
 
 
@@ -257,10 +257,10 @@ _BITS: Final = {
 
 
 def register_names(error_register: int) -> tuple[str, ...]:
-    """The names of the bits that are set: 0x11 -> ("generic", "communication")."""
+    """Return the names of the bits that are set: 0x11 -> ("generic", "communication")."""
     return tuple(name for bit, name in _REGISTER_NAMES if error_register & bit)
 
 
 def register_bits_of(code: int) -> ErrorRegister:
-    """The error register's bits that go with an error code by its class; GENERIC always, as any error sets it."""
+    """Return the bits of the error register for an error code, by its class; always with GENERIC, which any error sets."""
     return ErrorRegister.GENERIC | (_by_longest_prefix(_BITS, code) or ErrorRegister.GENERIC)

@@ -1,15 +1,15 @@
 """CAN frames as the core sees them, and the identifiers of the predefined connection set.
 
-A `Frame` is what a transport carries: identifier, data, two flags. It is plain data and is never changed after it was made,
-so it may be queued, compared and shared freely. Classical CAN only: CAN FD is refused where frames enter (transports).
+A transport carries `Frame`s: identifier, data, two flags. A frame is plain data and never changes, so it may be queued, compared
+and shared freely. Classical CAN only: the transports refuse CAN FD.
 
 Three numbers that are easily mixed up:
 
-- CAN-ID   what stands on the wire, 11 or 29 bits: `Frame.can_id`.
-- COB-ID   what stands in an object such as 0x1800:01: a CAN-ID with three flag bits above it (CiA 301 v4.2.0, 7.5.2.33).
-- key      a CAN-ID with the frame's flags above it, which is what machines ask for in `Machine.can_ids()` and what routing
-           tables are made of: `Frame.key`. For an ordinary 11-bit data frame the key is the CAN-ID. `RoutingKey` is a type of
-           its own, so that mypy tells it from the other two; `routing_key` makes one.
+- CAN-ID        on the wire, 11 or 29 bits: `Frame.can_id`.
+- COB-ID        in an object such as 0x1800:01: a CAN-ID with three flag bits above it (CiA 301 v4.2.0, 7.5.2.33).
+- routing key   a CAN-ID with the frame's flags above it: `Frame.key`. Machines ask for these in `Machine.can_ids()`, and
+                routing tables are made of them. For an ordinary 11-bit data frame it equals the CAN-ID. `RoutingKey` is a type
+                of its own, so that mypy tells it from the other two; `routing_key` makes one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ KEY_EXTENDED: Final = EXTENDED << 29
 
 # COB-ID flag bits (CiA 301 v4.2.0, 7.5.2.33, and 7.5.2.5 for SYNC, 7.5.2.17 for EMCY)
 COB_ID_INVALID: Final = 1 << 31
-"""PDO, EMCY, SDO: the object does not exist / is not valid. (SYNC and TIME give bits 30 and 31 other meanings.)"""
+"""PDO, EMCY, SDO: not valid, so not used. (For SYNC and TIME, bits 30 and 31 have other meanings.)"""
 COB_ID_NO_RTR: Final = 1 << 30
 """TPDO: remote requests are not answered. SYNC, TIME: the device produces it."""
 COB_ID_EXTENDED: Final = 1 << 29
@@ -60,12 +60,11 @@ _CANDUMP: Final = r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A
 
 
 class Frame:
-    """One classical CAN frame. Never change one after it was made.
+    """One classical CAN frame. Never change a frame.
 
     can_id: 0..0x7FF, or 0..0x1FFFFFFF with EXTENDED. data: 0 to 8 bytes; a remote frame has none, and says in `dlc` how many
-    bytes it asks for. key: the CAN-ID with the flags above it, which routing tables are made of; kept and not computed, since a
-    frame is routed once per layer. The constructor does not check (it stands in every hot path); `Frame.parse` and the
-    transports do.
+    bytes it asks for. key: the routing key, the CAN-ID with the flags above it; kept, not computed, since each layer routes the
+    frame once. The constructor does not check (it is in every hot path); `Frame.parse` and the transports do.
     """
 
     __slots__ = ("can_id", "data", "dlc", "flags", "key")
@@ -75,14 +74,14 @@ class Frame:
         self.data = data
         self.flags = flags
         self.dlc = len(data) if dlc < 0 else dlc
-        # As `routing_key` does, without its call. Nearly every frame has no flags: to see that costs less than to shift.
+        # As `routing_key` does, without its call. Nearly every frame has no flags: a test costs less than a shift.
         self.key: RoutingKey = can_id | flags << 29 if flags else can_id  # type: ignore[assignment]
 
     @classmethod
     def parse(cls, text: str) -> Frame:
-        """A frame from candump's notation: "60C#4041600000000000", "705#R1", "18FF0001#", "123#11.22.33".
+        """Make a frame from candump's notation: "60C#4041600000000000", "705#R1", "18FF0001#", "123#11.22.33".
 
-        Three identifier digits mean 11 bits, eight mean 29. Raises ValueError that names the text; CAN FD ("##") is refused.
+        Three identifier digits mean 11 bits, eight mean 29. Raises ValueError, which names the text; also for CAN FD ("##").
         """
         match = re.fullmatch(_CANDUMP, text)  # compiled when it is first needed, and kept by re
         if match is None:
@@ -121,7 +120,7 @@ def routing_key(can_id: int, flags: int = 0) -> RoutingKey:
 
 
 def key_of_cob_id(cob_id: int) -> RoutingKey:
-    """Return the routing key of a COB-ID as it stands in the dictionary: its CAN-ID, and EXTENDED if bit 29 is set."""
+    """Return the routing key of a COB-ID as in the dictionary: its CAN-ID, and EXTENDED if bit 29 is set."""
     if cob_id & COB_ID_EXTENDED:
         return routing_key(cob_id & 0x1FFFFFFF, EXTENDED)
     return routing_key(cob_id & 0x7FF)

@@ -1,25 +1,25 @@
-"""Node guarding and life guarding: the NMT master asks each node whether it lives, and each node notices when nobody asks any
-more (CiA 301 v4.2.0, 7.2.8.3.2.1).
+"""Node guarding and life guarding: the NMT master sends requests to each node, and each side notices when the other falls silent
+(CiA 301 v4.2.0, 7.2.8.3.2.1).
 
 Theory of operation
 -------------------
 Once per guard time the master sends a remote frame on 0x700 + node-ID. The node answers on that CAN-ID with one byte: its NMT
-state in bits 0 to 6, and in bit 7 a toggle bit, 0 in the first answer and then the other one each time. Both sides reckon with
-the node life time, which is guard time * life time factor:
+state in bits 0 to 6, and in bit 7 a toggle bit, 0 in the first answer and then changing each time. Both sides use the node life
+time, which is guard time * life time factor:
 
     master   `GuardingMaster`   a request that is not answered within the node life time: NodeGuardingLost
-    slave    `GuardingSlave`    no request for that long: LifeGuardingLost. It begins with the first request; without a guard
-                                time (0x100C) or life time factor (0x100D) the slave answers, and doesn't watch
+    slave    `GuardingSlave`    no request for that long: LifeGuardingLost. It begins with the first request. Without a guard
+                                time (0x100C) or life time factor (0x100D) the slave only answers
 
     not begun --request--> watched --life time over: LifeGuardingLost--> lost --request: LifeGuardingRecovered--> watched
 
-An answer whose toggle bit is that of the one before is handled as if it had not come (`GuardingToggleRepeated` tells of it). One
-answer that got lost therefore costs two: the next one looks like a repeated one. The first answer that a master hears may have
-either toggle bit, as somebody else may have asked before; after a boot-up frame it has to be 0, since only that resets it.
+An answer with the same toggle bit as the one before is handled as if it had not come, and reported by `GuardingToggleRepeated`.
+So one lost answer counts as two: the next one looks like a repetition. The first answer that a master hears may have either
+toggle bit, since another master may have asked before. After a boot-up frame it must be 0: only a boot-up resets it.
 
-A node either has guarding or a heartbeat: while its producer heartbeat time (0x1017) is not 0, it does not answer. Its owner says
-so by `set_enabled`. Heartbeats are supervised without remote frames and are the better choice (CiA 301 recommends them); guarding
-is here for devices that have nothing else, and for masters that insist on it.
+A node has either guarding or a heartbeat: while its producer heartbeat time (0x1017) is not 0, it does not answer; its owner
+calls `set_enabled`. Heartbeats need no remote frames and are the better choice (CiA 301 recommends them). Guarding is here for
+devices that have nothing else, and for masters that insist on it.
 
 Answers and heartbeats share a CAN-ID: a `HeartbeatConsumer` beside a `GuardingMaster` hears the answers as signs of life too.
 """
@@ -63,13 +63,13 @@ class GuardingAnswered(Event):
 
 
 class GuardingToggleRepeated(FrameIgnored):
-    """An answer with the toggle bit of the one before; it counts as not received."""
+    """An answer with the same toggle bit as the one before; it counts as not received."""
 
     __slots__ = ()
 
 
 class GuardingRequestsSkipped(Event):
-    """The master was woken so late that it left out requests. skipped: how many, 1 or more."""
+    """The master was woken so late that it left out requests. skipped: their number, 1 or more."""
 
     __slots__ = ("skipped",)
     __match_args__ = ("node_id", "skipped")
@@ -80,7 +80,7 @@ class GuardingRequestsSkipped(Event):
 
 
 class GuardingStateUnexpected(Event):
-    """A node answered with another NMT state than it is expected to have. Once for each state that it shows instead.
+    """A node answered with an unexpected NMT state. Reported once for each such state.
 
     Together with NodeGuardingLost this is the "node guarding event". CiA 301 v4.2.0, 7.2.8.2.2.1
     """
@@ -95,9 +95,9 @@ class GuardingStateUnexpected(Event):
 
 
 class NodeGuardingLost(Event):
-    """A node did not answer within the node life time. Once; NodeGuardingRecovered follows with its next answer.
+    """A node did not answer within the node life time. Reported once; NodeGuardingRecovered follows with its next answer.
 
-    state: what it answered last, None if it never did. life_time: ns.
+    state: of its last answer, None if it never answered. life_time: ns.
     """
 
     __slots__ = ("life_time", "state")
@@ -121,7 +121,7 @@ class NodeGuardingRecovered(Event):
 
 
 class LifeGuardingLost(Event):
-    """Nobody asked our own slave for its node life time (ns). Once; LifeGuardingRecovered follows with the next request."""
+    """Our own slave got no request within its node life time (ns). Once; LifeGuardingRecovered follows with the next request."""
 
     __slots__ = ("life_time",)
     __match_args__ = ("node_id", "life_time")
@@ -132,16 +132,16 @@ class LifeGuardingLost(Event):
 
 
 class LifeGuardingRecovered(Event):
-    """Our own slave is being asked again."""
+    """Our own slave gets requests again."""
 
     __slots__ = ()
 
 
 class GuardingMaster(Machine):
-    """Asks one node whether it lives.
+    """The master's side of guarding, for one node.
 
-    guard_time, life_time: ns, 0 while stopped. state: what the node answered last, or None. expected: the NMT state that it is
-    expected to have, None for any. lost: NodeGuardingLost was reported and no answer came since. All read-only outside.
+    guard_time, life_time: ns, 0 while stopped. state: of the node's last answer, or None. expected: the NMT state that the node
+    should have, None for any. lost: NodeGuardingLost was reported, and no answer came since. All read-only outside.
     """
 
     __slots__ = (
@@ -157,7 +157,7 @@ class GuardingMaster(Machine):
     )
 
     def __init__(self, out: Outbox, node_id: int) -> None:
-        """node_id: 1..127, else LocalProtocolError. It asks nothing before `start`."""
+        """Make a master that asks nothing before `start`. node_id: 1..127, else LocalProtocolError."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.guard_time: Time = 0
@@ -165,7 +165,7 @@ class GuardingMaster(Machine):
         self.state: NmtState | None = None
         self.expected: NmtState | None = None
         self.lost = False
-        self._toggle: int | None = None  # that of the answer to come; None: either
+        self._toggle: int | None = None  # of the next answer; None: either
         self._next_request: Time = NEVER
         self._unanswered_since: Time = NEVER  # when the oldest request was sent that waits for an answer
 
@@ -173,7 +173,7 @@ class GuardingMaster(Machine):
         return (routing_key(ERROR_CONTROL + self.node_id),)
 
     def start(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
-        """Ask now, and then once per guard time (ns, 1 ms or more); a master that asks already begins anew.
+        """Ask now, and then once per guard time (ns, 1 ms or more); a master that already asks starts again.
 
         life_time_factor: 1..255. Events: GuardingAnswered with each answer; NodeGuardingLost, NodeGuardingRecovered. Raises
         LocalProtocolError for other values. CiA 301 v4.2.0, 7.2.8.3.2.1
@@ -192,7 +192,7 @@ class GuardingMaster(Machine):
         self._rearm()
 
     def stop(self) -> None:
-        """Ask no more."""
+        """Stop asking."""
         self.guard_time = self.life_time = 0
         self.lost = False
         self._next_request = self._unanswered_since = NEVER
@@ -201,13 +201,13 @@ class GuardingMaster(Machine):
     def expect(self, state: NmtState | None) -> None:
         """Say which NMT state the node should have, None for any. Another one is reported: GuardingStateUnexpected."""
         self.expected = state
-        self.state = None  # whatever it shows next is news
+        self.state = None  # so that the next state is reported, whatever it is
 
     def receive(self, frame: Frame, now: Time) -> None:
         """Take an answer. Events, in this order: GuardingAnswered; NodeGuardingRecovered; GuardingStateUnexpected.
 
-        GuardingToggleRepeated, or FrameIgnored for what is no answer. A boot-up frame is none: the toggle bit begins anew, and
-        requests that went to the node before it no longer count. While stopped nothing is taken. CiA 301 v4.2.0, 7.2.8.3.2.1
+        Else GuardingToggleRepeated, or FrameIgnored if it is not an answer. A boot-up frame is not an answer: the toggle bit
+        starts from 0 again, and earlier requests no longer count. While stopped nothing is taken. CiA 301 v4.2.0, 7.2.8.3.2.1
         """
         if not self.guard_time:
             return
@@ -239,11 +239,11 @@ class GuardingMaster(Machine):
             out.events.append(GuardingStateUnexpected(self.node_id, state, self.expected))
 
     def handle_timeout(self, now: Time) -> None:
-        """Report NodeGuardingLost, once, and send the due request: one, however late (GuardingRequestsSkipped)."""
+        """Report NodeGuardingLost, once, and send the due request: only one, however late (GuardingRequestsSkipped)."""
         if now < self.deadline:
             return
         if now >= self._unanswered_since + self.life_time:
-            self._unanswered_since = NEVER  # until it answers: it is lost once
+            self._unanswered_since = NEVER  # not again until it answers: the loss is reported once
             self.lost = True
             self.out.events.append(NodeGuardingLost(self.node_id, self.state, self.life_time))
         if now >= self._next_request:
@@ -266,14 +266,14 @@ class GuardingMaster(Machine):
 class GuardingSlave(Machine):
     """Answers a master's guarding requests for our own node, and notices when they stop.
 
-    life_time: ns, 0 does not watch. state: what an answer says. lost: LifeGuardingLost was reported and no request came since.
-    enabled: guarding is used at all. All read-only outside.
+    life_time: ns; 0: not watched. state: the NMT state for the answer. lost: LifeGuardingLost was reported, and no request came
+    since. enabled: whether guarding is used. All read-only outside.
     """
 
     __slots__ = ("_begun", "_toggle", "enabled", "life_time", "lost", "node_id", "state")
 
     def __init__(self, out: Outbox, node_id: int) -> None:
-        """node_id: 1..127, else LocalProtocolError. The state is INITIALISING, the life time 0, and it is not enabled."""
+        """Make a slave in INITIALISING, with life time 0, not enabled. node_id: 1..127, else LocalProtocolError."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.enabled = False
@@ -287,17 +287,17 @@ class GuardingSlave(Machine):
         return (routing_key(ERROR_CONTROL + self.node_id, REMOTE),) if self.enabled else ()
 
     def set_enabled(self, enabled: bool) -> None:
-        """Whether the node uses guarding: it may not while it has a producer heartbeat time. CiA 301 v4.2.0, 7.2.8.3.2"""
+        """Say whether the node uses guarding: not while it has a producer heartbeat time. CiA 301 v4.2.0, 7.2.8.3.2"""
         if enabled != self.enabled:
             self.enabled = enabled
             self._forget()
             self._reroute()
 
     def set_life_time(self, life_time: Time, now: Time) -> None:
-        """Set the node life time: guard time * life time factor, in ns; 0 does not watch. LocalProtocolError if it is negative.
+        """Set the node life time: guard time * life time factor, in ns; 0: do not watch. LocalProtocolError if it is negative.
 
-        A slave that was asked before watches from now on, another from its first request on; one that is lost stays lost until
-        it is asked, or until 0 is set. CiA 301 v4.2.0, 7.5.2.11 and 7.5.2.12
+        The watch starts now if a request was received before, else with the first one. A lost slave stays lost until the next
+        request, or until 0 is set. CiA 301 v4.2.0, 7.5.2.11 and 7.5.2.12
         """
         if life_time < 0:
             raise LocalProtocolError(f"the node life time is {life_time} ns, less than 0")
@@ -309,7 +309,7 @@ class GuardingSlave(Machine):
             self._arm(now + life_time)
 
     def set_state(self, state: NmtState) -> None:
-        """Say what state the node is in now. In INITIALISING it is mute, and toggle bit and life guarding begin anew."""
+        """Set the node's NMT state. In INITIALISING it does not answer, and toggle bit and life guarding start again."""
         self.state = state
         if state is NmtState.INITIALISING:
             self._forget()

@@ -1,7 +1,7 @@
-"""A package's own names, each imported from its module when somebody first asks for it (PEP 562).
+"""A package's public names, each imported from its module at its first use (PEP 562).
 
-So `from canopen_proto import Frame` loads frame.py and no drive, and `import canopen_proto.network` what a network needs. Type
-checkers see plain imports under TYPE_CHECKING; a test compares the two lists.
+So `from canopen_proto import Frame` loads frame.py and no drive, and `import canopen_proto.network` only what a network needs.
+Type checkers see plain imports under TYPE_CHECKING; a test compares the two lists.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 def lazy_names(
     namespace: dict[str, object], homes: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package. namespace: its globals. homes: by module, its names."""
+    """Return `__getattr__`, `__dir__` and `__all__` of a package. namespace: its globals. homes: module -> its names."""
     home_of = {name: module for module, names in homes.items() for name in names.split()}
 
     def get(name: str) -> object:
@@ -21,7 +21,7 @@ def lazy_names(
         from importlib import import_module
 
         value: object = getattr(import_module(home_of[name]), name)
-        namespace[name] = value  # so it is found without asking again
+        namespace[name] = value  # found here from now on, without this function
         return value
 
     def names() -> list[str]:

@@ -5,8 +5,8 @@ Theory of operation
 Every service of CANopen is a `Machine`: frames and time go in, frames and events come out, and nothing else happens. A machine
 
 - never reads a clock: every input carries `now`, nanoseconds on one monotonic clock that the driver chose;
-- never calls anybody: what it has to say it appends to its `Outbox`, in order;
-- never raises because of a peer: what a peer does wrong becomes an event. Only a wrong call of our own user raises, always
+- never calls its driver: it appends its frames and events to its `Outbox`, in order;
+- never raises because of a peer: a peer's fault becomes an event. Only a wrong call of our own user raises, always
   `LocalProtocolError`, and then nothing has changed and nothing was sent. *Any other exception is a bug in this library*: that
   sentence is the oracle of every fuzz target.
 
@@ -21,9 +21,9 @@ The one driver loop, whatever the framework: 1. mutate (input or command); 2. ta
 4. deliver the events; 5. wait for a frame, a command, or the deadline. `Network.drain` does step 2 for many machines; a machine
 that stands alone is drained by reading and clearing `out.frames` and `out.events`.
 
-A machine works alone (`SdoClient(Outbox(), node_id=12)`), and it works in a `Group` or `Network`, which route frames to it and
-wake it. For those it keeps two promises: it enters itself in `out.armed` when its deadline came nearer than the wake that is
-held for it, and in `out.rerouted` when its `can_ids()` changed.
+A machine works alone (`SdoClient(Outbox(), node_id=12)`), and in a `Group` or `Network`, which route frames to it and wake it. It
+keeps two promises to them: it enters itself in `out.armed` when its deadline becomes earlier than the wake that is held for it,
+and in `out.rerouted` when its `can_ids()` change.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ class LocalProtocolError(Exception):
 
 
 class Event:
-    """Something that a machine reports. Plain values only, no references to machines; usable in `match`. Never change one.
+    """A report of a machine. It holds plain values, no references to machines, and works in `match`. Never change an event.
 
     A kind of event is a subclass with its own fields in `__slots__`, all fields in `__match_args__`, and an `__init__` that sets
     all of them itself: the call of another `__init__` would cost as much again. Equality and repr come from here.
 
-    node_id: the node that it is about, 1..127; 0 where it is about the network (SYNC, a procedure) and no single node.
+    node_id: the node that it is about, 1..127; 0 if it is about the network (SYNC, a procedure), not one node.
     """
 
     __slots__ = ("node_id",)
@@ -76,7 +76,7 @@ class Event:
 
 
 class Outcome(Event):
-    """The one answer to a command that returned a RequestId. Never dropped: there are as many as there were requests."""
+    """The one answer to a command that returned a RequestId. It is never dropped: every request gets exactly one."""
 
     __slots__ = ("request_id",)
     __match_args__ = ("node_id", "request_id")
@@ -87,7 +87,7 @@ class Outcome(Event):
 
 
 class FrameIgnored(Event):
-    """A frame that was ours by its CAN-ID made no sense, and was not acted on. reason: one line for people."""
+    """A frame with one of our CAN-IDs made no sense and was ignored. reason: one line for people."""
 
     __slots__ = ("frame", "reason")
     __match_args__ = ("node_id", "frame", "reason")
@@ -99,16 +99,16 @@ class FrameIgnored(Event):
 
 
 class Outbox:
-    """Where machines put what they have to say. One per network, shared by all its machines, so that order is kept.
+    """Takes the frames and events of machines. All machines of a network share one, so that the order is kept.
 
-    frames, events: what came out, oldest first. armed, rerouted: the machines whose deadline came nearer and whose can_ids
-    changed; a machine stands at most once in each. root: what all nested outboxes share.
+    frames, events: oldest first. armed, rerouted: the machines whose deadline became earlier, and whose can_ids changed; each
+    machine is in each list at most once. root: the part that all nested outboxes share.
     """
 
     __slots__ = ("armed", "events", "frames", "owner", "rerouted", "root")
 
     def __init__(self, within: Outbox | None = None, owner: Machine | None = None) -> None:
-        """A new outbox; or, for a Group, one nested `within` another: the same frames and events, its own armed and rerouted."""
+        """Make an outbox; for a Group, one nested `within` another: the same frames and events, its own armed and rerouted."""
         self.frames: list[Frame] = [] if within is None else within.frames
         self.events: list[Event] = [] if within is None else within.events
         self.armed: list[Machine] = []
@@ -118,10 +118,10 @@ class Outbox:
 
     @property
     def timestamp(self) -> int | None:
-        """What the transport said about the time of the frame that is being handled; events about frames carry it.
+        """The transport's timestamp of the frame that is being handled; events about frames carry it.
 
-        ns of another clock, of unknown origin: information, never compared with `now`. None while no frame is handled. One for
-        all nested outboxes; the hottest machines read it as `out.root.timestamp`, which saves this call.
+        In ns of another clock, of unknown origin: for information, never compared with `now`. None while no frame is handled. All
+        nested outboxes share it; the hottest machines read it as `out.root.timestamp`, which saves this call.
         """
         return self.root.timestamp
 
@@ -130,13 +130,13 @@ class Outbox:
         self.root.timestamp = timestamp
 
     def next_request_id(self) -> RequestId:
-        """A number not yet given to a request of this outbox."""
+        """Return a number that no request of this outbox has yet."""
         self.root.request_id += 1
         return self.root.request_id
 
 
 class OutboxRoot:
-    """What all nested outboxes share. request_id: the last one given. timestamp: see `Outbox.timestamp`."""
+    """The part that all nested outboxes share. request_id: the last one given. timestamp: see `Outbox.timestamp`."""
 
     __slots__ = ("request_id", "timestamp")
 
@@ -153,26 +153,26 @@ class Machine:
     def __init__(self, out: Outbox) -> None:
         self.out = out
         self.deadline: Time = NEVER
-        self._wake: Time = NEVER  # the nearest wake that is held for us, by a Group or by whoever empties out.armed
+        self._wake: Time = NEVER  # the earliest wake held for this machine, by its Group or its driver
         self._in_armed = False
         self._in_rerouted = False
 
     def can_ids(self) -> Iterable[RoutingKey]:
-        """The keys (`Frame.key`) of the frames that it wants. Changes are announced in `out.rerouted`."""
+        """Return the routing keys (`Frame.key`) of the frames that it wants. It announces changes in `out.rerouted`."""
         return ()
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Handle a frame whose key is among `can_ids()`. Never raises, whatever the frame holds."""
+        """Handle a frame whose routing key is among `can_ids()`. Never raises, whatever the frame holds."""
 
     def receiver_of(self, key: RoutingKey) -> Machine:
-        """Return the machine whose `receive` gets the frames of a key: this one, or one that has done its look-ups already."""
+        """Return the machine whose `receive` gets the frames with a routing key: this machine, or a part of it."""
         return self
 
     def handle_timeout(self, now: Time) -> None:
-        """Handle the passing of time. Called early it does nothing; called late it is still right."""
+        """Act on the time that has passed. An early call does nothing; a late call is still right."""
 
     def _arm(self, deadline: Time) -> None:
-        """Set the deadline. A later one than the held wake waits for that wake: the early call does nothing but arm again."""
+        """Set the deadline. If it is later than the held wake, that wake stays: the early call only arms again."""
         self.deadline = deadline
         if deadline < self._wake:
             self._wake = deadline
@@ -193,8 +193,8 @@ class Machine:
 
 
 def check_node_id(node_id: int) -> int:
-    """node_id itself if it is an integer of 1..127, else LocalProtocolError."""
-    if not isinstance(node_id, int) or isinstance(node_id, bool):  # it may come from a file or a form: True is no node 1
+    """Return node_id if it is an integer of 1..127. Raises LocalProtocolError for any other."""
+    if not isinstance(node_id, int) or isinstance(node_id, bool):  # it may come from a file or a form: True is not node 1
         raise LocalProtocolError(f"node-ID {node_id!r} is no integer: node-IDs are 1..{MAX_NODE_ID}")
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
@@ -202,5 +202,5 @@ def check_node_id(node_id: int) -> int:
 
 
 def fields_of(report: Event) -> dict[str, Any]:
-    """An event's fields by name, for logs and JSON."""
+    """Return an event's fields by name, for logs and JSON."""
     return {name: getattr(report, name) for name in report.__match_args__}

@@ -1,21 +1,21 @@
-"""Network management: who may do what on the bus, and who says so (CiA 301 v4.2.0, 7.2.8 and 7.3.2).
+"""Network management: a master commands the NMT states of nodes, which decide what a node may do (CiA 301 v4.2.0, 7.2.8, 7.3.2).
 
 Theory of operation
 -------------------
-Every node is in one of four NMT states, and the state decides which services live (`SERVICES`). One participant, the NMT master,
-moves the others by an unconfirmed frame of two bytes on CAN-ID 0: the command, and the node-ID that it is for (0: all of them).
-The node does not answer. That it went where it was told shows in its heartbeat (heartbeat.py), and that it came through a reset
-in its boot-up frame, 0x700 + node-ID with the one byte 0, which the slave sends when its initialisation is done.
+Every node is in one of four NMT states, and the state decides which services it has (`SERVICES`). One participant, the NMT
+master, commands the others by an unconfirmed frame of two bytes on CAN-ID 0: the command, and the node-ID that it is for (0: all
+nodes). The node does not answer. Its heartbeat shows the new state (heartbeat.py). Its boot-up frame, 0x700 + node-ID with the
+one byte 0, shows that a reset is done; the slave sends it when its initialisation is done.
 
 Roles: `NmtMaster` sends the five commands. `NmtSlave` is a node's own state machine: `TRANSITIONS`, one table.
 
-A reset is two steps here, because the initialisation between them is not NMT's: the slave enters INITIALISING and reports
-`NmtResetRequested`; the node puts its parameters back (all of them, or those of communication) and calls `boot`, which sends the
+A reset has two steps here, because the node itself does the initialisation between them. The slave enters INITIALISING and
+reports `NmtResetRequested`. The node resets its parameters (all, or those of communication) and calls `boot`, which sends the
 boot-up frame and enters PRE-OPERATIONAL. A node that starts itself (0x1F80) then calls `execute(NmtCommand.START, now)`.
 
-Left out: the NMT inhibit time (0x102A), as a master sends a handful of commands and not a stream; the start-up of a network by
-CiA 302-2, which is a procedure; a flying master. Nobody hears his own frames on CAN, so a node that is master and slave at once
-executes what it sends to all by `execute`.
+Left out: the NMT inhibit time (0x102A), as a master sends few commands; the start-up of a network by CiA 302-2, which is a
+procedure; a flying master. A node on CAN does not receive its own frames: a node that is both master and slave must call
+`execute` for the commands that it sends to all.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingK
 from canopen_proto.machine import Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 
 ALL_NODES: Final = 0
-"""As the node-ID of an NMT command: every node of the network."""
+"""The node-ID of an NMT command to every node of the network."""
 
 
 class NmtState(IntEnum):
-    """The NMT states, by the number that a heartbeat bears. CiA 301 v4.2.0, 7.2.8.3.2.2."""
+    """The NMT states, by their number in a heartbeat. CiA 301 v4.2.0, 7.2.8.3.2.2."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -52,7 +52,7 @@ class NmtCommand(IntEnum):
 
 
 class Service(Enum):
-    """The communication services whose life depends on the NMT state."""
+    """The communication services that depend on the NMT state."""
 
     BOOT_UP = "boot-up"
     NMT = "NMT node control"
@@ -75,7 +75,7 @@ SERVICES: Final[Mapping[NmtState, frozenset[Service]]] = MappingProxyType(
         NmtState.STOPPED: _ALWAYS,
     }
 )
-"""Which services live in which state: `Service.SDO in SERVICES[state]`. CiA 301 v4.2.0, 7.3.2.2.5."""
+"""NMT state -> the services that a node has in it: `Service.SDO in SERVICES[state]`. CiA 301 v4.2.0, 7.3.2.2.5."""
 
 _TARGETS: Final = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -92,23 +92,23 @@ TRANSITIONS: Final[Mapping[tuple[NmtState, NmtCommand], NmtState]] = MappingProx
         for command, target in _TARGETS.items()
     }
 )
-"""(state, command) -> next state. Every command leads from each of the three to one and the same state; INITIALISING has no rows,
-since a node that is initialising is not on the bus: it leaves that state by itself. CiA 301 v4.2.0, 7.3.2.1"""
+"""(state, command) -> next state. A command leads to the same state from each of the three states. INITIALISING has no rows: a
+node in it is not on the bus, and leaves it by itself. CiA 301 v4.2.0, 7.3.2.1"""
 
 _STATE_BY_NUMBER: Final = {int(state): state for state in NmtState}
 _COMMAND_BY_NUMBER: Final = {int(command): command for command in NmtCommand}
 
 STATE_OF_BYTE: Final = tuple(_STATE_BY_NUMBER.get(byte & 0x7F) for byte in range(256))
-"""The state that the byte of a heartbeat or guarding answer names, whatever its toggle bit (bit 7); None if it names none."""
+"""The byte of a heartbeat or guarding answer -> its state, whatever its toggle bit (bit 7); None if there is no such state."""
 
 
 def target_of(command: NmtCommand) -> NmtState:
-    """The state that a command leads to; a node that is reset goes on from INITIALISING to PRE-OPERATIONAL by itself."""
+    """Return the state that a command leads to. After a reset, the node goes from INITIALISING to PRE-OPERATIONAL by itself."""
     return _TARGETS[command]
 
 
 class NmtCommandSent(Event):
-    """The master's command is in the outbox. node_id 0: it goes to all nodes."""
+    """A command of our master is in the outbox. node_id 0: it is for all nodes."""
 
     __slots__ = ("command",)
     __match_args__ = ("node_id", "command")
@@ -119,7 +119,7 @@ class NmtCommandSent(Event):
 
 
 class NmtStateChanged(Event):
-    """Our own slave (NmtSlave) is in another state now."""
+    """Our own slave (NmtSlave) entered another state."""
 
     __slots__ = ("previous", "state")
     __match_args__ = ("node_id", "previous", "state")
@@ -131,9 +131,9 @@ class NmtStateChanged(Event):
 
 
 class NmtResetRequested(Event):
-    """Our own slave shall reset: everything (RESET_NODE) or the communication parameters, 0x1000 to 0x1FFF (RESET_COMMUNICATION).
+    """Our own node must reset everything (RESET_NODE) or the communication parameters, 0x1000 to 0x1FFF (RESET_COMMUNICATION).
 
-    It is in INITIALISING already (the NmtStateChanged before this one). The node resets itself, then calls `NmtSlave.boot`.
+    The slave is already in INITIALISING (NmtStateChanged came before). The node resets itself, then calls `NmtSlave.boot`.
     """
 
     __slots__ = ("command",)
@@ -145,7 +145,7 @@ class NmtResetRequested(Event):
 
 
 class NmtMaster(Machine):
-    """Sends NMT commands to one node or to all. It receives nothing: HeartbeatConsumer tells how the nodes took it."""
+    """Sends NMT commands to one node or to all. It receives nothing: HeartbeatConsumer reports the nodes' states."""
 
     __slots__ = ()
 
@@ -160,15 +160,15 @@ class NmtMaster(Machine):
         self.out.events.append(NmtCommandSent(node_id, command))
 
     def start(self, node_id: int, now: Time) -> None:
-        """Command OPERATIONAL: PDOs live. CiA 301 v4.2.0, 7.2.8.2.1.2"""
+        """Command OPERATIONAL: all services, PDO too. CiA 301 v4.2.0, 7.2.8.2.1.2"""
         self.send(NmtCommand.START, node_id, now)
 
     def stop(self, node_id: int, now: Time) -> None:
-        """Command STOPPED: nothing but NMT and error control lives. CiA 301 v4.2.0, 7.2.8.2.1.3"""
+        """Command STOPPED: only NMT and error control. CiA 301 v4.2.0, 7.2.8.2.1.3"""
         self.send(NmtCommand.STOP, node_id, now)
 
     def enter_pre_operational(self, node_id: int, now: Time) -> None:
-        """Command PRE-OPERATIONAL: SDOs live, PDOs don't. CiA 301 v4.2.0, 7.2.8.2.1.4"""
+        """Command PRE-OPERATIONAL: SDO, but no PDO. CiA 301 v4.2.0, 7.2.8.2.1.4"""
         self.send(NmtCommand.ENTER_PRE_OPERATIONAL, node_id, now)
 
     def reset_node(self, node_id: int, now: Time) -> None:
@@ -181,7 +181,7 @@ class NmtMaster(Machine):
 
 
 class NmtSlave(Machine):
-    """A node's own NMT state machine. It begins in INITIALISING, mute, until `boot`.
+    """A node's own NMT state machine. It begins in INITIALISING, and sends nothing before `boot`.
 
     state: read-only outside.
     """
@@ -189,7 +189,7 @@ class NmtSlave(Machine):
     __slots__ = ("node_id", "state")
 
     def __init__(self, out: Outbox, node_id: int) -> None:
-        """node_id: 1..127, else LocalProtocolError."""
+        """Make a slave in INITIALISING. node_id: 1..127, else LocalProtocolError."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.state = NmtState.INITIALISING
@@ -198,11 +198,11 @@ class NmtSlave(Machine):
         return (NMT,)
 
     def allows(self, service: Service) -> bool:
-        """Whether a service lives in the present state."""
+        """Return whether the present state allows a service."""
         return service in SERVICES[self.state]
 
     def boot(self, now: Time) -> None:
-        """Initialisation is done: send the boot-up frame and enter PRE-OPERATIONAL. Event: NmtStateChanged, at once.
+        """Send the boot-up frame and enter PRE-OPERATIONAL: initialisation is done. Event: NmtStateChanged, at once.
 
         Raises LocalProtocolError unless the state is INITIALISING. CiA 301 v4.2.0, 7.2.8.3.3 and 7.3.2.2.1
         """
@@ -212,10 +212,10 @@ class NmtSlave(Machine):
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def execute(self, command: NmtCommand, now: Time) -> None:
-        """Do what an NMT command says, for a reason of our own: start by itself (0x1F80), error behaviour (0x1029).
+        """Execute an NMT command for a reason of our own: start by itself (0x1F80), error behaviour (0x1029).
 
-        Events: NmtStateChanged and NmtResetRequested as for a received command; none if the node is in the state already. Nothing
-        happens in INITIALISING. CiA 301 v4.2.0, 7.3.2.1 ("initiated locally")
+        Events: NmtStateChanged and NmtResetRequested as for a received command; none if the node is already in that state. Does
+        nothing in INITIALISING. CiA 301 v4.2.0, 7.3.2.1 ("initiated locally")
         """
         state = TRANSITIONS.get((self.state, command))
         if state is None or state is self.state:
@@ -227,7 +227,7 @@ class NmtSlave(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         """Obey a command to this node or to all.
 
-        A frame that is not two bytes long, or bears an unknown command for us, is reported as FrameIgnored. CiA 301 v4.2.0,
+        A frame that is not two bytes long, or has an unknown command for this node, is reported as FrameIgnored. CiA 301 v4.2.0,
         7.2.8.3.1
         """
         if self.state is NmtState.INITIALISING:

@@ -1,4 +1,4 @@
-"""`Owner`: the part of a device to which some of its communication objects belong."""
+"""`Owner`: the part of a device that owns some of its communication objects."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from canopen_proto.machine import Time
 
 
 class Owner:
-    """Owns communication objects of a `LocalNode`: brings them up to date, rules what may be written, and goes by it.
+    """Owns communication objects of a `LocalNode`: brings them up to date, checks writes, and acts on them.
 
-    By default an object is plain memory: every value that is right in type and limits is taken, and nothing follows.
+    By default an object is plain memory: every value with the right type and limits is accepted, and nothing follows.
     """
 
     __slots__ = ()
 
     @staticmethod
     def owns(index: int) -> bool:
-        """Return whether an object belongs to this part; by default each one that no other part owns."""
+        """Return whether this part owns an object; by default every object that no other part owns."""
         return True
 
     def refresh(self, index: int, subindex: int) -> AbortCode | None:
@@ -27,9 +27,9 @@ class Owner:
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Return the abort code with which the device refuses this value, or None. Changes nothing.
 
-        value: right in type and limits already.
+        value: its type and limits were checked before.
         """
         return None
 
     def apply(self, index: int, subindex: int, now: Time) -> None:
-        """Go by the value that was just stored there."""
+        """Act on the value that was just stored."""

@@ -1,32 +1,32 @@
-"""Store and restore parameters: 0x1010, 0x1011, and the values that a device has at power-on (CiA 301 v4.2.0, 7.5.2.13, .14).
+"""Store and restore parameters: 0x1010, 0x1011, and the values of a device at power-on (CiA 301 v4.2.0, 7.5.2.13, .14).
 
 Theory of operation
 -------------------
-A client writes "save" to a subindex of 0x1010, and the parameters of that group are as they are now after the next power-on; or
-"load" to 0x1011, and they have their defaults again, after the next reset. Another signature is refused with 0x08000020, so that
-nothing is stored by accident. Reading tells what the device can do: bit 0, it does so on command (bit 1 of 0x1010: by itself). A
-dictionary says that with the object's default; without one it is bit 0, and where bit 0 is 0 the signature is refused too.
+A client writes "save" to a subindex of 0x1010: the parameters of that group keep their present values after the next power-on. Or
+it writes "load" to 0x1011: they have their defaults again after the next reset. Another signature is refused with 0x08000020, so
+that nothing is stored by accident. A read shows what the device can do: bit 0, on command (bit 1 of 0x1010: by itself). The
+object's default in the dictionary gives this value; without a default it is bit 0. If bit 0 is 0, the signature is refused too.
 
     1        all parameters                  0x1000 to 0xFFFF
     2        communication parameters        0x1000 to 0x1FFF
     3        application parameters          0x6000 to 0x9FFF
     4..127   the manufacturer's              0x2000 to 0x5FFF, until `groups` says otherwise
 
-A parameter is what a client may read and write. Left out are DOMAINs and `excluded`: objects that are commands or a history, to
-which a device adds its own (a control word is no parameter). The COB-IDs that an SDO manager has given (bit 30) are not stored.
+Every object that a client may read and write is a parameter, except DOMAINs and `excluded`: commands and histories, to which a
+device adds its own (a controlword is not a parameter). COB-IDs that an SDO manager has given (bit 30) are not stored.
 
-**The host does the storing**, since the core has nothing that outlives it:
+**The host stores the values**, since the core has no memory that outlives it:
 
     1. ObjectAccessPending for 0x1010 or 0x1011: the server holds its answer, and the values of that moment are taken
-    2. kept = node.storage.to_keep(index, subindex): everything that is to be there at the next power-on, not this group only
-    3. the host writes that somewhere, and says node.complete(access_id, None, now), or AbortCode.HARDWARE_ERROR if it could not
+    2. kept = node.storage.to_keep(index, subindex): all values for the next power-on, not only those of this group
+    3. the host stores them, and calls node.complete(access_id, None, now), or with AbortCode.HARDWARE_ERROR if that failed
     4. at the next start, before `boot`: node.storage.load(kept)
 
-Until 3. nothing has changed. `saved` is what a reset puts back in place of the defaults: of everything (reset node), or of
-0x1000 to 0x1FFF (reset communication).
+Before step 3 nothing changes. A reset puts back `saved` in place of the defaults: all of it (reset node), or 0x1000 to 0x1FFF
+(reset communication).
 
-What a DCF has configured (`Variable.configured`) counts as stored already, as somebody would have done who set the device up by
-it: after "load" the parameter has the default of its EDS again. What a client cannot write stays as it is configured.
+A value that a DCF configures (`Variable.configured`) counts as stored, as if the device had been set up by the DCF: after "load"
+the parameter has the default of its EDS again. An object that a client cannot write keeps its configured value.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from canopen_proto.sdo.channels import is_dynamic
 STORE: Final = 0x1010
 RESTORE: Final = 0x1011
 SIGNATURES: Final = {STORE: 0x65766173, RESTORE: 0x64616F6C}
-"""ASCII "save" and "load", as little-endian numbers: what a client has to write. CiA 301 v4.2.0, figures 54 and 58"""
+"""The values that a client has to write: ASCII "save" and "load", as little-endian numbers. CiA 301 v4.2.0, figures 54 and 58"""
 ON_COMMAND: Final = 0x01
-"""Bit of what is read: the device stores (restores) on command."""
+"""Bit of the value that is read: the device stores (restores) on command."""
 
 GROUPS: Final[Mapping[int, Collection[int]]] = {
     1: range(0x1000, 0x10000),
@@ -56,21 +56,21 @@ GROUPS: Final[Mapping[int, Collection[int]]] = {
 }
 ALL_INDICES: Final = range(0x10000)
 NO_PARAMETERS: Final = frozenset({0x1003, STORE, RESTORE, 0x1023, 0x1024, 0x1025, 0x1026})
-"""Communication objects that can be written and are no parameters: error history, storage, OS commands, debugger, prompt."""
+"""Communication objects that can be written but are not parameters: error history, storage, OS commands, debugger, prompt."""
 
 
 class ParameterStorage(Owner):
-    """What a device keeps over power-off; see this module's text.
+    """The values that a device keeps without power; see this module's text.
 
-    saved: the power-on values that are not the defaults, by mux; at first those of a DCF. groups: indices by subindex of 0x1010
-    and 0x1011; excluded: indices that are no parameters. The device may change these two before it boots.
+    saved: the power-on values that are not the defaults, by mux; at first those of a DCF. groups: subindex of 0x1010 and 0x1011
+    -> its indices. excluded: indices that are not parameters. The device may change these two before it boots.
     """
 
     __slots__ = ("_after", "_configured", "_values", "excluded", "groups", "saved")
 
     def __init__(self, values: Values) -> None:
         self._values = values
-        self._after: dict[tuple[int, int], dict[Mux, Value]] = {}  # `saved` as it will be, by the access that is with the host
+        self._after: dict[tuple[int, int], dict[Mux, Value]] = {}  # access that waits for the host -> `saved` after it
         self.groups: dict[int, Collection[int]] = dict(GROUPS)
         self.excluded: set[int] = set(NO_PARAMETERS)
         # What `Values` begins with, but is not the default
@@ -80,12 +80,11 @@ class ParameterStorage(Owner):
     # ---- for the host ----
 
     def load(self, kept: Mapping[Mux, bytes]) -> list[Mux]:
-        """Hand in what was kept (mux -> bytes, of `to_keep`), before the node boots: these are its values from now on.
+        """Load the values that the host kept (mux -> bytes, of `to_keep`), before the node boots: the node has them from now on.
 
-        They take the place of what a DCF has configured, which was among them unless a client restored the defaults: a host
-        that has kept nothing yet leaves it.
-        Returns the muxes that were left out, because there is no such parameter any more or it cannot have that value: another
-        version of the device may have stored them.
+        They replace the values of a DCF, which are among them unless a client restored the defaults. Do not call it if nothing
+        was kept yet. Returns the muxes that were left out, because the parameter no longer exists or cannot have that value:
+        another version of the device may have stored them.
         """
         left_out = []
         self.saved = {}
@@ -105,16 +104,17 @@ class ParameterStorage(Owner):
         return left_out
 
     def to_keep(self, index: int, subindex: int) -> dict[Mux, bytes]:
-        """All that is to be kept (mux -> bytes) once the pending access to 0x1010 or 0x1011 is done; now, if there is none."""
+        """Return all values to keep (mux -> bytes) once the pending access to 0x1010 or 0x1011 is done, or now if there is
+        none."""
         after = self._after.get((index, subindex), self.saved)
         return {variable.mux: variable.encode(value) for variable, value in self._with_variables(after)}
 
     # ---- for the node ----
 
     def capability(self, index: int, subindex: int) -> int | None:
-        """What a client reads there; None where it is no subindex of 0x1010 or 0x1011 that stands for a group.
+        """Return the value that a client reads; None if it is not a subindex of 0x1010 or 0x1011 for a group.
 
-        None too where it is described as something that has no room for a signature.
+        Also None if the dictionary describes the object with too few bytes for a signature.
         """
         variable = self._values.dictionary.get(index, subindex) if index in SIGNATURES and subindex else None
         numbers = None if variable is None else range_of(variable.data_type)
@@ -134,13 +134,14 @@ class ParameterStorage(Owner):
         return None
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Whether that value begins to store or restore: it is the signature, and the device can do so on command."""
+        """Return None if this value starts to store or restore (it is the signature, and the device can do so on command), else
+        the abort code."""
         capability = self.capability(index, subindex)
         able = capability is not None and capability & ON_COMMAND
         return None if able and value == SIGNATURES[index] else AbortCode.CANNOT_TRANSFER
 
     def begin(self, index: int, subindex: int) -> None:
-        """The signature was written, and the host is asked: take the values of this moment."""
+        """Take the present values: the signature was written, and the host is asked."""
         group = self.groups.get(subindex, ())
         after = {key: value for key, value in self.saved.items() if index_of(key) not in group}
         if index == STORE:
@@ -151,15 +152,15 @@ class ParameterStorage(Owner):
         self._after[index, subindex] = after
 
     def commit(self, index: int, subindex: int) -> None:
-        """The host has done it."""
+        """Finish a pending access: the host has stored the values."""
         self.saved = self._after.pop((index, subindex), self.saved)
 
     def forget(self, index: int, subindex: int) -> None:
-        """The host could not, or the client gave up."""
+        """Drop a pending access: the host failed, or the client gave up."""
         self._after.pop((index, subindex), None)
 
     def put_back(self, indices: Collection[int]) -> None:
-        """The initial values were put back in these objects: the power-on values go over them."""
+        """Put the power-on values into these objects, over the initial values that were put back before."""
         for variable in self._configured:
             if variable.index in indices and variable.mux not in self.saved:
                 self._values.put_default(variable)
@@ -177,7 +178,7 @@ class ParameterStorage(Owner):
                 yield variable
 
     def _with_variables(self, values: Mapping[Mux, Value]) -> Iterator[tuple[Variable, Value]]:
-        """The values that their objects can have: the device itself may have put something else into its memory."""
+        """Return the values that fit their objects: the device itself may have put others into its memory."""
         for key, value in values.items():
             variable = self._values.dictionary.variable(split_mux(key))
             try:

@@ -1,24 +1,23 @@
-"""SYNC: the beat to which synchronous PDOs are sent and taken (CiA 301 v4.2.0, 7.2.5).
+"""SYNC: the signal at which synchronous PDOs are sent and taken (CiA 301 v4.2.0, 7.2.5).
 
 Theory of operation
 -------------------
-The producer sends a frame without data on CAN-ID 0x80 (0x1005), once per communication cycle period (0x1006) or whenever it is
-told to. With a synchronous counter overflow value (0x1019) of 2 to 240 the frame has one byte, a counter that runs 1, 2 ...
-overflow, 1 ..., so that nodes can send their PDOs in different cycles. 0 means no counter; 1 and 241 to 255 are reserved, and
-refused.
+The producer sends a frame without data on CAN-ID 0x80 (0x1005), once per communication cycle period (0x1006) or by `send`. With a
+synchronous counter overflow value (0x1019) of 2 to 240 the frame has one byte, a counter that runs 1, 2 ... overflow, 1 ..., so
+that nodes can send their PDOs in different cycles. 0 means no counter; 1 and 241 to 255 are reserved, and refused.
 
-`SyncProducer` keeps its phase: cycle n is due at start + n * period, however late the driver comes. Late by a whole period or
-more, it sends one SYNC and not the missed ones (their cycles are over, and consumers would act twice at once);
-`SyncSent.skipped` tells how many. The counter counts frames on the bus, so it has no gaps. `start` sends the first SYNC
+`SyncProducer` keeps its phase: cycle n is due at start + n * period, however late the driver comes. If the driver is late by a
+whole period or more, the producer sends one SYNC, not all missed ones: their cycles are over, and consumers would act twice at
+once. `SyncSent.skipped` has their number. The counter counts frames on the bus, so it has no gaps. `start` sends the first SYNC
 itself: the standard wants it within one cycle (7.5.2.5).
 
-`SyncConsumer` reports each SYNC. One whose length is not the expected is `SyncLengthUnexpected` and is not acted on, as a
-counter would then be made up or lost; the EMCY 0x8240 that a device may send for it is its node's business. A counter's value
-is handed on as it came: to compare it with a SYNC start value is the PDO's business.
+`SyncConsumer` reports each SYNC. A SYNC of unexpected length becomes `SyncLengthUnexpected` and is otherwise ignored: it has a
+counter too many, or none. The node decides whether to send EMCY 0x8240 for it. A counter's value is passed on as it came: the PDO
+compares it with its SYNC start value.
 
-Left out: the synchronous window length (0x1007), as it is about the PDOs. That 0x1019 must not be changed while a period is
-set (abort 0x08000022), and that SYNC lives neither in STOPPED nor in INITIALISING and counts from 1 after them, is for the
-node to see to: it stops the producer and starts it again.
+Left out: the synchronous window length (0x1007), as it is about the PDOs. The node has two duties. It refuses a change of 0x1019
+while a period is set (abort 0x08000022). It stops the producer in STOPPED and INITIALISING, where there is no SYNC, and
+starts it again after them, so that it counts from 1.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ MIN_PERIOD: Final = MICROSECOND
 class SyncSent(Event):
     """Our producer's SYNC is in the outbox; node_id is 0.
 
-    counter: the one it bears, or None. skipped: the cycles that were left out before it because the driver came late.
+    counter: its counter, or None. skipped: the number of cycles that were left out before it because the driver came late.
     """
 
     __slots__ = ("counter", "skipped")
@@ -51,7 +50,7 @@ class SyncSent(Event):
 
 
 class SyncReceived(Event):
-    """A SYNC came; node_id is 0. counter: the one it bears, or None. timestamp: the transport's, if it has one."""
+    """A SYNC came; node_id is 0. counter: its counter, or None. timestamp: the transport's, if it has one."""
 
     __slots__ = ("counter", "timestamp")
     __match_args__ = ("node_id", "counter", "timestamp")
@@ -63,7 +62,7 @@ class SyncReceived(Event):
 
 
 class SyncLengthUnexpected(FrameIgnored):
-    """A SYNC whose length is not what 0x1019 says. expected: 0 or 1 byte. (A device may send EMCY 0x8240 for it.)"""
+    """A SYNC had another length than 0x1019 says. expected: 0 or 1 byte. (A device may send EMCY 0x8240 for it.)"""
 
     __slots__ = ("expected",)
     __match_args__ = ("node_id", "frame", "reason", "expected")
@@ -76,7 +75,7 @@ class SyncLengthUnexpected(FrameIgnored):
 
 
 def check_counter_overflow(value: int) -> int:
-    """value itself if 0x1019 may hold it (0, 2..240), else LocalProtocolError. CiA 301 v4.2.0, 7.5.2.22"""
+    """Return the value if 0x1019 may hold it (0, 2..240). Raises LocalProtocolError for others. CiA 301 v4.2.0, 7.5.2.22"""
     if value != 0 and not 2 <= value <= MAX_COUNTER:
         raise LocalProtocolError(f"synchronous counter overflow value {value} is neither 0 (no counter) nor 2..{MAX_COUNTER}")
     return value
@@ -85,14 +84,14 @@ def check_counter_overflow(value: int) -> int:
 class SyncProducer(Machine):
     """Sends SYNC, periodically or one at a time.
 
-    key: the routing key of its COB-ID. period: ns, 0 while stopped. counter: what the next SYNC bears, if it bears one.
-    counter_overflow: as in 0x1019. All read-only outside.
+    key: the routing key of its COB-ID. period: ns, 0 while stopped. counter: of the next SYNC, if it has one. counter_overflow:
+    as in 0x1019. All read-only outside.
     """
 
     __slots__ = ("counter", "counter_overflow", "key", "period")
 
     def __init__(self, out: Outbox, key: RoutingKey = SYNC, counter_overflow: int = 0) -> None:
-        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`). LocalProtocolError for a counter overflow value that is reserved."""
+        """Take a routing key (`key_of_cob_id`), 11 or 29 bits. LocalProtocolError for a reserved counter overflow value."""
         super().__init__(out)
         self.key = key
         self.counter_overflow = check_counter_overflow(counter_overflow)
@@ -102,14 +101,14 @@ class SyncProducer(Machine):
     def configure(self, key: RoutingKey, counter_overflow: int) -> None:
         """Take another COB-ID (0x1005) and counter overflow value (0x1019); LocalProtocolError for a reserved one.
 
-        It stops: a running counter can't change its range. CiA 301 v4.2.0, 7.5.2.22
+        The producer stops: a running counter cannot change its range. CiA 301 v4.2.0, 7.5.2.22
         """
         self.counter_overflow = check_counter_overflow(counter_overflow)
         self.key = key
         self.stop()
 
     def start(self, period: Time, now: Time, counter_overflow: int | None = None) -> None:
-        """Send SYNC now and then once per period (ns, 1 us or more); a producer that runs begins anew. The counter begins with 1.
+        """Send SYNC now and then once per period (ns, 1 us or more), also if it runs already. The counter starts with 1.
 
         counter_overflow: 0 or 2..240; None leaves it as it is. Event: SyncSent with each frame. Raises LocalProtocolError for
         other values. CiA 301 v4.2.0, 7.2.5.2, 7.5.2.5, 7.5.2.6 and 7.5.2.22
@@ -124,7 +123,7 @@ class SyncProducer(Machine):
         self._arm(now + period)
 
     def stop(self) -> None:
-        """Send no more SYNC by itself. The counter begins with 1 when it is used next."""
+        """Stop the periodic SYNC. The counter starts with 1 at its next use."""
         self.period = 0
         self.counter = 1
         self._arm(NEVER)
@@ -134,7 +133,7 @@ class SyncProducer(Machine):
         self._send(0)
 
     def handle_timeout(self, now: Time) -> None:
-        """Send the due SYNC: one, however late. Event: SyncSent."""
+        """Send the due SYNC: only one, however late. Event: SyncSent."""
         if now < self.deadline:
             return
         skipped = (now - self.deadline) // self.period
@@ -155,13 +154,13 @@ class SyncProducer(Machine):
 class SyncConsumer(Machine):
     """Reports each SYNC on the bus.
 
-    key: the routing key of its COB-ID. counter_overflow: as in 0x1019: whether a counter is expected. Both read-only outside.
+    key: the routing key of its COB-ID. counter_overflow: as in 0x1019; not 0: a counter is expected. Both read-only outside.
     """
 
     __slots__ = ("counter_overflow", "key")
 
     def __init__(self, out: Outbox, key: RoutingKey = SYNC, counter_overflow: int = 0) -> None:
-        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`). LocalProtocolError for a counter overflow value that is reserved."""
+        """Take a routing key (`key_of_cob_id`), 11 or 29 bits. LocalProtocolError for a reserved counter overflow value."""
         super().__init__(out)
         self.key = key
         self.counter_overflow = check_counter_overflow(counter_overflow)

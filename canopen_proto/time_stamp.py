@@ -1,16 +1,16 @@
-"""TIME: one node tells the others what time it is (CiA 301 v4.2.0, 7.2.6).
+"""TIME: one node sends the time of day to the others (CiA 301 v4.2.0, 7.2.6).
 
 Theory of operation
 -------------------
 The producer sends one frame of six bytes on CAN-ID 0x100 (0x1012): a TIME_OF_DAY, which is 28 bits of milliseconds since
 midnight, 4 unused bits, and 16 bits of days since 1984-01-01. There is no answer. Day 65535 is in June of 2163.
 
-`TimeProducer` sends when it is told to, with the time that it is told: this core has no clock, and least of all a wall clock. The
-frame is a moment old when it is heard; its priority is high so that the moment is short.
+`TimeProducer` sends the time that its caller gives, when the caller says: this core has no clock. A frame is a moment old when it
+is received; its priority is high, so that the moment is short.
 
-`TimeConsumer` reports the time of each frame. What is done with it (setting a clock, comparing clocks) is the host's business.
+`TimeConsumer` reports the time of each frame. The host uses it (to set a clock, to compare clocks).
 
-The standard names no time zone. Here it is UTC; a device that was set to local time is told by its offset.
+The standard names no time zone. Here it is UTC; a device that was set to local time shows by its offset.
 
 Left out: the high resolution time stamp (0x1013), which is a plain object that a PDO may carry.
 """
@@ -26,7 +26,7 @@ from canopen_proto.machine import Event, FrameIgnored, Machine, Outbox, Time
 
 
 class TimeSent(Event):
-    """Our producer's TIME is in the outbox; node_id is 0. time: what it says (whole milliseconds, UTC)."""
+    """Our producer's TIME is in the outbox; node_id is 0. time: as sent (whole milliseconds, UTC)."""
 
     __slots__ = ("time",)
     __match_args__ = ("node_id", "time")
@@ -37,7 +37,7 @@ class TimeSent(Event):
 
 
 class TimeReceived(Event):
-    """A TIME came; node_id is 0. time: what it says, in UTC. timestamp: the transport's, if it has one."""
+    """A TIME came; node_id is 0. time: in UTC. timestamp: the transport's, if it has one."""
 
     __slots__ = ("time", "timestamp")
     __match_args__ = ("node_id", "time", "timestamp")
@@ -54,7 +54,7 @@ class TimeProducer(Machine):
     __slots__ = ("key",)
 
     def __init__(self, out: Outbox, key: RoutingKey = TIME) -> None:
-        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`)."""
+        """Take a routing key (`key_of_cob_id`), 11 or 29 bits."""
         super().__init__(out)
         self.key = key
 
@@ -74,7 +74,7 @@ class TimeConsumer(Machine):
     __slots__ = ("key",)
 
     def __init__(self, out: Outbox, key: RoutingKey | None = TIME) -> None:
-        """key: of an 11- or 29-bit CAN-ID (`key_of_cob_id`), or None."""
+        """Take a routing key (`key_of_cob_id`), 11 or 29 bits, or None."""
         super().__init__(out)
         self.key = key
 
@@ -88,7 +88,7 @@ class TimeConsumer(Machine):
             self._reroute()
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Take a TIME. Event: TimeReceived, or FrameIgnored for a length or a time of day that there is not. 7.2.6.3"""
+        """Take a TIME. Event: TimeReceived, or FrameIgnored for a wrong length or an impossible time of day. 7.2.6.3"""
         try:
             time = time_of(frame.data)
         except ValueRangeError as error:
@@ -98,7 +98,7 @@ class TimeConsumer(Machine):
 
 
 def time_of(data: bytes) -> datetime.datetime:
-    """The time that the six bytes of a TIME_OF_DAY say, in UTC. Raises ValueRangeError."""
+    """Return the time of the six bytes of a TIME_OF_DAY, in UTC. Raises ValueRangeError."""
     time = decode(data, DataType.TIME_OF_DAY, "TIME")
     assert isinstance(time, datetime.datetime)
     return time

@@ -1,4 +1,4 @@
-"""How a case of a conformance test can end: those of devices (canopen_check) and those of transports (canopen_transports)."""
+"""The results of conformance cases: of devices (canopen_check) and of transports (canopen_transports)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Result(StrEnum):
-    """How a case can end. REMARK: nothing is wrong, and somebody should look at it."""
+    """The result of a case. REMARK: nothing is wrong, but a person should look at it."""
 
     PASSED = "passed"
     REMARK = "remark"
@@ -17,10 +17,10 @@ class Result(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How a case ended.
+    """The result of one case, with its reasons.
 
-    reason: one line about it; of a passed case what was seen, often empty. failures: everything that is wrong. remarks: all that
-    is not as usual and not wrong.
+    reason: one line about it; for a passed case the observation, often empty. failures: everything that is wrong. remarks:
+    everything that is unusual but not wrong.
     """
 
     result: Result

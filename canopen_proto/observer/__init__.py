@@ -1,1 +1,1 @@
-"""What passes on a bus, understood by somebody who only listens: no frame is sent, and nothing is known but what was heard."""
+"""Understand the traffic of a bus by listening only: no frame is sent, and nothing is known except what was heard."""

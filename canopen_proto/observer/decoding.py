@@ -1,11 +1,11 @@
-"""What each frame on a bus means, in words: for people who read a recording.
+"""Put each frame of a bus in words, for people who read a recording.
 
-A `Decoder` is told all frames in their order and answers each with a `Meaning`. It goes by the predefined connection set (CiA 301
-v4.2.0, 7.3.3) and by the devices' dictionaries: names and types of objects, and the PDOs that they describe. SDO transfers are
-followed through their segments and blocks, and PDO parameters that the recording shows count from there on (pdo.py).
+A `Decoder` gets all frames in their order and returns a `Meaning` for each. It uses the predefined connection set (CiA 301
+v4.2.0, 7.3.3) and the devices' dictionaries: names and types of objects, and the PDOs that they describe. It follows SDO
+transfers through their segments and blocks, and uses PDO parameters from the moment when the recording shows them (pdo.py).
 
-Left out: COB-IDs of other services that were changed at run time, SDO channels beyond the first, and what LSS and services of
-other standards say in detail.
+Left out: COB-IDs of other services that were changed at run time, SDO channels beyond the first, and the details of LSS and of
+services of other standards.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from canopen_proto.time_stamp import time_of
 
 LSS_FROM_SLAVE: Final = 0x7E4
 LSS_FROM_MASTER: Final = 0x7E5
-"""CiA 305. Not in the predefined connection set, but nothing else may use them."""
+"""CiA 305. They are not in the predefined connection set, but nothing else may use them."""
 
 _EMPTY: Final = ObjectDictionary((), source="nothing")
 _PDO_FUNCTIONS: Final = range(TPDO1 >> 7, (RPDO4 >> 7) + 1)
@@ -57,7 +57,7 @@ _TOGGLE: Final = 0x80
 
 
 class Meaning(NamedTuple):
-    """service: "NMT", "SDO" and the like. node_id: whom it is from or for; 0 for all, or where it is nobody's."""
+    """A frame in words. service: "NMT", "SDO" and the like. node_id: its sender or receiver; 0 for all nodes, or for no node."""
 
     service: str
     node_id: int
@@ -65,7 +65,7 @@ class Meaning(NamedTuple):
 
 
 class Decoder:
-    """Puts frames in words. dictionary_of: the dictionary of a node-ID, or None."""
+    """Puts frames in words. dictionary_of: returns the dictionary of a node-ID, or None."""
 
     def __init__(self, dictionary_of: Callable[[int], ObjectDictionary | None] = lambda node_id: None) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
@@ -73,7 +73,7 @@ class Decoder:
         self._pdos = OverheardPdos(self._dictionaries)
 
     def decode(self, frame: Frame) -> Meaning:
-        """What the frame means, after all that were told before."""
+        """Return the meaning of a frame, as the next one after all frames before."""
         pdo = self._pdos.find(routing_key(frame.can_id, frame.flags & ~REMOTE), frame.can_id & 0x7F, len(frame.data))
         if pdo is not None:
             return _of_pdo(pdo, self._dictionaries[pdo.node_id], frame)
@@ -121,7 +121,7 @@ class Decoder:
 
 
 def _pdo_name(function: int) -> str:
-    """The PDO of a function code: TPDO1 is 3, RPDO1 4, TPDO2 5 ..."""
+    """Return the name of the PDO with a function code: TPDO1 is 3, RPDO1 4, TPDO2 5 ..."""
     number = (function >> 7) - (TPDO1 >> 7)
     return f"{'RPDO' if number % 2 else 'TPDO'} {number // 2 + 1}"
 
@@ -147,7 +147,7 @@ def _of_pdo(pdo: OverheardPdo, dictionary: ObjectDictionary, frame: Frame) -> Me
 
 
 def _name_of(entry: MappedEntry, label: str) -> str:
-    """Where several objects of the PDO have that name, the place too."""
+    """Return an object's label; with its index and subindex too, if several objects of the PDO have that name."""
     return label if label == entry.name else f"{label} {entry.name}"
 
 

@@ -1,17 +1,18 @@
-"""The PDOs of all devices on a bus as somebody knows them who takes no part: which one a frame is, and what its bytes mean.
+"""Find out, by listening only, which PDO a frame is, and what its bytes mean.
 
 Theory of operation
 -------------------
-Three sources say how a device's PDOs are set up, the surer one first:
+Three sources say which settings a device's PDOs have, the surer one first:
 
 1. the recording: PDO parameters (0x1400 to 0x1BFF) that were written to the device, or read from it. A boot-up ends that: the
    device has its power-on values again.
 2. the device's own file: the defaults of an EDS, the values of a DCF.
-3. the PDO descriptions of the dictionary (PDOs.csv), where a device has neither: of those with the frame's CAN-ID, the first one
-   with its length.
+3. the PDO descriptions of the dictionary (PDOs.csv), if there is neither of these: the first one with the frame's CAN-ID and
+   length.
 
-A PDO whose mapping is known and whose COB-ID is not has the one of the predefined connection set (CiA 301 v4.2.0, 7.3.5). Where
-two devices have one COB-ID, the recording counts before a file, the sender before a receiver, and then the lower node-ID.
+If the mapping of a PDO is known and its COB-ID is not, the COB-ID is that of the predefined connection set (CiA 301 v4.2.0,
+7.3.5). If two devices have the same COB-ID, the recording goes before a file, the sender before a receiver, then the lower
+node-ID.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _NEXT_PDO: Final = 0x100  # from the function code of a PDO to that of the next 
 
 
 class OverheardPdo(NamedTuple):
-    """A PDO of a device. name: "TPDO 1", or how PDOs.csv calls it."""
+    """A PDO of a device. name: "TPDO 1", or its name in PDOs.csv."""
 
     node_id: int
     name: str
@@ -42,7 +43,7 @@ class OverheardPdo(NamedTuple):
 
 
 class OverheardPdos:
-    """See this module's text. dictionaries: by node-ID."""
+    """The PDOs of all devices on a bus; see this module's text. dictionaries: by node-ID."""
 
     def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
         self._dictionaries = dictionaries
@@ -51,18 +52,18 @@ class OverheardPdos:
         self._by_key: dict[int, OverheardPdo] | None = None
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
-        """The device is known to hold this value. Does nothing for objects that are no PDO parameters."""
+        """Take note that the device holds this value. Does nothing if the object is not a PDO parameter."""
         if place_of(index) is not None and len(data) <= 4:
             self._recorded.setdefault(node_id, {})[mux(index, subindex)] = int.from_bytes(data, "little")
             self._renew(node_id)
 
     def booted(self, node_id: int) -> None:
-        """The device has its power-on values again."""
+        """Take note of a boot-up: the device has its power-on values again."""
         if self._recorded.pop(node_id, None):
             self._renew(node_id)
 
     def find(self, key: RoutingKey, node_id: int, length: int) -> OverheardPdo | None:
-        """The PDO with a routing key, or None. node_id: what the CAN-ID says; length: bytes of the frame; both for PDOs.csv."""
+        """Return the PDO with a routing key, or None. node_id: of the CAN-ID; length: bytes of the frame; both for PDOs.csv."""
         if self._by_key is None:
             self._by_key = {}
             known = [pair for pairs in self._of_node.values() for pair in pairs]
@@ -89,7 +90,7 @@ class OverheardPdos:
             return None
 
     def _pdos_of(self, node_id: int) -> list[tuple[RoutingKey, OverheardPdo]]:
-        """The valid PDOs of a device that the recording and its file tell, with their routing keys."""
+        """Return the valid PDOs of a device by the recording and by its file, with their routing keys."""
         recorded = set(_pdos_at(index_of(mux) for mux in self._recorded.get(node_id, ())))
         found = []
         for direction, number in sorted({*recorded, *_pdos_at(self._dictionaries[node_id].objects)}):
@@ -106,7 +107,7 @@ class OverheardPdos:
         return stored
 
     def _mapping(self, node_id: int, direction: Direction, number: int) -> PdoMapping | None:
-        """None where it is empty, not known, or cannot be: the device has refused it then."""
+        """Return the mapping; None if it is empty, not known, or impossible: the device has refused it then."""
         index = mapping_index(direction, number)
         count = self._value(node_id, index, 0) or 0
         if not 0 < count <= MAX_ENTRIES:
@@ -129,7 +130,7 @@ class OverheardPdos:
 
 
 def _pdos_at(indices: Iterable[int]) -> Iterator[tuple[Direction, int]]:
-    """The PDOs whose parameters stand at these indices."""
+    """Return the PDOs whose parameters have these indices."""
     for index in indices:
         place = place_of(index)
         if place is not None:

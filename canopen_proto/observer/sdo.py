@@ -1,9 +1,9 @@
-"""SDO transfers as somebody hears them who takes no part: each frame put in words, with the object and its value.
+"""Follow SDO transfers by listening only: put each frame in words, with the object and its value.
 
-One `OverheardChannel` for each pair of client and server. It follows a transfer through its segments and blocks, so that the
-frame that ends it tells the value. It believes nothing: recordings begin in the middle, lose frames, and hold faulty devices.
-What does not fit into the transfer is said to be so, and the next initiate begins anew. CRC, toggle bits and sizes are not
-checked: that is what `SdoClient` and `SdoServer` do for who takes part.
+There is one `OverheardChannel` for each pair of client and server. It follows a transfer through its segments and blocks, so that
+the last frame shows the value. It takes nothing for granted: recordings begin in the middle, lose frames, and show faulty
+devices. A frame that does not fit into the transfer is described as such, and the next initiate starts a new transfer. CRC,
+toggle bits and sizes are not checked: `SdoClient` and `SdoServer` do that for those that take part.
 
 Source: CiA 301 v4.2.0, 7.2.4.3.
 """
@@ -37,9 +37,9 @@ from canopen_proto.sdo.codec import (
 )
 
 MAX_KEPT: Final = 1 << 16
-"""Bytes of a value that are kept: longer ones are firmware and the like, of which the length is enough."""
+"""The most bytes of a value that are kept: a longer one is firmware or the like, and its length is enough."""
 MAX_SHOWN: Final = 32
-"""Bytes of a value that are shown."""
+"""The most bytes of a value that are shown."""
 
 _NUMBERS: Final = (1, 2, 4, 8)
 
@@ -54,7 +54,7 @@ class Settled(NamedTuple):
 class OverheardChannel:
     """The transfers between one client and one server. dictionary: of the server's device, for names and types; may be empty.
 
-    settled: the value that the last frame has shown the device to hold, or None.
+    settled: the value that the device holds, as the last frame has shown, or None.
     """
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
@@ -71,11 +71,11 @@ class OverheardChannel:
         self._was_last: bool
         self._block_size: int
         self._segments: list[bytes]  # of this block, without a gap
-        self._sent: int  # the number of the last one
+        self._sent: int  # the number of the last segment
         self._end()
 
     def client(self, data: bytes) -> str:
-        """What a frame of the client's says."""
+        """Return a frame of the client in words."""
         self.settled = None
         if self._in_block and not self._is_upload:
             return self._block_segment(data)
@@ -100,7 +100,7 @@ class OverheardChannel:
         return self._segment(frame) if not self._is_upload else _lone(data)
 
     def server(self, data: bytes) -> str:
-        """What a frame of the server's says."""
+        """Return a frame of the server in words."""
         self.settled = None
         if self._in_block and self._is_upload:
             return self._block_segment(data)
@@ -211,7 +211,7 @@ class OverheardChannel:
             del self._data[-unused:]
         return self._value()
 
-    # ---- what is known of the transfer ----
+    # ---- the transfer, as known so far ----
 
     def _begin(self, frame: bytes, *, is_upload: bool) -> None:
         self._end()
@@ -274,13 +274,13 @@ class OverheardChannel:
 
 
 def object_text(dictionary: ObjectDictionary, index: int, subindex: int) -> str:
-    """An object as it is shown: "6041:00 statusword"."""
+    """Return an object in words: "6041:00 statusword"."""
     variable = dictionary.get(index, subindex)
     return f"{index:04X}:{subindex:02X}" + (f" {variable.name}" if variable is not None else "")
 
 
 def value_text(dictionary: ObjectDictionary, index: int, subindex: int, data: bytes) -> str:
-    """A value as its type says, with the names that it has; without a type as a number, or as bytes."""
+    """Return a value in words, by its type and with its names; without a type as a number, or as bytes."""
     variable = dictionary.get(index, subindex)
     if variable is not None and variable.data_type not in (DataType.DOMAIN, DataType.OCTET_STRING):
         try:
@@ -294,7 +294,7 @@ def value_text(dictionary: ObjectDictionary, index: int, subindex: int, data: by
 
 
 def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: Value) -> str:
-    """A value with the names that it has; large numbers also as hexadecimal: a COB-ID says more like that."""
+    """Return a value with its names. Large numbers are hexadecimal too: this shows the parts of a COB-ID."""
     if isinstance(value, bytes):
         return bytes_text(value)
     variable = dictionary.get(index, subindex)
@@ -307,7 +307,7 @@ def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: 
 
 
 def bytes_text(data: bytes) -> str:
-    """Bytes, readable where they are text; many are only begun."""
+    """Return bytes as text if they are text, else in hexadecimal; at most MAX_SHOWN of them."""
     if data and all(0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")) and data.rstrip(b"\0"):
         text = repr(data[:MAX_SHOWN].rstrip(b"\0").decode("ascii"))
     else:
