@@ -38,7 +38,7 @@ from canopen_proto.sdo.block_sender import BlockSender
 from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, BLOCK_UPLOAD, INITIATE_UPLOAD_RESPONSE, SIZE, SPECIFIER
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.segmented_client import Download, Upload, impossible
-from canopen_proto.sdo.transfer import INITIATED, Buffer, ChannelEnd, Transfer
+from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd, Transfer
 
 MAX_FED: Final = 1 << 16
 """Bytes of a download stream that may be held: half a second of a bus at 1 Mbit/s."""
@@ -169,9 +169,9 @@ class BlockUpload(BlockReceiver):
         if plain is None or command & SPECIFIER != INITIATE_UPLOAD_RESPONSE:
             return False
         plain.request_id, plain.first = self.request_id, self.first
-        plain.on_initiated(command, data, now)
+        plain.receive(command, data, frame, now)
         self.instead = plain
-        self.finish()
+        self.state = OVER
         return True
 
     def fault_of(self, command: int) -> AbortCode:
@@ -205,4 +205,4 @@ class BlockUpload(BlockReceiver):
                 self._hand_over(content, self.offset)
             size = self.offset + len(content)
             end.out.events.append(SdoStreamUploaded(end.node_id, self.request_id, self.index, self.subindex, size))
-        self.finish()
+        self.state = OVER

@@ -118,10 +118,10 @@ class BlockReceiver(Transfer):
     # ---- inputs ----
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if self.state is not SEGMENTS or command == ABORT:
-            return self._on_no_segment(command, data, frame, now)
         sequence = command & SEQUENCE
-        if sequence != self._due or data is not frame.data:
+        if sequence != self._due or self.state is not SEGMENTS or data is not frame.data:
+            if self.state is not SEGMENTS or command == ABORT:
+                return self._on_no_segment(command, data, frame, now)
             return self._on_gap(command, sequence, data, frame, now)
         self._buffer += data[1:]
         self._received = sequence

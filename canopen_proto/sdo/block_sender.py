@@ -38,7 +38,7 @@ from canopen_proto.sdo.block import (
     SEGMENT_SIZE,
     silence_limit,
 )
-from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, SEGMENTS, SENT, Buffer, ChannelEnd, State, Transfer
+from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, OVER, SEGMENTS, SENT, Buffer, ChannelEnd, State, Transfer
 
 
 class BlockSender(Transfer):
@@ -192,7 +192,7 @@ class BlockSender(Transfer):
         """7.2.4.3.11 and 7.2.4.3.15"""
         self.end.last = data
         self._report_success()
-        self.finish()
+        self.state = OVER
 
     # ---- what subclasses say ----
 

@@ -34,7 +34,7 @@ from canopen_proto.sdo.block_receiver import BlockReceiver
 from canopen_proto.sdo.block_sender import BlockSender
 from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, SIZE
 from canopen_proto.sdo.host import Door
-from canopen_proto.sdo.transfer import ChannelEnd
+from canopen_proto.sdo.transfer import OVER, ChannelEnd
 
 _END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 
@@ -90,9 +90,8 @@ class ServerBlockDownload(BlockReceiver):
         self._door.hand_over(self, piece, offset, more=True)
 
     def _complete(self, content: bytes, now: Time) -> None:
-        self.finish()  # behind its end nothing is on the way
-        end = self.end
-        answer = Frame(end.can_id, _END_RESPONSE_PAYLOAD, end.flags, 8)
+        self.state = OVER  # behind its end nothing is on the way
+        answer = Frame(self.end.can_id, _END_RESPONSE_PAYLOAD, self.end.flags, 8)
         self._door.write(self, content, self.offset, answer, now)
 
     def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> bool:

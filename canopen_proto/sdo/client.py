@@ -297,7 +297,7 @@ class SdoClient(ChannelEnd):
         if not transfer.receive(data[0], data, frame, now):
             self._on_other(transfer, data[0], data, frame)
         if transfer.state is OVER:
-            self._follow(transfer, now)
+            self._go_on(transfer, now)
         else:
             self.deadline = deadline = transfer.deadline
             if deadline < self._wake:
@@ -380,10 +380,10 @@ class SdoClient(ChannelEnd):
                 plain.request_id = transfer.request_id
                 transfer.is_given_up = True  # a second copy of the abort may come: copy_guard
                 self._queue.urgent.appendleft(plain)
-                transfer.finish()
+                transfer.state = OVER
                 return
         self.report_abort(transfer, abort_code, AbortOrigin.PEER, not_confirmed)
-        transfer.finish()
+        transfer.state = OVER
 
     def _take_for_refusal(self, transfer: Transfer, data: bytes) -> None:
         """Take an abort without an object's name for the server's: nothing else has come in time.
@@ -441,10 +441,14 @@ class SdoClient(ChannelEnd):
             self._arm(deadline)
 
     def _follow(self, transfer: Transfer, now: Time) -> None:
-        """Do what the transfer under way wants now: wait for its deadline, or go on with another one."""
-        if transfer.state is not OVER:
+        """Do what the transfer under way wants now: wait for its deadline, or go on without it."""
+        if transfer.state is OVER:
+            self._go_on(transfer, now)
+        else:
             self._arm(transfer.deadline)
-            return
+
+    def _go_on(self, transfer: Transfer, now: Time) -> None:
+        """The transfer is over: go on with the one that takes its place, or with the next request."""
         if transfer.instead is not None:
             self._transfer = transfer.instead
             self._follow(transfer.instead, now)

@@ -15,7 +15,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
 from canopen_proto.sdo.events import ObjectAccessPending, ObjectWritten
-from canopen_proto.sdo.transfer import HELD, ChannelEnd, Transfer
+from canopen_proto.sdo.transfer import HELD, OVER, ChannelEnd, Transfer
 
 
 class Door:
@@ -70,14 +70,21 @@ class Door:
         end.out.events.append(ObjectAccessPending(end.node_id, self.access_id, index, subindex, content, more, offset))
 
     def write(self, transfer: Transfer, content: bytes, offset: int, answer: Frame, now: Time) -> None:
-        """Write what was downloaded, whole or as its last piece from `offset` on, and send `answer` when it is done."""
+        """Write what was downloaded, whole or as its last piece from `offset` on; send `answer` when it is done."""
         result = PENDING if self.takes_pieces else self.store.write(transfer.index, transfer.subindex, content, now)
         if result is None:
             confirm(transfer, answer)
-        elif isinstance(result, Pending):
+        else:
+            self.defer(transfer, result, content, offset, answer, now)
+
+    def defer(
+        self, transfer: Transfer, result: AbortCode | Pending, content: bytes, offset: int, answer: Frame, now: Time
+    ) -> None:
+        """Do what the store says instead of writing: refuse, or let the host take the content."""
+        if isinstance(result, Pending):
             self.hand_over(transfer, content, offset, more=False)
             transfer.instead = WriteAccess(transfer.end, transfer.index, transfer.subindex, transfer.first, answer, now)
-            transfer.finish()
+            transfer.state = OVER
         else:
             transfer.abort(result)
 
@@ -87,7 +94,7 @@ def confirm(transfer: Transfer, answer: Frame) -> None:
     end = transfer.end
     end.out.events.append(ObjectWritten(end.node_id, transfer.index, transfer.subindex))
     end.out.frames.append(answer)
-    transfer.finish()
+    transfer.state = OVER
 
 
 class WriteAccess(Transfer):

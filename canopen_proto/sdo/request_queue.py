@@ -95,7 +95,8 @@ class RequestQueue:
         self._ended = now
         if transfer.is_answered:  # the server has nothing more to say about those before
             self.unsettled = transfer.is_given_up
-            self.overdue.clear()
+            if self.overdue:
+                self.overdue.clear()
         elif transfer.is_given_up:
             self.unsettled = True
 

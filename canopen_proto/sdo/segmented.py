@@ -59,7 +59,9 @@ class SegmentReceiver(SegmentedTransfer):
         self.deadline = now + end.timeout
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if command & ~0x0F != self.due or self.state is not SEGMENTS:
+        if self.state is not SEGMENTS:
+            return self._on_answer(command, data, now)
+        if command & ~0x0F != self.due:
             return False
         end = self.end
         buffer = self._buffer
@@ -86,6 +88,10 @@ class SegmentReceiver(SegmentedTransfer):
         return True
 
     # ---- what subclasses say ----
+
+    def _on_answer(self, command: int, data: bytes, now: Time) -> bool:
+        """Take a frame while no segment is due. False if it is none that is."""
+        return False
 
     def _complete(self, content: bytes, reply: Frame, now: Time) -> None:
         """All of it is there, or the last piece. reply: what acknowledges the last segment."""

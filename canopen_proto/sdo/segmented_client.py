@@ -35,7 +35,7 @@ from canopen_proto.sdo.codec import (
 )
 from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.segmented import SegmentedTransfer, SegmentReceiver
-from canopen_proto.sdo.transfer import INITIATED, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd
+from canopen_proto.sdo.transfer import INITIATED, OVER, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd
 
 
 class Upload(SegmentReceiver):
@@ -52,34 +52,29 @@ class Upload(SegmentReceiver):
         super().__init__(end, index, subindex, first)
         self._most = most
 
-    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if self.state is not INITIATED:
-            return super().receive(command, data, frame, now)
+    def _on_answer(self, command: int, data: bytes, now: Time) -> bool:
+        """The server answers with the value, or with its size and segments to come. 7.2.4.3.6"""
         if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.first[1:4]:
             return False
-        self.on_initiated(command, data, now)
-        return True
-
-    def on_initiated(self, command: int, data: bytes, now: Time) -> None:
-        """The server answers with the value, or with its size and segments to come. 7.2.4.3.6"""
         end = self.end
         end.last = data
         self.is_answered = True
         if command & EXPEDITED_BIT:
             unused = command >> 2 & 3 if command & SIZE_BIT else 0
             end.out.events.append(SdoUploaded(end.node_id, self.request_id, self.index, self.subindex, data[4 : 8 - unused]))
-            self.finish()
-            return
+            self.state = OVER
+            return True
         size: int = SIZE.unpack_from(data, 4)[0] if command & SIZE_BIT else UNKNOWN_SIZE
         if size > self._most:
             self.abort(AbortCode.OUT_OF_MEMORY)
-            return
-        self._start(UPLOAD_SEGMENT_RESPONSE, size, self._most, MAX_SIZE, end.replies[TOGGLE], now)
+        else:
+            self._start(UPLOAD_SEGMENT_RESPONSE, size, self._most, MAX_SIZE, end.replies[TOGGLE], now)
+        return True
 
     def _complete(self, content: bytes, reply: Frame, now: Time) -> None:
         end = self.end
         end.out.events.append(SdoUploaded(end.node_id, self.request_id, self.index, self.subindex, content))
-        self.finish()
+        self.state = OVER
 
     @property
     def is_answer_ambiguous(self) -> bool:
@@ -127,7 +122,7 @@ class Download(SegmentedTransfer):
                 self._send_segment(now)
                 return True
         end.out.events.append(SdoDownloaded(end.node_id, self.request_id, self.index, self.subindex))
-        self.finish()
+        self.state = OVER
         return True
 
     def _send_segment(self, now: Time) -> None:

@@ -35,7 +35,7 @@ from canopen_proto.sdo.codec import (
 )
 from canopen_proto.sdo.host import Door
 from canopen_proto.sdo.segmented import SegmentedTransfer, SegmentReceiver
-from canopen_proto.sdo.transfer import HELD, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd, Transfer
+from canopen_proto.sdo.transfer import HELD, OVER, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd, Transfer
 
 
 def answer_upload(
@@ -72,7 +72,7 @@ class ReadAccess(Transfer):
     def feed(self, piece: Buffer, last: bool, now: Time) -> None:
         content = bytes(piece)
         self.instead = answer_upload(self.end, self.index, self.subindex, self.first, self._door, content, not last, now)
-        self.finish()
+        self.state = OVER
 
 
 class ServerUpload(SegmentedTransfer):
@@ -96,37 +96,34 @@ class ServerUpload(SegmentedTransfer):
         self.deadline = now + end.timeout
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if command & ~0x0F != self.due or self.state is not SEGMENTS:
-            return False
-        self._send_segment(data, now)
-        return True
-
-    def _send_segment(self, request: bytes, now: Time) -> None:
-        """7.2.4.3.7"""
-        end, content, offset = self.end, self._content, self._offset
         due = self.due
+        if command & ~0x0F != due or self.state is not SEGMENTS:
+            return False
+        end, content, offset = self.end, self._content, self._offset
         if self._more and len(content) - offset <= 7:  # the segment may be the last one, or not
-            end.last = request
+            end.last = data
             self.state = HELD
             self._door.ask(self)
             self.deadline = now + end.stream_timeout
-            return
+            return True
         payload = segment(due & TOGGLE, content, offset)
         end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
         self._offset = offset = offset + 7
         if offset >= len(content):
-            self.finish()
-            return
-        end.last = request
-        self.due = due ^ TOGGLE
-        self.deadline = now + end.timeout
+            self.state = OVER
+        else:
+            end.last = data
+            self.due = due ^ TOGGLE
+            self.deadline = now + end.timeout
+        return True
 
     def feed(self, piece: Buffer, last: bool, now: Time) -> None:
         self._content = self._content[self._offset :] + piece
         self._offset = 0
         self._more = not last
         self.state = SEGMENTS
-        self._send_segment(bytes((self.due,)).ljust(8, b"\x00"), now)
+        request = bytes((self.due,)).ljust(8, b"\x00")
+        self.receive(self.due, request, Frame(self.end.can_id, request), now)  # the one that had to wait
 
 
 class ServerDownload(SegmentReceiver):

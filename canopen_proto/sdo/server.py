@@ -271,14 +271,21 @@ class SdoServer(ChannelEnd):
             return
         _, index, subindex, announced = INITIATE.unpack(data)
         self.last = data
-        transfer = Transfer(self, index, subindex, data)
         if command & EXPEDITED_BIT:
             unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
-            payload = INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
-            self._door.write(transfer, data[4 : 8 - unused], 0, Frame(self.can_id, payload, self.flags, 8), now)
+            content = data[4 : 8 - unused]
+            answer = Frame(self.can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), self.flags, 8)
+            result = self._door.store.write(index, subindex, content, now)
+            if result is None:
+                self.out.events.append(ObjectWritten(self.node_id, index, subindex))
+                self.out.frames.append(answer)
+                return
+            transfer = Transfer(self, index, subindex, data)
+            self._door.defer(transfer, result, content, 0, answer, now)
             self._follow(transfer)
             return
         size = announced if command & SIZE_BIT else None
+        transfer = Transfer(self, index, subindex, data)
         if self._door.may_download(transfer, size, self.max_download):
             self._follow(ServerDownload(self, index, subindex, data, self._door, size, self.max_download, now))
 

@@ -35,7 +35,7 @@ from typing import ClassVar, Final, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame, RoutingKey
-from canopen_proto.machine import NEVER, FrameIgnored, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
+from canopen_proto.machine import FrameIgnored, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
 from canopen_proto.sdo.codec import ABORT, BLOCK_UPLOAD, INITIATE, INITIATE_UPLOAD, SPECIFIER, TOGGLE
 
@@ -113,9 +113,9 @@ class ChannelEnd(Machine):
 class Transfer:
     """One transfer, under way or waiting; see this module's text.
 
-    first: the data of the initiate request. request_id: that of a client's request. is_answered: the other side has answered
-    the initiate frame, so it has nothing more to say about transfers before. is_given_up: it ended, and an answer may still come.
-    instead: the transfer that takes the place of this one, if it is set.
+    first: the data of the initiate request. request_id: that of a client's request. deadline: once it is under way, until it is
+    over. is_answered: the other side has answered the initiate frame, so it has nothing more to say about transfers before.
+    is_given_up: it ended, and an answer may still come. instead: the transfer that goes on when this one is over, if one does.
     """
 
     __slots__ = ("deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "request_id", "state", "subindex")
@@ -123,14 +123,15 @@ class Transfer:
     is_with_host: ClassVar[bool] = False
     """Whether the host has the whole request, and our answer depends on it alone."""
 
+    request_id: RequestId
+    deadline: Time
+
     def __init__(self, end: ChannelEnd, index: int, subindex: int, first: bytes) -> None:
         self.end = end
         self.index = index
         self.subindex = subindex
         self.first = first
-        self.request_id: RequestId = 0
         self.state = INITIATED
-        self.deadline: Time = NEVER
         self.is_answered = False
         self.is_given_up = False
         self.instead: Transfer | None = None
@@ -174,12 +175,7 @@ class Transfer:
         end.send(INITIATE.pack(ABORT, self.index, self.subindex, abort_code))
         self.is_given_up = True
         end.report_abort(self, abort_code, origin, self.is_all_sent)
-        self.finish()
-
-    def finish(self) -> None:
-        """Nothing more is awaited."""
         self.state = OVER
-        self.deadline = NEVER
 
     # ---- getters ----
 
