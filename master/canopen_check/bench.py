@@ -1,20 +1,20 @@
-"""`Bench`: one device under test, and the tools with which cases ask it.
+"""`Bench`: one device under test, and the tools with which cases test it.
 
-The device is known by its node-ID and by its object dictionary, which says what it should have: everything that a case looks
-for is found there, so that the cases serve any device on any bus. What an object holds after a reset is its default, and in a
-DCF what that has configured: an EDS describes a type of device, a DCF one device as it is commissioned.
+The device is given by its node-ID and its object dictionary, which says what it should have. A case takes everything from the
+dictionary, so that the cases serve any device on any bus. After a reset an object holds its default, or the value that a DCF
+configures: an EDS describes a type of device, a DCF one device as it is commissioned.
 
-The bench is a participant of its own: it asks by SDO (`read`, `write` ...), by NMT, and by frames made by hand (`send`, `ask`),
-which no well-behaved machine would send.
+The bench is a participant of its own. It uses SDO (`read`, `write` ...), NMT, and frames made by hand (`send`, `ask`), which no
+well-behaved machine would send.
 
-What a device does at its inputs no bus can bring about. Where a case needs that, it asks for `stimulus`, a function of whoever
-runs the test; without one, these cases check what is left.
+No bus can change a device's inputs. If a case needs that, it calls `stimulus`, a function of the caller of the test; without one,
+these cases check the rest.
 
-Times: a device has ANSWER_TIME for an answer, BOOT_TIME for a restart, REACTION_TIME for what has no answer. Periods may be
-wrong by PERIOD_TOLERANCE on average. The standard gives no figures; these are those of a patient master.
+Times: a device has ANSWER_TIME for an answer, BOOT_TIME for a restart, REACTION_TIME for a command without an answer. Periods may
+be wrong by PERIOD_TOLERANCE on average. The standard gives no figures; these are those of a patient master.
 
 Our own process may be late too, on a loaded computer. All waiting goes through `Bench.sleep` and `Bench.next_frame`, which
-measure that (`lateness`), and a case that fails by its timing meanwhile has not failed (`Case.run`)."""
+measure that (`lateness`). A failure of timing that our lateness may explain does not count as a failure (`Case.run`)."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ REACTION_TIME: Final = 100 * MILLISECOND
 PERIOD_TOLERANCE: Final = 0.1
 
 SLICE: Final = 50 * MILLISECOND
-"""Waiting is cut into slices of this length, to see how late our process is."""
+"""Waits are cut into slices of this length, to measure how late our process is."""
 
 SYNC_PRODUCER: Final = 1 << 30
-"""Of 0x1005: the device sends SYNC."""
+"""The bit of 0x1005 for "the device sends SYNC"."""
 
 SUPERVISION_PERIOD: Final = 100 * MILLISECOND
 """The heartbeat by which the bench sees the device's NMT state."""
@@ -73,14 +73,14 @@ SUPERVISION_PERIOD: Final = 100 * MILLISECOND
 T = TypeVar("T")
 
 Stimulus: TypeAlias = Callable[[Variable, Time], None]
-"""Makes the device change the value of an object of its process, now."""
+"""Makes the device change the value of a process object, now."""
 
 
 class Bench:
-    """See this module's text.
+    """One device under test; see this module's text.
 
-    node_id, dictionary, description: of the device. probe, sdo, nmt: what it is asked with. notes: what the case under way has
-    found. lateness: in ns, the latest that our own process was since it began.
+    node_id, dictionary, description: of the device. probe, sdo, nmt: the machines that talk to it. notes: the findings of the
+    present case. lateness: the most, in ns, that our own process was late since the case began.
     """
 
     def __init__(
@@ -93,10 +93,10 @@ class Bench:
         stimulus: Stimulus | None = None,
         strict: bool = False,
     ) -> None:
-        """network: on the device's bus; nobody else should use the device's SDO channel meanwhile. node_id: 1..127.
+        """Test a device. network: on its bus; nobody else should use the device's SDO channel meanwhile. node_id: 1..127.
 
-        description: the device's file, of which the dictionary is; None where there is no file, and so none to be checked.
-        strict: ask for more than CiA's own tool does.
+        description: the device's file, from which the dictionary comes; None: there is no file to check. strict: ask for more
+        than CiA's own tool does.
         """
         self.node_id = check_node_id(node_id)
         self.dictionary = dictionary
@@ -112,10 +112,10 @@ class Bench:
 
     @property
     def strict(self) -> bool:
-        """Whether more is asked than CiA's own tool asks."""
+        """Whether the test asks for more than CiA's own tool does."""
         return self.notes.strict
 
-    # ---- what is where ----
+    # ---- CAN-IDs and the dictionary ----
 
     @property
     def request_key(self) -> int:
@@ -134,25 +134,25 @@ class Bench:
 
     @property
     def emcy_key(self) -> int:
-        """The CAN-ID of its emergencies after a reset; the predefined one where the dictionary does not tell."""
+        """The CAN-ID of its emergencies after a reset; the predefined one if the dictionary has none."""
         return key_of_cob_id(self.default(0x1014)) or EMCY + self.node_id
 
     @property
     def sync_key(self) -> int:
-        """The CAN-ID of SYNC after a reset; the predefined one where the dictionary does not tell."""
+        """The CAN-ID of SYNC after a reset; the predefined one if the dictionary has none."""
         return key_of_cob_id(self.default(0x1005)) or SYNC
 
     def default(self, index: int, subindex: int = 0) -> int:
-        """The unsigned number that an object holds after a reset. 0 where the dictionary does not tell."""
+        """Return the unsigned number that an object holds after a reset; 0 if the dictionary has none."""
         variable = self.dictionary.get(index, subindex)
         value = 0 if variable is None else variable.initial_of(self.node_id)
         return max(value, 0) if isinstance(value, int) else 0
 
     def content_of(self, variable: Variable) -> bytes | None:
-        """The bytes that an object holds after a reset; None where the dictionary does not tell.
+        """Return the bytes that an object holds after a reset; None if the dictionary does not tell.
 
-        It does not where the object's type cannot hold what stands there, nor where a DCF gives another value than the default to
-        an object that no master can write: that is what somebody once read there.
+        It does not tell if the value does not fit the object's type. Nor if a DCF gives another value than the default to an
+        object that no master can write: that value was once read from a device.
         """
         value = variable.default if variable.configured is None else variable.configured
         if value is None or (not variable.access.writable and value != variable.default):
@@ -160,18 +160,18 @@ class Bench:
         return _encoded(variable, variable.initial_of(self.node_id))
 
     def restored_content_of(self, variable: Variable) -> bytes | None:
-        """The bytes that an object holds after its default was restored; None where the dictionary does not tell."""
+        """Return the bytes that an object holds after its default was restored; None if the dictionary does not tell."""
         return None if variable.default is None else _encoded(variable, variable.default_of(self.node_id))
 
     def variable(self, index: int, subindex: int = 0) -> Variable:
-        """What the dictionary has there; the case does not apply where that is nothing."""
+        """Return the dictionary's variable; without one, the case does not apply."""
         variable = self.dictionary.get(index, subindex)
         if variable is None:
             does_not_apply(f"the dictionary has no object 0x{index:04X}:{subindex:02X}")
         return variable
 
     def check_emergency(self) -> None:
-        """The case does not apply to a device that sends no emergency messages after a reset."""
+        """End the case as not applicable if the device sends no emergency messages after a reset."""
         cob_id = self.default(0x1014)
         if cob_id & COB_ID_INVALID or not cob_id & 0x1FFF_FFFF:
             does_not_apply("0x1014:00 has no valid COB-ID by default")
@@ -179,12 +179,12 @@ class Bench:
     # ---- NMT ----
 
     def reset(self, command: NmtCommand = NmtCommand.RESET_NODE) -> Procedure[None]:
-        """Reset the device, by default as after power-on, and have it be pre-operational, also if it starts by itself."""
+        """Reset the device, by default as after power-on, and command Pre-operational, also if it starts by itself."""
         yield from self.restart(command)
         yield from self.command(NmtCommand.ENTER_PRE_OPERATIONAL)
 
     def restart(self, command: NmtCommand = NmtCommand.RESET_NODE) -> Procedure[None]:
-        """Reset the device and wait for its boot-up, nothing else."""
+        """Reset the device and wait for its boot-up; do nothing else."""
         self.probe.listen((self.response_key, self.error_control_key, self.emcy_key))
         yield from act(lambda now: self.nmt.send(command, self.node_id, now))
         yield from self.await_boot_up()
@@ -206,14 +206,14 @@ class Bench:
         yield from self.sleep(REACTION_TIME)
 
     def supervise(self) -> Procedure[None]:
-        """Make the NMT state visible: by heartbeat where the device has one, else `state` asks by guarding."""
+        """Make the NMT state visible: by heartbeat if the device has one, else `state` uses guarding."""
         if self.dictionary.has_index(0x1017):
             yield from self.write(0x1017, 0, SUPERVISION_PERIOD // MILLISECOND)
         elif not self.dictionary.has_index(0x100C):
             does_not_apply("the device has neither a heartbeat nor guarding: nothing shows its NMT state")
 
     def state(self) -> Procedure[NmtState]:
-        """The NMT state that the device shows; call `supervise` before."""
+        """Return the NMT state that the device shows; call `supervise` before."""
         key = self.error_control_key
         self.probe.forget(key)
         if not self.dictionary.has_index(0x1017):
@@ -226,7 +226,7 @@ class Bench:
         return state
 
     def expect_state(self, expected: NmtState, when: str) -> Procedure[None]:
-        """Look whether the device shows that NMT state."""
+        """Check that the device shows this NMT state."""
         state = yield from self.state()
         expect(state is expected, f"{when}, the device is {state.name}, not {expected.name}")
 
@@ -242,7 +242,7 @@ class Bench:
         yield from act(lambda now: self.probe.send(Frame(key & 0x1FFF_FFFF, b"", extended | REMOTE, dlc), now))
 
     def sleep(self, duration: Time) -> Procedure[None]:
-        """Wait for `duration` ns, and see how late we are."""
+        """Wait for `duration` ns, and measure how late we are."""
         due = yield from current_time()
         end = due + duration
         while due < end:
@@ -256,7 +256,7 @@ class Bench:
         self.lateness = max(self.lateness, now - due)
 
     def next_frame(self, key: int, timeout: Time, what: str) -> Procedure[FrameHeard]:
-        """The next frame with a key that the probe listens to. Raises NotInTime that names `what`; timeout: ns."""
+        """Return the next frame with a routing key to which the probe listens. Raises NotInTime, naming `what`; timeout: ns."""
         begin = yield from current_time()
         while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
             left = begin + timeout - (yield from current_time())
@@ -271,15 +271,15 @@ class Bench:
         return heard
 
     def frames_within(self, key: int, duration: Time) -> Procedure[list[FrameHeard]]:
-        """All frames with a key within the time from now on."""
+        """Wait for `duration` ns; return all frames with this routing key that came meanwhile."""
         self.probe.listen_also(key)
         yield from self.sleep(duration)
         return self.probe.take_all(key)
 
     def expect_period(self, key: int, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
-        """Listen for `duration` ns, and look whether frames with that key come once a period; they are returned.
+        """Listen for `duration` ns and check that frames with this routing key come once per period; return the frames.
 
-        Measured is the time from the first to the last; how long we listened is known less well. Raises LateOrEarly.
+        The time from the first frame to the last is measured: it is known better than our listening time. Raises LateOrEarly.
         """
         begin = yield from current_time()
         heard = yield from self.frames_within(key, duration)
@@ -287,7 +287,7 @@ class Bench:
         return heard
 
     def check_period(self, heard: Sequence[FrameHeard], begin: Time, end: Time, period: Time, what: str) -> None:
-        """Look whether frames that were heard from `begin` to `end` came once a period. Raises LateOrEarly."""
+        """Check that the frames heard from `begin` to `end` came once per period. Raises LateOrEarly."""
         wanted = f"the period is {period / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
         seen = f"{what} came {len(heard)} times in {(end - begin) / SECOND:.3g} s"
         if len(heard) < 2:
@@ -301,21 +301,21 @@ class Bench:
             raise LateOrEarly(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
 
     def expect_silence(self, key: int, duration: Time, what: str) -> Procedure[None]:
-        """Look whether no frame with that key comes within the time."""
+        """Check that no frame with this routing key comes within `duration` ns."""
         heard = yield from self.frames_within(key, duration)
         if heard:
             raise Violation(f"{what}: {heard[0].frame} came")
 
     def sync(self, counter: int | None = None) -> Procedure[None]:
-        """Send a SYNC, and give the device time for what follows from it."""
+        """Send a SYNC, and give the device time to react."""
         yield from self.send(self.sync_key, b"" if counter is None else bytes((counter,)))
         yield from self.sleep(REACTION_TIME)
 
     def silence_sync(self) -> Procedure[None]:
-        """Set the SYNC period to 0, producer or not. A reset puts that back.
+        """Set the SYNC period to 0, whether the device is a producer or not. A reset undoes it.
 
-        A producer is silent then: our SYNC is to be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). A
-        producer that refuses becomes a consumer by bit 30 of 0x1005.
+        A producer is silent then: our SYNC must be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). If
+        a producer refuses, it is made a consumer by bit 30 of 0x1005.
         """
         if not self.dictionary.has_index(0x1006) or not (yield from self.number(0x1006)):
             return
@@ -336,26 +336,26 @@ class Bench:
             raise
 
     def read(self, index: int, subindex: int = 0) -> Procedure[bytes]:
-        """An object's bytes. Raises as `transfer` does."""
+        """Read an object; return its bytes. Raises as `transfer` does."""
         return (yield from self.transfer(upload(self.sdo, index, subindex)))
 
     def number(self, index: int, subindex: int = 0) -> Procedure[int]:
-        """An object as an unsigned number. Raises as `transfer` does."""
+        """Read an object; return it as an unsigned number. Raises as `transfer` does."""
         return int.from_bytes((yield from self.read(index, subindex)), "little")
 
     def write(self, index: int, subindex: int, value: int) -> Procedure[None]:
-        """Write an unsigned number, as wide as the dictionary says. Raises as `transfer` does."""
+        """Write an unsigned number, with the width in the dictionary. Raises as `transfer` does."""
         yield from self.transfer(download(self.sdo, index, subindex, self.encode(index, subindex, value)))
 
     def encode(self, index: int, subindex: int, value: int) -> bytes:
-        """An unsigned number as wide as the dictionary says of that object."""
+        """Return the bytes of an unsigned number, with the object's width in the dictionary."""
         variable = self.variable(index, subindex)
         if variable.size is None or value.bit_length() > 8 * variable.size:
             raise Violation(f"{variable.label} is a {variable.data_type.name}, which does not hold the number {value}")
         return value.to_bytes(variable.size, "little")
 
     def refusal_of_read(self, index: int, subindex: int) -> Procedure[int | None]:
-        """The abort code with which the device refuses a read; None if it does not. No answer at all raises NotInTime."""
+        """Read an object; return the abort code of a refusal, None if it is not refused. Raises NotInTime without an answer."""
         try:
             yield from self.transfer(upload(self.sdo, index, subindex))
         except SdoFailed as failed:
@@ -363,9 +363,9 @@ class Bench:
         return None
 
     def refusal_of_write(self, index: int, subindex: int, value: int | bytes) -> Procedure[int | None]:
-        """The abort code with which the device refuses a write; None if it does not. No answer at all raises NotInTime.
+        """Write an object; return the abort code of a refusal, None if it is not refused. Raises NotInTime without an answer.
 
-        value: bytes as they are, or a number as wide as the dictionary says.
+        value: bytes as they are, or a number with the width in the dictionary.
         """
         data = value if isinstance(value, bytes) else self.encode(index, subindex, value)
         try:
@@ -375,12 +375,12 @@ class Bench:
         return None
 
     def expect_number(self, index: int, subindex: int, expected: int, when: str) -> Procedure[None]:
-        """Look whether an object holds that number."""
+        """Check that an object holds this number."""
         seen = yield from self.number(index, subindex)
         expect_equal(seen, expected, f"{when}, 0x{index:04X}:{subindex:02X}")
 
     def expect_default(self, index: int, subindex: int, when: str) -> Procedure[None]:
-        """Look whether an object can be read, and holds its default where the dictionary tells it."""
+        """Check that an object can be read, and holds its default, if the dictionary has one."""
         content = yield from self.read(index, subindex)
         variable = self.dictionary.get(index, subindex)
         expected = None if variable is None else self.content_of(variable)
@@ -389,7 +389,7 @@ class Bench:
             expect_equal(int.from_bytes(content, "little"), number, f"{when}, 0x{index:04X}:{subindex:02X}")
 
     def stimulate(self, variable: Variable) -> Procedure[bool]:
-        """Have an object of the process change, if there is somebody who can. Whether there was."""
+        """Make a process object change by `stimulus`; return whether there is one."""
         stimulus = self.stimulus
         if stimulus is None:
             return False

@@ -40,7 +40,7 @@ def read_device_type(bench: Bench) -> Procedure[None]:
 
 
 def read_long(crc: bool, bench: Bench) -> Procedure[str]:
-    """2.22 and 2.23: what comes in blocks is what the object holds, each time."""
+    """2.22 and 2.23: blocks bring the object's value, each time."""
     variable = long_object(bench)
     for _ in range(2):
         content, with_crc = yield from block_upload(bench, variable.index, variable.subindex, crc=crc)
@@ -58,7 +58,7 @@ def write_time(index: int, crc: bool, bench: Bench) -> Procedure[str]:
 
 
 def wrong_block_size(bench: Bench) -> Procedure[None]:
-    """2.26: a sub-block has 127 segments at most. Refused at once, or when the upload is started."""
+    """2.26: a sub-block has at most 127 segments. More are refused at once, or when the upload is started."""
     variable = long_object(bench)
     response = yield from initiate_block_upload(bench, variable.index, variable.subindex, crc=False, block_size=128)
     if abort_code_in(response) is None:

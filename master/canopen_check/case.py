@@ -1,18 +1,18 @@
-"""What a conformance case is, and how it ends.
+"""`Case`: a conformance case, and its result.
 
-A case is a procedure that asks one thing of a device and says whether the device did as the standard demands. What can end its
-body:
+A case is a procedure that tests one point of a device and says whether the device does what the standard demands. Its body ends
+in one of these ways:
 
-    it returns                 passed, if nothing was noted meanwhile; what it returns is told to people, such as "101 heartbeats"
+    it returns                 passed, if no failure was noted; the returned text is shown to people, such as "101 heartbeats"
     Violation                  failed: the device did what it must not, or did not do what it must
-    any other ProcedureError   failed too: the device did not answer, or refused what it has to take
-    NotApplicable              the device does not have what the case is about
+    any other ProcedureError   failed too: the device did not answer, or refused what it has to accept
+    NotApplicable              the device does not have the subject of the case
 
-How a body says what it expects: expectations.py.
+expectations.py has the checks that a body uses.
 
-A body begins with a device that has just been reset and was then commanded to be pre-operational (`Bench.reset`): one that
-starts by itself is Operational after its boot-up. It may leave the device in any state. What it changes, a reset of the node puts
-back, unless the case `stores`.
+When a body begins, the device has just been reset and then commanded to Pre-operational (`Bench.reset`): a device that starts by
+itself is Operational after its boot-up. The body may leave the device in any state: a reset of the node undoes all changes,
+unless the case `stores`.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from canopen_proto.verdict import Result, Verdict
 T = TypeVar("T")
 
 MAX_ATTEMPTS: Final = 3
-"""How many times a case is run whose failure may be due to our own lateness. One that stores is run once."""
+"""How often a case is run, at most, if its failure may be due to our own lateness. A case that stores is run once."""
 
 Body: TypeAlias = Callable[[Bench], Procedure[str | None]]
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One case.
+    """One case of the conformance test.
 
-    number, name, title: as the conformance test calls it. body: what it does. needs: indices that the dictionary must have, else
-    the case does not apply. uses_device: False where it asks nothing of the device, which is then not reset either. stores: it
-    writes to 0x1010 or 0x1011, and so changes what the device keeps over power-off; a sound device has at its end what it had
-    before (a case about saving), or its defaults (one about restoring).
+    number, name, title: as in the conformance test. body: its procedure. needs: indices that the dictionary must have, else the
+    case does not apply. uses_device: False if it needs no device; then the device is not reset. stores: it writes to 0x1010 or
+    0x1011, and so changes what the device keeps without power; a sound device has its old values at the end (a case about
+    saving), or its defaults (a case about restoring).
     """
 
     number: str
@@ -54,10 +54,10 @@ class Case:
     stores: bool = False
 
     def run(self, bench: Bench) -> Procedure[Verdict]:
-        """Reset the device, then ask it. Never raises a ProcedureError.
+        """Reset the device, then run the body; return the verdict. Never raises a ProcedureError.
 
-        "Too late" counts only if our own process was on time: else the case is run again, and if that does not help, its verdict
-        is a remark. A certain failure counts in any case.
+        "Too late" counts only if our own process was on time. Else the case is run again, and if that does not help, its verdict
+        is a remark. A certain failure always counts.
         """
         missing = [index for index in self.needs if not bench.dictionary.has_index(index)]
         if missing:
@@ -86,9 +86,9 @@ class Case:
 
 
 def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]]) -> Procedure[int]:
-    """Look at each item, whatever is wrong with the others; how many there were. What is wrong, or refused, is noted.
+    """Check each item, whatever is wrong with the others; return their number. Failures and refusals are noted.
 
-    A device that does not answer at all ends the case: to wait for it again and again would take minutes.
+    If the device does not answer at all, the case ends: to wait for each item would take minutes.
     """
     count = 0
     for item in items:

@@ -26,7 +26,7 @@ from canopen_check.case import Case
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.verdict import Verdict
 
-# Chapter 8 comes last: where it restores defaults, a device that was commissioned by a DCF is not what that says any more.
+# Chapter 8 comes last: it restores defaults, and then a device that was commissioned by a DCF no longer has the DCF's values.
 CASES: Final[tuple[Case, ...]] = (
     *description_cases.CASES,
     *sdo_cases.CASES,
@@ -47,7 +47,8 @@ BY_NUMBER: Final[Mapping[str, Case]] = MappingProxyType({case.number: case for c
 
 
 def run_all(bench: Bench, cases: Iterable[Case] = CASES) -> Procedure[list[tuple[Case, Verdict]]]:
-    """Run cases one after the other, each on a device that was just reset; a device that was used is reset at the end too."""
+    """Run cases one after the other, each after a reset of the device; return their verdicts. A used device is reset at the
+    end."""
     results: list[tuple[Case, Verdict]] = []
     for case in cases:
         verdict = yield from case.run(bench)
@@ -58,6 +59,6 @@ def run_all(bench: Bench, cases: Iterable[Case] = CASES) -> Procedure[list[tuple
 
 
 def table() -> str:
-    """The cases as a table in Markdown: what docs/conformance.md holds."""
+    """Return the cases as a table in Markdown, as in docs/conformance.md."""
     rows = [f"| {case.number} | {case.name} | {case.title} | {'yes' if case.stores else ''} |" for case in CASES]
     return "\n".join(["| Number | Name | Case | Stores |", "|---|---|---|---|", *rows]) + "\n"

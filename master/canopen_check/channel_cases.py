@@ -1,7 +1,7 @@
 """Chapter 2, at its end: further SDO channels (CiA 301 v4.2.0, 7.5.2.33 and 7.5.2.34).
 
 A server (0x1201 to 0x127F) whose COB-IDs can be written is tried with two CAN-IDs that the predefined connection set leaves free.
-Of a client (0x1280 to 0x12FF) a bus sees nothing but its record: what the device asks whom is its own affair.
+Of a client (0x1280 to 0x12FF) only the record can be tested: the device alone decides when it sends requests.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _REQUEST: Final = initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0)
 
 
 def read_records(bench: Bench, indices: range) -> Procedure[str]:
-    """The records that the device has hold their defaults, and those that it has not can't be read."""
+    """Check that present records hold their defaults, and that missing ones cannot be read."""
 
     def look(index: int) -> Procedure[None]:
         code = yield from bench.refusal_of_read(index, 0)
@@ -49,7 +49,7 @@ def _fields(bench: Bench, indices: range) -> Iterator[Variable]:
 
 
 def configurable(bench: Bench, indices: range) -> list[int]:
-    """The records whose COB-IDs can be written."""
+    """Return the records whose COB-IDs can be written."""
     found = []
     for index in indices:
         cob_ids = [bench.dictionary.get(index, subindex) for subindex in (TO_SERVER, TO_CLIENT)]
@@ -67,7 +67,7 @@ def write_channel(bench: Bench, index: int, to_server: int, to_client: int) -> P
 
 
 def expect_server(bench: Bench, index: int, to_server: int, to_client: int) -> Procedure[None]:
-    """Look whether a request is answered on its channel, as the first server answers it, and on no other."""
+    """Check that a request is answered on its channel, as the first server answers it, and on no other."""
     expected = yield from ask(bench, _REQUEST)
     bench.probe.listen_also(to_client)
     yield from bench.send(to_server, _REQUEST)
@@ -78,7 +78,7 @@ def expect_server(bench: Bench, index: int, to_server: int, to_client: int) -> P
 
 
 def expect_no_server(bench: Bench, when: str) -> Procedure[None]:
-    """Look whether a request to the trial channel stays without an answer."""
+    """Check that a request to the trial channel gets no answer."""
     bench.probe.listen_also(bench.response_key)
     yield from bench.send(TRIAL_TO_SERVER, _REQUEST)
     yield from bench.expect_silence(TRIAL_TO_CLIENT, REACTION_TIME, when)
@@ -86,7 +86,7 @@ def expect_no_server(bench: Bench, when: str) -> Procedure[None]:
 
 
 def further_servers(bench: Bench) -> Procedure[str]:
-    """2.28: the records are there, and what they hold is how it is: a channel while both COB-IDs are valid, else none."""
+    """2.28: the records are there and take effect: there is a channel while both COB-IDs are valid, else none."""
     remark = yield from read_records(bench, FURTHER_SERVERS)
     for index in FURTHER_SERVERS:
         cob_ids = bench.default(index, TO_SERVER), bench.default(index, TO_CLIENT)
@@ -98,12 +98,12 @@ def further_servers(bench: Bench) -> Procedure[str]:
         yield from bench.write(index, TO_CLIENT, TRIAL_TO_CLIENT)
         yield from expect_server(bench, index, TRIAL_TO_SERVER, TRIAL_TO_CLIENT)
         yield from bench.write(index, TO_SERVER, TRIAL_TO_SERVER | COB_ID_INVALID)
-        yield from expect_no_server(bench, f"0x{index:04X}, not valid any more")
+        yield from expect_no_server(bench, f"0x{index:04X}, no longer valid")
     return remark
 
 
 def servers_after_reset(bench: Bench) -> Procedure[str]:
-    """2.29: reset communication puts the records back, and closes the channels that they do not hold any more."""
+    """2.29: reset communication puts the records back, and closes the channels that they no longer hold."""
     found = configurable(bench, FURTHER_SERVERS)
     if not found:
         does_not_apply("no further SDO server has COB-IDs that can be written")
@@ -116,7 +116,7 @@ def servers_after_reset(bench: Bench) -> Procedure[str]:
 
 
 def saved_clients(bench: Bench) -> Procedure[str]:
-    """2.30: what was saved in the records is there after reset communication. It leaves what was saved before."""
+    """2.30: saved values of the records are there after reset communication. The case ends with the values saved before."""
     yield from read_records(bench, CLIENTS)
     found = configurable(bench, CLIENTS)
     if not found:

@@ -1,7 +1,7 @@
 """Chapter 1 of the conformance test: the device's file, without the device (CiA 306-1 v1.4.0, CiA 311).
 
-All other cases go by what the file says, so that a mistake in it may look like one of the device. What is an error, and what is
-only a warning, the reader and the linter decide (canopen_data/checks).
+All other cases rely on the file, so a mistake in it may look like one of the device. The reader and the linter decide what is an
+error, and what is only a warning (canopen_data/checks).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from canopen_proto.procedures.steps import Procedure
 
 
 def check_file(bench: Bench) -> Procedure[str]:
-    """1.0: neither reading the file nor checking it finds an error. How many warnings there are is told."""
+    """1.0: the file can be read and checked without an error. The number of warnings is reported."""
     yield from ()  # no step: the device is not asked
     if bench.description is None:
         does_not_apply("there is no file of the device")

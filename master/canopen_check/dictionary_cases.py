@@ -1,9 +1,8 @@
-"""Chapter 4 of the conformance test: the object dictionary (CiA 301 v4.2.0, 7.4): what the device has, against what it should
-have.
+"""Chapter 4 of the conformance test: the object dictionary (CiA 301 v4.2.0, 7.4): the device's objects against its description.
 
-Not compared with defaults are objects that live: the values of the process, the error objects, and those that do something.
-What an object holds is written back from 0x2000 on, and where the file (ObjFlags) does not say that a download leaves it alone;
-if the test is strict, in the communication area too.
+Some objects change by themselves and are not compared with defaults: process values, error objects, and objects that act when
+they are written. Values are written back from 0x2000 on, unless the file (ObjFlags) excludes the object from a download; if the
+test is strict, in the communication area too.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 
 FIRST_OF_MAKER: Final = 0x2000
-"""Where the communication area ends."""
+"""The first index after the communication area."""
 
 STRUCTURE: Final = 0xFF
-"""The subindex that tells data type and object type."""
+"""The subindex that holds data type and object type."""
 
 LIVING: Final = (0x1001, 0x1002, *NEVER_WRITTEN)
 
 
 def with_default(bench: Bench) -> Iterator[Variable]:
-    """The objects whose value after a reset is known."""
+    """Return the objects whose value after a reset is known."""
     for variable in bench.dictionary:
         is_process = variable.pdo_mappable and variable.access in (Access.RO, Access.RWR)
         is_alive = is_process or variable.index in LIVING
@@ -52,7 +51,7 @@ def with_default(bench: Bench) -> Iterator[Variable]:
 
 
 def expect_defaults(bench: Bench, variables: Iterable[Variable]) -> Procedure[str]:
-    """Look whether objects have their defaults."""
+    """Check that objects have their defaults."""
 
     def look(variable: Variable) -> Procedure[None]:
         seen = yield from bench.read(variable.index, variable.subindex)
@@ -63,7 +62,8 @@ def expect_defaults(bench: Bench, variables: Iterable[Variable]) -> Procedure[st
 
 
 def change_settings(bench: Bench) -> Procedure[list[tuple[Variable, bytes]]]:
-    """Give some communication objects other values than they have after a reset; what they had. One that refuses has its own."""
+    """Give some communication objects other values than after a reset; return the old values. An object that refuses keeps its
+    own."""
     before = []
     for variable in settings(bench):
         if takes_any_time(variable):
@@ -75,7 +75,7 @@ def change_settings(bench: Bench) -> Procedure[list[tuple[Variable, bytes]]]:
 
 
 def expect_put_back(bench: Bench, before: list[tuple[Variable, bytes]]) -> Procedure[None]:
-    """Look whether a reset has undone what `change_settings` did."""
+    """Check that a reset has undone what `change_settings` did."""
 
     def look(changed: tuple[Variable, bytes]) -> Procedure[None]:
         variable, content = changed
@@ -85,7 +85,7 @@ def expect_put_back(bench: Bench, before: list[tuple[Variable, bytes]]) -> Proce
 
 
 def read_all(bench: Bench) -> Procedure[str]:
-    """4.1: what can be read can be read, with the length of its type."""
+    """4.1: every readable object can be read, with the length of its type."""
     readable = [variable for variable in bench.dictionary if variable.access.readable]
     count = yield from for_each(bench, readable, partial(_read, bench))
     return f"{count} objects"
@@ -109,7 +109,7 @@ def compare_defaults(bench: Bench) -> Procedure[str]:
 
 
 def write_read_only(bench: Bench) -> Procedure[str]:
-    """4.3: what is for reading only can't be written, not even with the value that it has."""
+    """4.3: a read-only object cannot be written, not even with its own value."""
 
     def look(variable: Variable) -> Procedure[None]:
         value = bench.content_of(variable) or bytes(variable.size or 1)
@@ -122,7 +122,7 @@ def write_read_only(bench: Bench) -> Procedure[str]:
 
 
 def compare_structure(bench: Bench) -> Procedure[str]:
-    """4.5: subindex 255 tells the object type in its lowest byte, above it the data type (of an array: that of its elements)."""
+    """4.5: subindex 255 holds the object type in its lowest byte, and above it the data type (of an array: of its elements)."""
     found = [described for described in bench.dictionary.objects.values() if STRUCTURE in described.variables]
     if not found:
         does_not_apply("no object has a subindex 255")
@@ -141,8 +141,8 @@ def compare_structure(bench: Bench) -> Procedure[str]:
 def check_limits(bench: Bench) -> Procedure[str]:
     """4.6: an object takes the values at its limits, and none beyond.
 
-    In the communication area more is asked of a value than to be within limits: not every COB-ID, number of entries ... is right.
-    In the profile area a device may lack what it does not support (a mode of operation), but not call it too high or too low.
+    In the communication area a value within limits may still be wrong (a COB-ID, a number of entries). In the profile area a
+    device may refuse a value that it does not support (a mode of operation), but not as too high or too low.
     """
     found = limited(bench)
     if not found:
@@ -170,7 +170,8 @@ def check_limits(bench: Bench) -> Procedure[str]:
 
 
 def write_back(bench: Bench) -> Procedure[str]:
-    """4.9: what can be written takes the value that it has. CiA's tool does not look whether it has it then: it may live."""
+    """4.9: a writable object takes its own value. CiA's tool does not check that it has the value then: it may change by
+    itself."""
 
     def look(variable: Variable) -> Procedure[None]:
         content = yield from bench.read(variable.index, variable.subindex)

@@ -1,6 +1,6 @@
 """Emergency messages of a device under test (CiA 301 v4.2.0, 7.2.7).
 
-"Error reset" (code 0) tells of no error, and is passed over.
+"Error reset" (code 0) reports no error, and is skipped.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from canopen_proto.procedures.steps import Procedure, current_time
 
 
 def code_of(message: bytes) -> int:
-    """The error code."""
+    """Return the error code of a message."""
     return int.from_bytes(message[:2], "little")
 
 
 def errors_told(bench: Bench) -> list[FrameHeard]:
-    """The messages about errors that came and were not taken yet."""
+    """Return the messages about errors that came and were not taken yet."""
     return [each for each in bench.probe.take_all(bench.emcy_key) if code_of(each.frame.data)]
 
 
 def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
-    """The next message about an error. Raises NotInTime that names `what`; timeout: ns."""
+    """Return the next message about an error. Raises NotInTime, which names `what`; timeout: ns."""
     end = (yield from current_time()) + timeout
     while True:
         left = max(end - (yield from current_time()), 0)
@@ -34,7 +34,7 @@ def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
 
 
 def expect_no_error(bench: Bench, duration: Time, what: str) -> Procedure[None]:
-    """Look whether no message about an error comes within the time."""
+    """Check that no message about an error comes within `duration` ns."""
     bench.probe.listen_also(bench.emcy_key)
     yield from bench.sleep(duration)
     for each in errors_told(bench):

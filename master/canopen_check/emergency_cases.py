@@ -1,7 +1,6 @@
 """Chapter 5 of the conformance test: emergency (CiA 301 v4.2.0, 7.2.7, 7.5.2.2, 7.5.2.4, 7.5.2.17).
 
-The error that can be brought about by the bus alone is an RPDO that is too short: it is not processed, and EMCY 0x8210 tells of
-it."""
+Only one error can be caused by the bus alone: an RPDO that is too short. It is not processed, and EMCY 0x8210 reports it."""
 
 from __future__ import annotations
 
@@ -30,7 +29,7 @@ NO_DATA: Final = (AbortCode.NO_DATA, AbortCode.NO_SUCH_SUBINDEX, AbortCode.CANNO
 
 
 def cob_id(bench: Bench) -> Procedure[None]:
-    """5.1: the COB-ID is the one described, and, where it is valid, that of the predefined connection set by default."""
+    """5.1: the COB-ID is as described, and, if valid, that of the predefined connection set by default."""
     yield from bench.expect_default(COB_ID_EMCY, 0, "after a reset")
     seen = yield from bench.number(COB_ID_EMCY)
     if not seen & COB_ID_INVALID:
@@ -38,13 +37,13 @@ def cob_id(bench: Bench) -> Procedure[None]:
 
 
 def no_error(bench: Bench) -> Procedure[None]:
-    """5.2: a device without an error has an empty error register. Whether it has an error, CiA's tool does not ask."""
+    """5.2: a device without an error has an empty error register. CiA's tool does not check that the device has no error."""
     register = yield from bench.number(ERROR_REGISTER)
     bench.notes.beyond(register == 0, f"0x1001:00 is 0x{register:02X}: the device has an error")
 
 
 def empty_history(bench: Bench) -> Procedure[str]:
-    """5.3: an error history without errors has no entry to read. One that survived the reset has."""
+    """5.3: an empty error history has no entry to read. A history that survived the reset has some."""
     count = yield from bench.number(HISTORY)
     if count == 0:
         expect_refusal((yield from bench.refusal_of_read(HISTORY, 1)), NO_DATA, "reading 0x1003:01 of an empty history")
@@ -54,7 +53,7 @@ def empty_history(bench: Bench) -> Procedure[str]:
 
 
 def force_error(bench: Bench) -> Procedure[bytes]:
-    """Send an RPDO that is a byte too short to a device that is Operational; its emergency message."""
+    """Send an RPDO that is a byte too short to an Operational device; return its emergency message."""
     bench.check_emergency()
     pdo = usable(bench, Direction.RPDO)[0]
     yield from set_up(bench, pdo, PROFILE_EVENTS)
@@ -65,7 +64,7 @@ def force_error(bench: Bench) -> Procedure[bytes]:
 
 
 def emergency(bench: Bench) -> Procedure[str]:
-    """5.4: an error makes one emergency message with its code and the error register."""
+    """5.4: an error makes one emergency message, with its code and the error register."""
     message = yield from force_error(bench)
     expect_equal(code_of(message), EMCY_PDO_NOT_PROCESSED, "the error code")
     generic = message[2] & GENERIC_ERROR != 0
@@ -76,7 +75,7 @@ def emergency(bench: Bench) -> Procedure[str]:
 
 
 def register_of_error(bench: Bench) -> Procedure[None]:
-    """5.5: the error register is the one of the message, as long as the error lasts. How long that is, the device says."""
+    """5.5: the error register equals that of the message as long as the error lasts. The device decides how long that is."""
     message = yield from force_error(bench)
     bench.notes.beyond(message[2] != 0, f"the error register in {message.hex(' ')} is empty")
     register = yield from bench.number(ERROR_REGISTER)
@@ -84,7 +83,7 @@ def register_of_error(bench: Bench) -> Procedure[None]:
 
 
 def history_of_error(bench: Bench) -> Procedure[None]:
-    """5.6: the newest entry of the history bears the code of the message; the history can be cleared."""
+    """5.6: the newest entry of the history has the code of the message; the history can be cleared."""
     message = yield from force_error(bench)
     entry = yield from bench.number(HISTORY, 1)
     expect_equal(entry & 0xFFFF, code_of(message), "the error code in 0x1003:01")

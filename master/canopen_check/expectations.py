@@ -1,13 +1,13 @@
-"""What the body of a case expects of a device, and what it notes where that does not hold.
+"""The checks of a case's body, and the notes about what is wrong.
 
-`expect` and the like end the body at the first thing that is wrong. `for_each` (case.py) notes what is wrong with one of many
-objects and goes on with the next, so that all offenders stand in the verdict.
+`expect` and the like end the body at the first failure. `for_each` (case.py) notes a failure of one of many objects and goes on
+with the next, so that the verdict names all of them.
 
-Three degrees, noted in `Bench.notes`: a failure; a remark, where the standard leaves open what the device may do; and what the
-standard demands and CiA's own tool does not look at (`Notes.beyond`), which is a remark unless the test is strict.
+`Bench.notes` takes three degrees: a failure; a remark, if the standard leaves the behaviour open; and a violation of the standard
+that CiA's own tool does not check (`Notes.beyond`), which is a remark unless the test is strict.
 
-Two failures depend on time: `LateOrEarly` and `NotInTime`. They are remarks if our own process was late enough to look like that.
-All others are certain.
+Two failures depend on time: `LateOrEarly` and `NotInTime`. They are remarks if our own process was so late that this may be the
+cause. All others are certain.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from canopen_proto.procedures.steps import ProcedureError, StepTimeout
 from canopen_proto.verdict import Result, Verdict
 
 LATE: Final = 20 * MILLISECOND
-"""A process that is later than this has no right to call others late: a fifth of the shortest period that is measured."""
+"""If our process is later than this, it cannot call others late: a fifth of the shortest period that is measured."""
 LATE_PART: Final = 5
-"""Of a wait: a process that is late by less than this part of it does not explain why nothing came."""
+"""If our process is late by less than a fifth of a wait, this does not explain why nothing came."""
 
 
 class Violation(ProcedureError):
@@ -31,36 +31,36 @@ class Violation(ProcedureError):
 
 
 class LateOrEarly(Violation):
-    """The device did something at the wrong time, or too often, or not often enough. Our own lateness may look like that."""
+    """The device did something at the wrong time, or too often, or not often enough. Our own lateness may look the same."""
 
     excuse: Time = LATE
 
 
 class NotInTime(StepTimeout):
-    """A frame or an answer did not come. excuse: the lateness of our own (ns) from which on that is not the device's fault."""
+    """A frame or an answer did not come. excuse: if our own lateness (ns) is as large, it may not be the device's fault."""
 
     def __init__(self, message: str, waited: Time) -> None:
-        """waited: for how long, in ns."""
+        """Make the error. waited: how long the bench waited, in ns."""
         super().__init__(message)
         self.excuse = max(waited // LATE_PART, LATE)
 
 
 class NotApplicable(ProcedureError):
-    """The device does not have what the case is about."""
+    """The device does not have the subject of the case."""
 
 
 class Notes:
-    """The findings of a body so far. failures: each with the lateness of our own (ns) that excuses it; NEVER: it is certain."""
+    """The findings of a body so far. failures: each with the lateness of our own (ns) that excuses it; NEVER: certain."""
 
     __slots__ = ("failures", "remarks", "strict")
 
     def __init__(self, *, strict: bool = False) -> None:
-        """strict: what goes beyond CiA's tool is a failure."""
+        """Begin without findings. strict: violations that CiA's tool does not check are failures."""
         self.strict = strict
         self.clear()
 
     def clear(self) -> None:
-        """Begin with another case."""
+        """Forget the findings: another case begins."""
         self.failures: list[tuple[str, Time]] = []
         self.remarks: list[str] = []
 
@@ -69,23 +69,23 @@ class Notes:
         self.failures.append((str(failure), failure.excuse if isinstance(failure, LateOrEarly | NotInTime) else NEVER))
 
     def remark(self, text: str) -> None:
-        """Note what the standard leaves open."""
+        """Note a behaviour that the standard leaves open."""
         if text not in self.remarks:
             self.remarks.append(text)
 
     def beyond(self, condition: bool, otherwise: str) -> None:
-        """If the condition does not hold, note what the standard forbids and CiA's tool accepts."""
+        """If the condition does not hold, note a violation of the standard that CiA's tool accepts."""
         if not condition and self.strict:
             self.fail(Violation(otherwise))
         elif not condition:
             self.remark(otherwise)
 
     def excused(self, lateness: Time) -> tuple[str, ...]:
-        """The failures that may be due to our own process, which was late by so much."""
+        """Return the failures that may be due to our own lateness (ns)."""
         return tuple(text for text, excuse in self.failures if lateness > excuse)
 
     def verdict(self, lateness: Time, seen: str = "") -> Verdict:
-        """The verdict of these findings. lateness: of our own process, in ns. seen: the result of the body."""
+        """Return the verdict of these findings. lateness: of our own process, in ns. seen: the result of the body."""
         certain = tuple(text for text, excuse in self.failures if lateness <= excuse)
         excused, remarks = self.excused(lateness), tuple(self.remarks)
         late = f"this computer was late by {lateness / MILLISECOND:.0f} ms, so that the timing cannot be judged"
@@ -101,19 +101,19 @@ class Notes:
 
 
 def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else Violation with that text."""
+    """Go on if the condition holds, else raise Violation with this text."""
     if not condition:
         raise Violation(otherwise)
 
 
 def expect_equal(seen: object, expected: object, what: str) -> None:
-    """Go on if the two are equal, else Violation that shows both. Numbers are shown as hexadecimal."""
+    """Go on if the two are equal, else raise Violation, which shows both; numbers also as hexadecimal."""
     if seen != expected:
         raise Violation(f"{what} is {_shown(seen)}, not {_shown(expected)}")
 
 
 def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: str) -> None:
-    """Go on if an access was refused with one of these codes, else Violation. abort_code: None if it was not refused."""
+    """Go on if an access was refused with one of these codes, else raise Violation. abort_code: None if it was not refused."""
     codes = " or ".join(f"0x{code:08X}" for code in valid)
     if abort_code is None:
         raise Violation(f"{what} was not refused; abort {codes} expected")
@@ -122,12 +122,12 @@ def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: s
 
 
 def does_not_apply(reason: str) -> NoReturn:
-    """End the case: the device does not have what it is about."""
+    """End the case: the device does not have its subject."""
     raise NotApplicable(reason)
 
 
 def _summary(lines: tuple[str, ...]) -> str:
-    """The first line, and how many follow."""
+    """Return the first line, with the number of lines that follow."""
     return lines[0] if len(lines) == 1 else f"{lines[0]} (and {len(lines) - 1} more)"
 
 

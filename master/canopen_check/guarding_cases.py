@@ -33,7 +33,7 @@ def _configure(bench: Bench, period: int, factor: int) -> Procedure[None]:
 
 
 def request(bench: Bench) -> Procedure[int]:
-    """Ask the device; the byte that it answers."""
+    """Send a guarding request; return the byte of the answer."""
     key = bench.error_control_key
     bench.probe.forget(key)
     yield from bench.send_remote(key, 1)
@@ -54,14 +54,14 @@ def read_objects(bench: Bench) -> Procedure[None]:
 
 
 def answer(bench: Bench) -> Procedure[None]:
-    """7.2: the answer bears the NMT state."""
+    """7.2: the answer has the NMT state."""
     yield from _without_heartbeat(bench)
     state = (yield from request(bench)) & ~TOGGLE
     expect_equal(state, int(NmtState.PRE_OPERATIONAL), "the NMT state in a guarding answer")
 
 
 def toggle(bench: Bench) -> Procedure[None]:
-    """7.3: the toggle bit is 0 in the first answer after a reset, and another one each time."""
+    """7.3: the toggle bit is 0 in the first answer after a reset, and changes each time."""
     yield from _without_heartbeat(bench)
     seen = []
     for _ in range(5):
@@ -93,7 +93,7 @@ def write_objects(bench: Bench) -> Procedure[None]:
 
 
 def life_guarding(bench: Bench) -> Procedure[None]:
-    """7.6: a device that is asked in time makes no error; when that ends, one emergency message after the node life time."""
+    """7.6: a device that gets its requests in time makes no error; after they end, one emergency message follows in time."""
     bench.check_emergency()
     yield from _without_heartbeat(bench)
     yield from _configure(bench, PERIOD, FACTOR)
@@ -103,7 +103,7 @@ def life_guarding(bench: Bench) -> Procedure[None]:
     for each in errors_told(bench):
         asked = f"the device was asked each {PERIOD // MILLISECOND} ms, its life time is {PERIOD * FACTOR // MILLISECOND} ms"
         raise LateOrEarly(f"{asked}, and an emergency message came: {each.frame}")
-    begin = yield from current_time()  # the device hears it later than this, whatever keeps us
+    begin = yield from current_time()  # the device hears the request after this time, however late we are
     yield from request(bench)
     life_time = PERIOD * FACTOR
     latest = int(life_time * (1 + PERIOD_TOLERANCE)) + REACTION_TIME
@@ -116,7 +116,7 @@ def life_guarding(bench: Bench) -> Procedure[None]:
 
 
 def one_of_both(bench: Bench) -> Procedure[None]:
-    """7.201: the objects of error control that there are have their defaults, and by these not both kinds are in use."""
+    """7.201: the objects of error control have their defaults, and these do not use both heartbeat and guarding."""
     found = [index for index in _BOTH if bench.dictionary.has_index(index)]
     if not found:
         does_not_apply("the dictionary has no heartbeat and no guarding")
@@ -127,7 +127,7 @@ def one_of_both(bench: Bench) -> Procedure[None]:
 
 
 def heartbeat_off(bench: Bench) -> Procedure[None]:
-    """7.202: without a heartbeat time nothing comes unasked."""
+    """7.202: without a heartbeat time, no frame comes unless requested."""
     yield from bench.write(HEARTBEAT, 0, PERIOD // MILLISECOND)
     yield from bench.write(HEARTBEAT, 0, 0)
     yield from bench.expect_silence(bench.error_control_key, 1 * SECOND, "the heartbeat is off, and a frame")
@@ -140,7 +140,7 @@ def guarding_instead(bench: Bench) -> Procedure[None]:
 
 
 def _heartbeats(bench: Bench, *, guard: bool, ask: bool) -> Procedure[str]:
-    """Heartbeat on, guarding on or off: look whether there are heartbeats and nothing else, asked for or not."""
+    """Switch the heartbeat on, and guarding on or off; check that heartbeats come and nothing else, requested or not."""
     yield from _configure(bench, *((PERIOD, FACTOR) if guard else (0, 0)))
     yield from bench.write(HEARTBEAT, 0, PERIOD // MILLISECOND)
     bench.probe.forget(bench.error_control_key)

@@ -28,7 +28,7 @@ TWICE: Final = (AbortCode.PARAMETER_INCOMPATIBLE, AbortCode.GENERAL_ERROR)
 
 
 def highest(bench: Bench, index: int, most: int) -> int:
-    """The highest number that an object takes, of a type that holds `most`."""
+    """Return the highest number that an object takes; its type holds `most`."""
     limit = bench.variable(index).high_limit
     return most if limit is None else min(int(limit), most)
 
@@ -51,7 +51,7 @@ def count_heartbeats(bench: Bench) -> Procedure[str]:
 
 
 def stop_heartbeat(bench: Bench) -> Procedure[None]:
-    """7.103: a time of 0 ends it."""
+    """7.103: a heartbeat time of 0 ends the heartbeat."""
     yield from bench.write(PRODUCER, 0, PERIOD // MILLISECOND)
     yield from bench.next_frame(bench.error_control_key, 2 * PERIOD, "a heartbeat")
     yield from bench.write(PRODUCER, 0, 0)
@@ -59,7 +59,7 @@ def stop_heartbeat(bench: Bench) -> Procedure[None]:
 
 
 def _entries(bench: Bench) -> list[int]:
-    """The subindices of the consumer heartbeat time; the case does not apply where there are none."""
+    """Return the subindices of the consumer heartbeat time; without any, the case does not apply."""
     found = [subindex for subindex in bench.dictionary.objects[CONSUMER].variables if subindex]
     if not found:
         does_not_apply("0x1016 has no entry")
@@ -67,7 +67,7 @@ def _entries(bench: Bench) -> list[int]:
 
 
 def _clear_entries(bench: Bench) -> Procedure[list[int]]:
-    """Monitor nobody any more; the subindices."""
+    """Stop all monitoring; return the subindices."""
     found = _entries(bench)
     for subindex in found:
         yield from bench.write(CONSUMER, subindex, 0)
@@ -75,7 +75,7 @@ def _clear_entries(bench: Bench) -> Procedure[list[int]]:
 
 
 def _others(bench: Bench) -> Iterator[int]:
-    """Node-IDs that are not the device's."""
+    """Return node-IDs that are not the device's."""
     return (node_id for node_id in range(1, MAX_NODE_ID + 1) if node_id != bench.node_id)
 
 
@@ -84,7 +84,7 @@ def _entry(node_id: int, timeout: Time) -> int:
 
 
 def monitor_twice(bench: Bench) -> Procedure[str | None]:
-    """7.104: an entry takes the value that it has; no two entries may monitor one node."""
+    """7.104: an entry takes its own value; no two entries may monitor the same node."""
     node_id, (first, *rest) = next(_others(bench)), (yield from _clear_entries(bench))
     for _ in range(2):
         yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))
@@ -117,14 +117,14 @@ def monitor_in_time(bench: Bench) -> Procedure[str]:
 
 
 def check_not_early(after: Time, time: Time, what: str) -> None:
-    """Look whether something that is due after a time did not come much earlier. Raises LateOrEarly."""
+    """Check that something that is due after `time` did not come much earlier. Raises LateOrEarly."""
     if after < time * (1 - PERIOD_TOLERANCE):
         wanted = f"the time is {time / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
         raise LateOrEarly(f"{what} after {after / MILLISECOND:.0f} ms; {wanted}")
 
 
 def expect_lost(bench: Bench, node_id: int) -> Procedure[None]:
-    """One heartbeat and no more: look whether an emergency message tells of it, when the consumer time is over and not before."""
+    """Send one heartbeat only; check that an emergency message reports the loss after the consumer time, not before."""
     bench.probe.forget(bench.emcy_key)
     yield from _heartbeat(bench, node_id)
     begin = yield from current_time()
@@ -149,7 +149,7 @@ def monitor_late(bench: Bench) -> Procedure[str]:
 
 
 def monitor_after_reset(bench: Bench) -> Procedure[None]:
-    """7.107: a reset ends the monitoring that is not the default; it can be set up again, with the device's own heartbeat."""
+    """7.107: a reset ends monitoring that is not the default; it can be set up again, beside the device's own heartbeat."""
     bench.check_emergency()
     (first, *_), node_id = (yield from _clear_entries(bench)), next(_others(bench))
     yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))

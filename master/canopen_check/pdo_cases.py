@@ -1,8 +1,9 @@
-"""Chapter 3 of the conformance test: PDO. What its parameters hold, and when TPDOs are sent (CiA 301 v4.2.0, 7.2.2, 7.5.2.37).
+"""Chapter 3 of the conformance test: PDO: the values of its parameters, and when TPDOs are sent (CiA 301 v4.2.0, 7.2.2,
+7.5.2.37).
 
-The cases 3 to 8 set each TPDO up in one way and look at it in Operational; 9 to 14 do the same in Stopped and 15 to 20 in
-Pre-operational, where nothing may come. The state is commanded each time. Where SYNCs are counted, the device's own are silenced
-first. pdo_mapping_cases.py has the cases that write to mappings.
+The cases 3 to 8 set each TPDO up in one way and check it in Operational. 9 to 14 do the same in Stopped and 15 to 20 in
+Pre-operational, where no PDO may come. The state is commanded each time. Before SYNCs are counted, the device's own SYNC is
+stopped. pdo_mapping_cases.py has the cases that write to mappings.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ _COMMANDS: Final = {
 
 
 def scan(direction: Direction, bench: Bench) -> Procedure[str]:
-    """3.1 and 3.2: each PDO has the communication parameter that the dictionary says, two valid ones have two CAN-IDs, none of
-    them restricted, and there are no more PDOs than described."""
+    """3.1 and 3.2: each PDO has the communication parameter of the dictionary. No two valid PDOs have the same CAN-ID, and no
+    CAN-ID is restricted. There are no more PDOs than described."""
     pdos, owners = all_pdos(bench, direction), dict[int, Pdo]()
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -87,17 +88,17 @@ def _look_at_parameter(bench: Bench, place: tuple[Pdo, int]) -> Procedure[None]:
 # ---- when TPDOs are sent ----
 
 Look: TypeAlias = Callable[[Bench, Pdo, bool], Procedure[str | None]]
-"""Looks whether a TPDO that is set up comes as it must, or (False) not at all. A remark where it could not look."""
+"""Checks that a TPDO comes as set up, or (False) not at all. Returns a remark if it could not check."""
 
 
 def expect_data(bench: Bench, pdo: Pdo, heard: list[FrameHeard]) -> None:
-    """Look at the length of what came."""
+    """Check the length of the frames that came."""
     for each in heard:
         expect_equal(len(each.frame.data), length_of(bench, pdo), f"the length of {pdo} ({each.frame})")
 
 
 def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[str | None]:
-    """Lead the device to a state, look at the TPDO, and lead it back to where it can be set up, whatever was seen."""
+    """Lead the device to a state, check the TPDO, and in any case lead it back to a state where the TPDO can be set up."""
     yield from bench.command(_COMMANDS[state])
     bench.probe.listen_also(key_of(bench, pdo))
     try:
@@ -112,7 +113,7 @@ def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[s
 def answers_requests(state: NmtState, bench: Bench) -> Procedure[str]:
     """3.3, 3.9, 3.15: a TPDO that allows remote requests by default answers them, in Operational only.
 
-    If the test is strict, others are asked to allow them too, and one that forbids them must not answer.
+    If the test is strict, other TPDOs are made to allow them too, and a TPDO that forbids them must not answer.
     """
     count = 0
 
@@ -170,7 +171,7 @@ def _each_tpdo(
 
 
 def event_driven(state: NmtState, bench: Bench) -> Procedure[str]:
-    """3.4, 3.10, 3.16: an event-driven TPDO goes at its event."""
+    """3.4, 3.10, 3.16: an event-driven TPDO is sent at its event."""
     return (yield from _each_tpdo(bench, state, EVENT_TYPES, _look_for_event))
 
 
@@ -186,7 +187,7 @@ def _look_for_event(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]
 
 
 def event_timer(state: NmtState, bench: Bench) -> Procedure[str]:
-    """3.5, 3.11, 3.17: an event-driven TPDO with an event timer goes each time that it has run down."""
+    """3.5, 3.11, 3.17: an event-driven TPDO with an event timer is sent each time that the timer expires."""
     return (yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_period, event_time=EVENT_TIME))
 
 
@@ -201,7 +202,7 @@ def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
 
 
 def cyclic(state: NmtState, bench: Bench) -> Procedure[str]:
-    """3.6, 3.12, 3.18: a TPDO of type n goes at each n-th SYNC. With which SYNC the count begins is left open."""
+    """3.6, 3.12, 3.18: a TPDO of type n is sent at each n-th SYNC. The count may begin with any SYNC."""
     yield from bench.silence_sync()
     each = yield from _each_tpdo(bench, state, (1,), partial(_look_for_nth_sync, 1))
     third = yield from _each_tpdo(bench, state, (3,), partial(_look_for_nth_sync, 3))
@@ -219,7 +220,7 @@ def _look_for_nth_sync(period: int, bench: Bench, pdo: Pdo, live: bool) -> Proce
 
 
 def _after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Procedure[list[int]]:
-    """How many times the PDO came after each SYNC."""
+    """Send SYNCs with these counters; return how many times the PDO came after each."""
     came = []
     for counter in counters:
         bench.probe.forget(key_of(bench, pdo))
@@ -231,7 +232,7 @@ def _after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Proc
 
 
 def acyclic(state: NmtState, bench: Bench) -> Procedure[str]:
-    """3.7, 3.13, 3.19: a TPDO of type 0 goes at the SYNC behind its event, and at no other."""
+    """3.7, 3.13, 3.19: a TPDO of type 0 is sent at the SYNC after its event, and at no other."""
     yield from bench.silence_sync()
     return (yield from _each_tpdo(bench, state, (ACYCLIC,), _look_for_event_and_sync))
 
@@ -252,8 +253,8 @@ def _look_for_event_and_sync(bench: Bench, pdo: Pdo, live: bool) -> Procedure[st
 def sync_start_value(state: NmtState, bench: Bench) -> Procedure[str]:
     """3.8, 3.14, 3.20: a TPDO of type 2 with the SYNC start value 3 waits for that counter.
 
-    The SYNC with it "is regarded as the first one" (7.5.2.37). So the TPDO goes with the counters 4 and 6; or with 3, 5 and 7
-    where the first one sets it off, as many devices do. Both are right.
+    The SYNC with that counter "is regarded as the first one" (7.5.2.37). So the TPDO is sent at the counters 4 and 6; or at 3, 5
+    and 7 if the first one already triggers it, as in many devices. Both are right.
     """
     yield from bench.silence_sync()
     yield from bench.write(SYNC_OVERFLOW, 0, 10)

@@ -1,6 +1,6 @@
-"""Chapter 3, continued: PDO mappings, and what a device has to refuse of them (CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38).
+"""Chapter 3, continued: PDO mappings, and those that a device has to refuse (CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38).
 
-Which step a device refuses is left open by the standard: the entry, or the number of entries that makes them count.
+The standard leaves open which step a device refuses: the entry, or the number of entries, which enables them.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ _ALL_ACCESS: Final = tuple(Access)
 
 
 def default_mappings(bench: Bench) -> Procedure[str]:
-    """3.21: what a PDO carries by default is in the dictionary, may be mapped in its direction and width, and is no more than 64
-    bits."""
+    """3.21: the objects that a PDO carries by default are in the dictionary, may be mapped in this direction and width, and have
+    at most 64 bits together."""
     count = 0
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -97,7 +97,7 @@ def _candidates(bench: Bench, direction: Direction) -> list[Variable]:
 
 
 def _new_entry(bench: Bench, pdo: Pdo) -> int:
-    """An entry that is not what stands first."""
+    """Return an entry that differs from the PDO's first one."""
     standing = bench.default(pdo.mapping, 1)
     found = [entry_of(variable) for variable in _candidates(bench, pdo.direction) if entry_of(variable) != standing]
     if not found:
@@ -106,7 +106,7 @@ def _new_entry(bench: Bench, pdo: Pdo) -> int:
 
 
 def new_mapping(bench: Bench) -> Procedure[str]:
-    """3.22: a PDO takes a new mapping: made not valid, mapping disabled, written, enabled, valid again."""
+    """3.22: a PDO takes a new mapping: PDO made not valid, mapping disabled, written, enabled, PDO made valid again."""
     pdos = with_writable_mapping(bench, *BOTH)
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -125,7 +125,8 @@ def new_mapping(bench: Bench) -> Procedure[str]:
 
 
 def without_procedure(bench: Bench) -> Procedure[str]:
-    """3.23: an entry can't be written while the mapping is enabled (subindex 0 is not 0); CiA's tool tries its own value."""
+    """3.23: an entry cannot be written while the mapping is enabled (subindex 0 is not 0). CiA's tool tries the entry's own
+    value."""
     pdos = with_writable_mapping(bench, *BOTH)
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -142,7 +143,7 @@ def without_procedure(bench: Bench) -> Procedure[str]:
 
 
 def while_valid(bench: Bench) -> Procedure[str]:
-    """3.24: the mapping of a valid PDO can't be written."""
+    """3.24: the mapping of a valid PDO cannot be written."""
     pdos = [pdo for pdo in with_writable_mapping(bench, *BOTH) if not bench.default(pdo.communication, COB_ID) & COB_ID_INVALID]
     if not pdos:
         does_not_apply("no PDO is valid by default")
@@ -172,7 +173,8 @@ def too_many(bench: Bench) -> Procedure[str]:
 
 
 def too_long(bench: Bench) -> Procedure[str]:
-    """3.26: objects of more than 64 bits together; where the entries do not suffice for that, one that says so many."""
+    """3.26: no PDO takes objects of more than 64 bits together. If there are too few entries for that, one claims as many
+    bits."""
     pdos = with_writable_mapping(bench, *BOTH)
 
     def look(pdo: Pdo) -> Procedure[None]:
@@ -191,7 +193,7 @@ def too_long(bench: Bench) -> Procedure[str]:
 
 
 def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: Collection[AbortCode]) -> Procedure[str]:
-    """Map an object to each PDO: it is taken (valid is empty), or refused with one of these codes."""
+    """Map an object to each PDO; check that it is accepted (`valid` is empty), or refused with one of these codes."""
     if not found:
         does_not_apply("the dictionary has no such object")
     pdos, variable = with_writable_mapping(bench, direction), found[0]
@@ -210,24 +212,24 @@ def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: 
 
 
 def map_rightly(direction: Direction, bench: Bench) -> Procedure[str]:
-    """3.27 and 3.30: an object that is for this direction."""
+    """3.27 and 3.30: an object for this direction can be mapped."""
     return (yield from _each(bench, direction, process_objects(bench, INTO[direction]), ()))
 
 
 def map_against_access(direction: Direction, bench: Bench) -> Procedure[str]:
-    """3.28 and 3.31: an object that is for the other direction."""
+    """3.28 and 3.31: an object for the other direction cannot be mapped."""
     return (yield from _each(bench, direction, process_objects(bench, INTO[OTHER[direction]]), NOT_MAPPABLE))
 
 
 def map_unmappable(direction: Direction, bench: Bench) -> Procedure[str]:
-    """3.29 and 3.32: an object that is for no PDO."""
+    """3.29 and 3.32: an object that is not mappable cannot be mapped."""
     found = process_objects(bench, _ALL_ACCESS, mappable=False)
     right = [variable for variable in found if variable.access not in INTO[OTHER[direction]]]
     return (yield from _each(bench, direction, right or found, NOT_MAPPABLE))
 
 
 def map_dummy(bench: Bench) -> Procedure[str]:
-    """3.33: a dummy object in an RPDO is space: what lies behind it arrives where it belongs."""
+    """3.33: a dummy object in an RPDO fills space: the object after it gets its value."""
     pdos = [pdo for pdo in with_writable_mapping(bench, Direction.RPDO) if bench.dictionary.get(pdo.mapping, 2) is not None]
     found = [variable for variable in _candidates(bench, Direction.RPDO) if variable.access.readable and variable.size == 2]
     if not found or not pdos:

@@ -1,4 +1,4 @@
-"""The PDOs of a device under test: which it has, and how they are set up (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38)."""
+"""The PDOs of a device under test: find them, and set them up (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from canopen_proto.procedures.steps import Procedure
 _CAN_ID: Final = 0x3FFF_FFFF  # with the frame bit
 
 INTO: Final = {Direction.RPDO: (Access.RWW, Access.WO), Direction.TPDO: (Access.RWR, Access.RO)}
-"""The access rights that leave no doubt which PDOs may carry an object."""
+"""The access rights of objects that surely may be mapped in a direction."""
 
 
 class Pdo(NamedTuple):
@@ -38,12 +38,12 @@ class Pdo(NamedTuple):
 
     @property
     def communication(self) -> int:
-        """Index of its communication parameter."""
+        """The index of its communication parameter."""
         return communication_index(self.direction, self.number)
 
     @property
     def mapping(self) -> int:
-        """Index of its mapping parameter."""
+        """The index of its mapping parameter."""
         return mapping_index(self.direction, self.number)
 
     def __str__(self) -> str:
@@ -51,7 +51,7 @@ class Pdo(NamedTuple):
 
 
 def all_pdos(bench: Bench, *directions: Direction) -> list[Pdo]:
-    """The PDOs that the dictionary describes; the case does not apply where there are none."""
+    """Return the PDOs that the dictionary describes; without any, the case does not apply."""
     found = []
     for index in bench.dictionary.objects:
         place = place_of(index)
@@ -65,7 +65,7 @@ def all_pdos(bench: Bench, *directions: Direction) -> list[Pdo]:
 
 
 def usable(bench: Bench, *directions: Direction) -> list[Pdo]:
-    """Those that have a CAN-ID by default, be it one that is not valid yet, carry something by default, and can be set up."""
+    """Return the PDOs that have a CAN-ID (valid or not) and a mapping by default, and can be set up."""
     found = [
         pdo
         for pdo in all_pdos(bench, *directions)
@@ -82,7 +82,7 @@ def usable(bench: Bench, *directions: Direction) -> list[Pdo]:
 
 
 def with_writable_mapping(bench: Bench, *directions: Direction) -> list[Pdo]:
-    """Those whose mapping a client may change."""
+    """Return the PDOs whose mapping a client may change."""
     found = []
     for pdo in usable(bench, *directions):
         count, entry = bench.dictionary.get(pdo.mapping), bench.dictionary.get(pdo.mapping, 1)
@@ -94,37 +94,37 @@ def with_writable_mapping(bench: Bench, *directions: Direction) -> list[Pdo]:
 
 
 def has(bench: Bench, pdo: Pdo, subindex: int) -> bool:
-    """Whether a PDO's communication parameter has a field that can be written."""
+    """Return whether a PDO's communication parameter has this subindex, and it can be written."""
     variable = bench.dictionary.get(pdo.communication, subindex)
     return variable is not None and variable.access.writable
 
 
 def key_of(bench: Bench, pdo: Pdo) -> int:
-    """The CAN-ID that it has by default, and that the cases use for it."""
+    """Return the PDO's default CAN-ID, which the cases use."""
     return key_of_cob_id(bench.default(pdo.communication, COB_ID))
 
 
 def length_of(bench: Bench, pdo: Pdo) -> int:
-    """The bytes that it carries by default."""
+    """Return the number of bytes that a PDO carries by default."""
     count = bench.default(pdo.mapping)
     bits = sum(bench.default(pdo.mapping, subindex) & 0xFF for subindex in range(1, count + 1))
     return (bits + 7) // 8
 
 
 def mapped_variable(bench: Bench, pdo: Pdo) -> Variable | None:
-    """The first object that it carries by default."""
+    """Return the first object that a PDO carries by default."""
     entry = bench.default(pdo.mapping, 1)
     return bench.dictionary.get(entry >> 16, entry >> 8 & 0xFF)
 
 
 def destroy(bench: Bench, pdo: Pdo) -> Procedure[None]:
-    """Make it not valid; all that may change only then can be written."""
+    """Make a PDO not valid; then all its parameters can be written."""
     cob_id = bench.default(pdo.communication, COB_ID)
     yield from bench.write(pdo.communication, COB_ID, cob_id | COB_ID_INVALID)
 
 
 def create(bench: Bench, pdo: Pdo, *, requests: bool = False) -> Procedure[int | None]:
-    """Make it valid; the abort code where the device refuses. requests: a TPDO is to answer remote frames."""
+    """Make a PDO valid; return the abort code if the device refuses. requests: let a TPDO answer remote frames."""
     cob_id = bench.default(pdo.communication, COB_ID) & _CAN_ID
     if pdo.direction is Direction.TPDO and not requests:
         cob_id |= COB_ID_NO_RTR
@@ -140,7 +140,8 @@ def set_up(
     sync_start: int = 0,
     requests: bool = False,
 ) -> Procedure[bool]:
-    """Set a PDO up with its default CAN-ID and mapping. False if the device does not support the type, or remote frames."""
+    """Set up a PDO with its default CAN-ID and mapping. Return False if the device does not support the type, or remote
+    frames."""
     yield from destroy(bench, pdo)
     if (yield from bench.refusal_of_write(pdo.communication, TRANSMISSION_TYPE, transmission_type)) is not None:
         return False
@@ -151,13 +152,14 @@ def set_up(
 
 
 def try_mapping(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int | None]:
-    """Write a mapping to a PDO that is not valid: disabled, entries, enabled. The abort code of the step that is refused."""
+    """Write a mapping to a PDO that is not valid: disable it, write the entries, enable it. Return the abort code of a
+    refusal."""
     yield from bench.write(pdo.mapping, 0, 0)
     return (yield from try_entries(bench, pdo, entries))
 
 
 def try_entries(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int | None]:
-    """Write the entries and their number."""
+    """Write the entries and their number; return the abort code of a refusal."""
     for subindex, entry in (*enumerate(entries, start=1), (0, len(entries))):
         refusal = yield from bench.refusal_of_write(pdo.mapping, subindex, entry)
         if refusal is not None:
@@ -166,13 +168,13 @@ def try_entries(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int
 
 
 def entry_of(variable: Variable) -> int:
-    """The mapping entry of an object in its full width."""
+    """Return the mapping entry of an object in its full width."""
     assert variable.bit_length is not None
     return variable.mux << 8 | variable.bit_length
 
 
 def process_objects(bench: Bench, access: Sequence[Access], *, mappable: bool = True) -> list[Variable]:
-    """The objects with these access rights that a PDO may carry, or may not, by index."""
+    """Return the objects with these access rights that are mappable, or are not, by index."""
     return [
         variable
         for variable in bench.dictionary

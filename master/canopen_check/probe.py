@@ -1,6 +1,6 @@
-"""`RawProbe`: sends any frame and keeps those that come with given CAN-IDs, for tests of what no well-behaved machine would send.
+"""`RawProbe`: sends any frame, and keeps the frames with given CAN-IDs: for tests with frames that no other machine would send.
 
-It knows nothing of CANopen. What it keeps is bounded: beyond MAX_HEARD frames the oldest are forgotten.
+It knows nothing of CANopen. It keeps at most MAX_HEARD frames, and drops the oldest.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import Event, Machine, Outbox, Time
 
 MAX_HEARD: Final = 10_000
-"""Frames kept; ten seconds of heartbeats each millisecond, the most that any case counts."""
+"""The most frames that are kept: ten seconds of heartbeats each millisecond, the most that any case counts."""
 
 
 class FrameHeard(Event):
-    """A frame with one of the probe's keys came. node_id is 0: whose it is, is for the caller to know. at: on the driver's
-    clock."""
+    """A frame with one of the probe's routing keys came. node_id is 0: the caller knows the sender. at: on the driver's clock."""
 
     __slots__ = ("at", "frame")
     __match_args__ = ("node_id", "frame", "at")
@@ -30,12 +29,12 @@ class FrameHeard(Event):
 
 
 class RawProbe(Machine):
-    """See this module's text. heard: the frames that were not taken yet, oldest first."""
+    """Sends and hears raw frames; see this module's text. heard: the frames that were not taken yet, oldest first."""
 
     __slots__ = ("_keys", "heard")
 
     def __init__(self, out: Outbox, keys: Iterable[int] = ()) -> None:
-        """keys: `Frame.key` of what it listens to."""
+        """Listen to these routing keys (`Frame.key`)."""
         super().__init__(out)
         self._keys = tuple(keys)
         self.heard: deque[FrameHeard] = deque(maxlen=MAX_HEARD)
@@ -44,13 +43,13 @@ class RawProbe(Machine):
         return map(RoutingKey, self._keys)
 
     def listen(self, keys: Iterable[int]) -> None:
-        """Listen to these keys from now on, and to no others. What was heard is forgotten."""
+        """Listen to these routing keys from now on, and to no others. Drop all frames heard so far."""
         self._keys = tuple(dict.fromkeys(keys))
         self.heard.clear()
         self._reroute()
 
     def listen_also(self, key: int) -> None:
-        """Listen to one more key. What was heard of it is forgotten."""
+        """Listen to one more routing key. Drop its frames heard so far."""
         self.forget(key)
         if key not in self._keys:
             self._keys = (*self._keys, key)
@@ -61,7 +60,7 @@ class RawProbe(Machine):
         self.out.frames.append(frame)
 
     def take(self, key: int) -> FrameHeard | None:
-        """The oldest frame with that key that was not taken yet, or None."""
+        """Return the oldest frame with this routing key that was not taken yet, or None."""
         for report in self.heard:
             if report.frame.key == key:
                 self.heard.remove(report)
@@ -69,13 +68,13 @@ class RawProbe(Machine):
         return None
 
     def take_all(self, key: int) -> list[FrameHeard]:
-        """All frames with that key that were not taken yet, oldest first."""
+        """Return all frames with this routing key that were not taken yet, oldest first."""
         taken = [report for report in self.heard if report.frame.key == key]
         self.forget(key)
         return taken
 
     def forget(self, key: int) -> None:
-        """Drop the frames with that key."""
+        """Drop the frames with this routing key."""
         rest = [report for report in self.heard if report.frame.key != key]
         self.heard.clear()
         self.heard.extend(rest)

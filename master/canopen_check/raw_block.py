@@ -1,4 +1,4 @@
-"""SDO block transfer frame by frame, every bit of every response checked (CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16).
+"""SDO block transfer frame by frame, with a check of every bit of every response (CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16).
 
 A server need not support block transfer; the case does not apply then.
 """
@@ -49,20 +49,20 @@ def _expect_initiated(response: bytes, specifier: int, index: int, subindex: int
 
 
 def initiate_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool, block_size: int) -> Procedure[bytes]:
-    """The answer to an initiate block upload request, whatever it is."""
+    """Send an initiate block upload request; return the answer, whatever it is."""
     command = BLOCK_UPLOAD | (CRC_BIT if crc else 0)
     return (yield from ask(bench, initiate(command, index, subindex, bytes((block_size,)))))
 
 
 def begin_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Procedure[bytes]:
-    """The answer to an initiate block upload request, checked. The upload can be started then."""
+    """Send an initiate block upload request; check and return the answer. The upload can be started then."""
     response = yield from initiate_block_upload(bench, index, subindex, crc=crc, block_size=MAX_BLOCK_SIZE)
     _expect_initiated(response, BLOCK_DOWNLOAD, index, subindex)
     return response
 
 
 def receive_sub_block(bench: Bench) -> Procedure[tuple[bytes, int, bool]]:
-    """The segments up to the end of a sub-block: their data, their number, and whether the last one is among them."""
+    """Receive a sub-block; return the data of its segments, their number, and whether the last segment is among them."""
     content = b""
     for sequence in range(1, MAX_BLOCK_SIZE + 1):
         segment = yield from answer(bench, f"segment {sequence} of a block")
@@ -76,7 +76,7 @@ def receive_sub_block(bench: Bench) -> Procedure[tuple[bytes, int, bool]]:
 
 
 def block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Procedure[tuple[bytes, bool]]:
-    """A whole block upload: the data, and whether a CRC protected them. Numbers, size and CRC are checked."""
+    """Do a whole block upload; return the data, and whether a CRC protected them. Numbers, size and CRC are checked."""
     response = yield from begin_block_upload(bench, index, subindex, crc=crc)
     with_crc = crc and bool(response[0] & CRC_BIT)
     request, content, is_last = bytes((START_UPLOAD,)), b"", False
@@ -99,7 +99,7 @@ def block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Proce
 
 
 def block_download(bench: Bench, index: int, subindex: int, content: bytes, *, crc: bool) -> Procedure[bool]:
-    """A whole block download of one segment (1 to 7 bytes); whether a CRC protected it."""
+    """Do a whole block download of one segment (1 to 7 bytes); return whether a CRC protected it."""
     command = BLOCK_DOWNLOAD | BLOCK_SIZE_BIT | (CRC_BIT if crc else 0)
     response = yield from ask(bench, initiate(command, index, subindex, len(content).to_bytes(4, "little")))
     _expect_initiated(response, BLOCK_UPLOAD, index, subindex)

@@ -1,7 +1,7 @@
-"""SDO frame by frame, for the cases that look at the frames themselves, or send what a client never sends.
+"""SDO frame by frame, for the cases that check the frames themselves, or send frames that a client never sends.
 
-`ask` exchanges one request for one response; `segmented_upload` and `segmented_download` go through a whole transfer and check
-every bit of every response on the way. CiA 301 v4.2.0, 7.2.4.3."""
+`ask` sends one request and awaits its response. `segmented_upload` and `segmented_download` do a whole transfer and check every
+bit of every response. CiA 301 v4.2.0, 7.2.4.3."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from canopen_proto.sdo.codec import (
 )
 
 MAX_SEGMENTS: Final = 1 << 12
-"""Of one upload: a server that never sends the last one ends the case and does not run for ever."""
+"""The most segments of one upload: if the server never sends the last one, the case ends."""
 
 
 def multiplexer(index: int, subindex: int) -> bytes:
-    """How frames name an object."""
+    """Return the three bytes of a frame that name an object."""
     return index.to_bytes(2, "little") + bytes((subindex,))
 
 
 def initiate(command: int, index: int, subindex: int, content: bytes = b"") -> bytes:
-    """A request that names an object, with up to four bytes behind it."""
+    """Return a request that names an object, with up to four bytes after it."""
     return (bytes((command,)) + multiplexer(index, subindex) + content).ljust(8, b"\x00")
 
 
 def ask(bench: Bench, request: bytes) -> Procedure[bytes]:
-    """Send a request (filled up to eight bytes); the response, which has eight."""
+    """Send a request (filled up to eight bytes); return the response, which must have eight."""
     bench.probe.forget(bench.response_key)
     request = request.ljust(8, b"\x00")
     yield from bench.send(bench.request_key, request)
@@ -50,7 +50,7 @@ def ask(bench: Bench, request: bytes) -> Procedure[bytes]:
 
 
 def answer(bench: Bench, what: str) -> Procedure[bytes]:
-    """The server's next frame."""
+    """Return the server's next frame."""
     heard = yield from bench.next_frame(bench.response_key, ANSWER_TIME, what)
     data = heard.frame.data
     expect_equal(len(data), 8, f"the length of {what} ({heard.frame})")
@@ -58,12 +58,12 @@ def answer(bench: Bench, what: str) -> Procedure[bytes]:
 
 
 def abort_code_in(response: bytes) -> int | None:
-    """The code of an abort; None if the response is none."""
+    """Return the code of an abort; None if the response is not an abort."""
     return int.from_bytes(response[4:], "little") if response[0] & SPECIFIER == ABORT else None
 
 
 def expect_command(response: bytes, specifier: int, what: str) -> None:
-    """Look whether a response has that server command specifier."""
+    """Check that a response has this server command specifier."""
     code = abort_code_in(response)
     if code is not None and specifier != ABORT:
         raise Violation(f"{what} was answered by abort 0x{code:08X}")
@@ -71,12 +71,12 @@ def expect_command(response: bytes, specifier: int, what: str) -> None:
 
 
 def expect_multiplexer(response: bytes, index: int, subindex: int) -> None:
-    """Look whether a response names that object."""
+    """Check that a response names this object."""
     expect_equal(response[1:4], multiplexer(index, subindex), f"the object that {response.hex(' ')} names")
 
 
 def initiate_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]:
-    """The response to an initiate upload request, checked as far as it goes."""
+    """Send an initiate upload request; check and return the response."""
     response = yield from ask(bench, initiate(INITIATE_UPLOAD, index, subindex))
     expect_command(response, INITIATE_UPLOAD_RESPONSE, f"the upload of 0x{index:04X}:{subindex:02X}")
     expect_multiplexer(response, index, subindex)
@@ -84,7 +84,7 @@ def initiate_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]
 
 
 def expedited_content(response: bytes) -> bytes | None:
-    """The data of an expedited upload response; None if it begins a segmented transfer."""
+    """Return the data of an expedited upload response; None if it begins a segmented transfer."""
     command = response[0]
     if not command & EXPEDITED_BIT:
         return None
@@ -93,7 +93,8 @@ def expedited_content(response: bytes) -> bytes | None:
 
 
 def segmented_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]:
-    """A whole upload in segments: toggle, counts and announced size are checked. An expedited answer is a Violation."""
+    """Do a whole upload in segments; return the data. Checks toggle, counts and announced size; an expedited answer is a
+    Violation."""
     response = yield from initiate_upload(bench, index, subindex)
     place = f"0x{index:04X}:{subindex:02X}"
     expect(expedited_content(response) is None, f"{place} came with an expedited transfer")
@@ -105,7 +106,7 @@ def segmented_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes
 
 
 def upload_segments(bench: Bench) -> Procedure[bytes]:
-    """The segments of an upload that was initiated."""
+    """Receive the segments of an upload that was initiated; return the data."""
     content, toggle = b"", 0
     for _ in range(MAX_SEGMENTS):
         response = yield from ask(bench, bytes((UPLOAD_SEGMENT | toggle,)))
@@ -119,7 +120,7 @@ def upload_segments(bench: Bench) -> Procedure[bytes]:
 
 
 def segmented_download(bench: Bench, index: int, subindex: int, content: bytes) -> Procedure[None]:
-    """A whole download in segments, however short the data."""
+    """Do a whole download in segments, however short the data."""
     size = len(content).to_bytes(4, "little")
     response = yield from ask(bench, initiate(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size))
     expect_command(response, INITIATE_DOWNLOAD_RESPONSE, f"the segmented download of 0x{index:04X}:{subindex:02X}")

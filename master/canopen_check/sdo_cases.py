@@ -1,7 +1,7 @@
 """Chapter 2 of the conformance test: SDO (CiA 301 v4.2.0, 7.2.4).
 
-Expedited and segmented transfers, and what a server has to refuse, each with the abort codes that are right. Block transfers
-are in block_cases.py.
+Expedited and segmented transfers, and requests that a server has to refuse, with the right abort codes. block_cases.py has the
+block transfers.
 
 0x08000000 (general error) is right wherever a server need not say more.
 """
@@ -50,16 +50,16 @@ HEARTBEAT: Final = 0x1017
 SYNC_OVERFLOW: Final = 0x1019
 
 NEVER_WRITTEN: Final = (0x1003, 0x1010, 0x1011)
-"""Objects that do not hold what is written there: they do something."""
+"""Objects that act when they are written, and do not hold the value."""
 
 ANY_TIME: Final = 0x0155
-"""A number of milliseconds (0.3 s) or of 100 us that any object which holds a time takes, as it does the next one."""
+"""A number of ms (0.3 s) or of 100 us that any object for a time takes, and the next number too."""
 TIME_SIZE: Final = 2
-"""The bytes of such an object."""
+"""The number of bytes of such an object."""
 
 
 def settings(bench: Bench) -> Iterator[Variable]:
-    """The objects of the communication area that keep what a client writes."""
+    """Return the objects of the communication area that keep a written value."""
     for variable in bench.dictionary:
         access = variable.access
         if 0x1000 <= variable.index < 0x2000 and variable.index not in NEVER_WRITTEN and access.readable and access.writable:
@@ -67,7 +67,7 @@ def settings(bench: Bench) -> Iterator[Variable]:
 
 
 def takes_any_time(variable: Variable) -> bool:
-    """Whether it is a setting for which ANY_TIME is as good as any other value, at any moment."""
+    """Return whether a setting takes ANY_TIME at any moment."""
     low, high = variable.low_limit or 0, variable.high_limit
     if variable.size != TIME_SIZE or low > ANY_TIME or (high is not None and high <= ANY_TIME):
         return False
@@ -77,7 +77,7 @@ def takes_any_time(variable: Variable) -> bool:
 
 
 def long_object(bench: Bench) -> Variable:
-    """An object of more than four bytes that can be read, best a constant one; the case ends where there is none."""
+    """Return a readable object of more than four bytes, best a constant one; without any, the case does not apply."""
     found = [each for each in bench.dictionary if each.access.readable and _length(bench, each) > 4]
     if not found:
         does_not_apply("no object has more than four bytes")
@@ -89,7 +89,7 @@ def _length(bench: Bench, variable: Variable) -> int:
 
 
 def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
-    """Look whether a device has sent what an object holds that nobody has written to."""
+    """Check that the device sent the value that an object holds if it was never written."""
     expected = bench.content_of(variable)
     if expected is not None:
         expect_equal(content, expected, f"{variable.label}, read {how},")
@@ -108,9 +108,10 @@ def read_expedited(bench: Bench) -> Procedure[None]:
 
 
 def read_and_write(bench: Bench) -> Procedure[str]:
-    """2.2: a setting of the communication area takes another value and the one that it had.
+    """2.2: a setting of the communication area takes another value, and its old one again.
 
-    One that holds a time, best the heartbeat's; if the test is strict each setting, and one that holds no time its own value.
+    One setting that is a time is tried, best that of the heartbeat. If the test is strict, all settings are tried; those that are
+    not times with their own value.
     """
     found = list(settings(bench))
     times = [variable for variable in found if takes_any_time(variable)]
@@ -137,10 +138,10 @@ def read_and_write(bench: Bench) -> Procedure[str]:
 
 
 def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Procedure[None]:
-    """Look whether an object takes the value that it has.
+    """Check that an object takes its own value.
 
-    Three kinds may refuse: a mapping that is enabled, anything of a valid PDO, and 0x1019 while 0x1006 is not 0. They cannot
-    change then, and the standard does not say whether the same value is a change.
+    Three kinds may refuse: an enabled mapping, any parameter of a valid PDO, and 0x1019 while 0x1006 is not 0. They cannot change
+    then, and the standard does not say whether the same value is a change.
     """
     refusal = yield from bench.refusal_of_write(variable.index, variable.subindex, content)
     if refusal is None:
@@ -152,13 +153,13 @@ def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Proced
 
 
 def write_device_type(bench: Bench) -> Procedure[None]:
-    """2.3: the device type can't be written."""
+    """2.3: the device type cannot be written."""
     code = yield from bench.refusal_of_write(DEVICE_TYPE, 0, bytes(4))
     expect_refusal(code, READ_ONLY, "writing 0x1000:00")
 
 
 def read_write_only(bench: Bench) -> Procedure[None]:
-    """2.4 and 4.4: what is for writing only can't be read."""
+    """2.4 and 4.4: a write-only object cannot be read."""
     found = [variable for variable in bench.dictionary if not variable.access.readable]
     if not found:
         does_not_apply("no object is write-only")
@@ -171,19 +172,19 @@ def read_write_only(bench: Bench) -> Procedure[None]:
 
 
 def read_missing_subindex(bench: Bench) -> Procedure[None]:
-    """2.5: an object has no more subindices than it has."""
+    """2.5: a subindex that does not exist cannot be read."""
     expect_refusal((yield from bench.refusal_of_read(DEVICE_TYPE, 1)), NO_SUBINDEX, "reading 0x1000:01")
 
 
 def read_missing_object(bench: Bench) -> Procedure[None]:
-    """2.6: an object that is not there."""
+    """2.6: an object that does not exist cannot be read."""
     if bench.dictionary.has_index(0x1004):
         does_not_apply("the device has an object 0x1004")
     expect_refusal((yield from bench.refusal_of_read(0x1004, 0)), NO_OBJECT, "reading 0x1004:00")
 
 
 def wrong_command_specifier(bench: Bench) -> Procedure[None]:
-    """2.7: the client command specifier 7 means nothing."""
+    """2.7: the client command specifier 7, which has no meaning, is refused."""
     response = yield from ask(bench, initiate(0xE0, DEVICE_TYPE, 0))
     expect_refusal(abort_code_in(response), BAD_COMMAND, "the command specifier 7")
 
@@ -210,7 +211,7 @@ def write_too_short(bench: Bench) -> Procedure[None]:
 
 
 def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
-    """The objects with limits of their own, with the next value below and above these, where the type has one."""
+    """Return the objects with limits of their own, with the next value below and above these, None if the type has none."""
     found = []
     for variable in bench.dictionary:
         span = range_of(variable.data_type)
@@ -225,7 +226,8 @@ def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
 
 
 def write_too_high(bench: Bench) -> Procedure[None]:
-    """2.10: a value above an object's limit; else another number of errors than 0 in 0x1003:00, as in CiA's tool. 7.5.2.4"""
+    """2.10: a value above an object's limit is refused; else a number of errors other than 0 in 0x1003:00, as CiA's tool tries.
+    7.5.2.4"""
     yield from bench.silence_sync()  # the object may be 0x1019
     for variable, _, above in limited(bench):
         if above is not None:
@@ -240,7 +242,7 @@ def write_too_high(bench: Bench) -> Procedure[None]:
 
 
 def write_too_low(bench: Bench) -> Procedure[None]:
-    """2.11: a value below an object's limit."""
+    """2.11: a value below an object's limit is refused."""
     yield from bench.silence_sync()
     for variable, below, _ in limited(bench):
         if below is not None:
@@ -260,8 +262,8 @@ def default_channel(bench: Bench) -> Procedure[None]:
 
 
 def read_device_type_segmented(bench: Bench) -> Procedure[str]:
-    """2.13: the server chooses how an upload goes. If in segments, these bring the four bytes; if expedited, the transfer is at
-    its end (and, if the test is strict, a segment request behind it is refused)."""
+    """2.13: the server chooses the kind of an upload. Segments must bring the four bytes. An expedited transfer is over at once
+    (if the test is strict, a segment request after it must be refused)."""
     response = yield from initiate_upload(bench, DEVICE_TYPE, 0)
     content = expedited_content(response)
     if content is None:
@@ -304,7 +306,7 @@ def read_segmented(bench: Bench) -> Procedure[str]:
 
 
 def wrong_toggle(bench: Bench) -> Procedure[None]:
-    """2.17: the first segment is asked for with the toggle bit set."""
+    """2.17: a request for the first segment with the toggle bit set is refused."""
     variable = long_object(bench)
     yield from initiate_upload(bench, variable.index, variable.subindex)
     response = yield from ask(bench, bytes((UPLOAD_SEGMENT | TOGGLE,)))
@@ -312,14 +314,14 @@ def wrong_toggle(bench: Bench) -> Procedure[None]:
 
 
 def read_segmented_content(bench: Bench) -> Procedure[str]:
-    """2.18: what comes in segments is what the object holds, each time, and after a transfer that was left half-way too.
+    """2.18: segments bring the object's value, each time, and also after a transfer that was left half-way.
 
-    Another initiate then begins a transfer, or ends with an abort, as what does not belong there.
+    An initiate in mid-transfer begins a new transfer, or is refused with an abort.
     """
     variable = long_object(bench)
     place = variable.index, variable.subindex
     first = yield from segmented_upload(bench, *place)
-    yield from ask(bench, initiate(INITIATE_UPLOAD, *place))  # and no more of it
+    yield from ask(bench, initiate(INITIATE_UPLOAD, *place))  # and leave it there
     refusal = abort_code_in((yield from ask(bench, initiate(INITIATE_UPLOAD, *place))))
     if refusal is not None:
         expect_refusal(refusal, BAD_COMMAND, "another initiate upload in mid-transfer")

@@ -1,9 +1,9 @@
 """Chapters 9 and 10 of the conformance test: the NMT states, and the transitions between them (CiA 301 v4.2.0, 7.3.2).
 
-What shows the state is the heartbeat, or guarding where a device has no heartbeat (`Bench.supervise`).
+The heartbeat shows the state, or guarding if a device has no heartbeat (`Bench.supervise`).
 
-CiA 301 leads a device from its boot-up to Pre-operational; CiA 302-2 (0x1F80) lets one start by itself, and certified ones do. So
-a device that is Operational after its boot-up gets a remark, and fails a strict test unless it has that object.
+By CiA 301 a device is Pre-operational after its boot-up. CiA 302-2 (0x1F80) lets a device start by itself, and certified ones do.
+So a device that is Operational after its boot-up gets a remark, and fails a strict test unless it has that object.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ _LEADS_TO: Final = {
     NmtState.STOPPED: NmtCommand.STOP,
 }
 STARTUP: Final = 0x1F80
-"""NMT start-up: may tell a device to start by itself. CiA 302-2, from memory."""
+"""NMT start-up: may make a device start by itself. CiA 302-2, from memory."""
 
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 
 
-# ---- what lives in a state ----
+# ---- the services of a state ----
 
 
 def expect_sdo(bench: Bench, lives: bool) -> Procedure[None]:
-    """Look whether the device answers SDO requests, or not at all."""
+    """Check that the device answers SDO requests, or (lives is False) does not answer at all."""
     bench.probe.forget(bench.response_key)
     yield from bench.send(bench.request_key, initiate(INITIATE_UPLOAD, 0x1000, 0))
     if lives:
@@ -56,7 +56,7 @@ def expect_sdo(bench: Bench, lives: bool) -> Procedure[None]:
 
 
 def timed_tpdo(bench: Bench) -> Procedure[Pdo | None]:
-    """Set a TPDO up that comes by its event timer, where the device has one that can."""
+    """Set up a TPDO that is sent by its event timer, if the device has one that can; return it."""
     for pdo in _those_of(bench, Direction.TPDO):
         if has(bench, pdo, EVENT_TIMER) and (yield from set_up(bench, pdo, PROFILE_EVENTS, event_time=EVENT_TIME)):
             return pdo
@@ -64,7 +64,7 @@ def timed_tpdo(bench: Bench) -> Procedure[Pdo | None]:
 
 
 def immediate_rpdo(bench: Bench) -> Procedure[Pdo | None]:
-    """Set an RPDO up that takes effect at once and whose first object can be read back, where the device has one."""
+    """Set up an RPDO that takes effect at once and whose first object can be read back, if the device has one; return it."""
     for pdo in _those_of(bench, Direction.RPDO):
         variable = mapped_variable(bench, pdo)
         if (
@@ -78,7 +78,7 @@ def immediate_rpdo(bench: Bench) -> Procedure[Pdo | None]:
 
 
 def _those_of(bench: Bench, direction: Direction) -> list[Pdo]:
-    """The usable ones; a device needs none to have NMT states."""
+    """Return the usable PDOs, perhaps none: the case applies without them too."""
     try:
         return usable(bench, direction)
     except NotApplicable:
@@ -86,14 +86,15 @@ def _those_of(bench: Bench, direction: Direction) -> list[Pdo]:
 
 
 def expect_tpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
-    """Look whether a TPDO comes by its event timer, or not at all."""
+    """Check that a TPDO comes by its event timer, or (lives is False) not at all."""
     if pdo is not None:
         heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
         expect(bool(heard) is lives, f"{pdo} came {len(heard)} times")
 
 
 def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
-    """Send an RPDO with another value for its first object: look whether it arrives. (SDO has to live.)"""
+    """Send an RPDO with another value for its first object; check that it takes effect, or (lives is False) does not. Needs
+    SDO."""
     variable = None if pdo is None else mapped_variable(bench, pdo)
     if pdo is not None and variable is not None:
         before = yield from bench.read(variable.index, variable.subindex)
@@ -106,7 +107,7 @@ def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
 
 
 def expect_booted(bench: Bench, when: str) -> Procedure[None]:
-    """Look whether the device is pre-operational after its boot-up, and have it be so if it has started by itself."""
+    """Check that the device is Pre-operational after its boot-up; if it has started by itself, command Pre-operational."""
     state = yield from bench.state()
     if state is NmtState.OPERATIONAL:
         itself = f"{when}, the device is OPERATIONAL: it starts by itself"
@@ -121,7 +122,7 @@ def expect_booted(bench: Bench, when: str) -> Procedure[None]:
 
 
 def expect_other_nodes_business(bench: Bench, state: NmtState) -> Procedure[None]:
-    """Look whether commands for another node, and one that does not exist, change nothing."""
+    """Check that commands for another node, and a command that does not exist, change nothing."""
     other = bench.node_id % MAX_NODE_ID + 1
     for command in (*_LEADS_TO.values(), *_RESETS):
         yield from bench.send(NMT, bytes((command, other)))
@@ -131,8 +132,8 @@ def expect_other_nodes_business(bench: Bench, state: NmtState) -> Procedure[None
 
 
 def boot_up(bench: Bench) -> Procedure[str]:
-    """9.1: a reset brings one boot-up frame, and the communication parameters that can be written have their defaults; if the
-    test is strict, all objects."""
+    """9.1: after a reset one boot-up frame comes, and the writable communication parameters have their defaults; if the test is
+    strict, all objects have."""
     before = yield from change_settings(bench)
     yield from bench.reset()
     more = [heard for heard in bench.probe.take_all(bench.error_control_key) if heard.frame.data == b"\x00"]
@@ -143,7 +144,7 @@ def boot_up(bench: Bench) -> Procedure[str]:
 
 
 def pre_operational(bench: Bench) -> Procedure[None]:
-    """9.2: after boot-up the device is pre-operational: SDO lives, PDOs do not."""
+    """9.2: after boot-up the device is Pre-operational: it has SDO, but no PDO."""
     yield from bench.restart()
     yield from bench.supervise()
     yield from expect_booted(bench, "after boot-up")
@@ -155,7 +156,7 @@ def pre_operational(bench: Bench) -> Procedure[None]:
 
 
 def operational(bench: Bench) -> Procedure[None]:
-    """9.3: in Operational all services live."""
+    """9.3: in Operational the device has all services."""
     yield from bench.supervise()
     tpdo, rpdo = (yield from timed_tpdo(bench)), (yield from immediate_rpdo(bench))
     yield from bench.command(NmtCommand.START)
@@ -167,7 +168,7 @@ def operational(bench: Bench) -> Procedure[None]:
 
 
 def stopped(bench: Bench) -> Procedure[None]:
-    """9.4: in Stopped nothing lives but NMT and error control; what the device had is there when it is pre-operational again."""
+    """9.4: in Stopped the device has only NMT and error control; in Pre-operational its settings are there again."""
     yield from bench.supervise()
     tpdo = yield from timed_tpdo(bench)
     for _ in range(2):
@@ -199,7 +200,7 @@ def resets(bench: Bench) -> Procedure[None]:
 
 
 def transition(target: NmtState, bench: Bench) -> Procedure[None]:
-    """10.2 to 10.4: a command leads from each state to its own, be it for this node or for all."""
+    """10.2 to 10.4: a command leads from each state to the same state, whether sent to this node or to all."""
     command = _LEADS_TO[target]
     yield from bench.supervise()
     for state, way in _LEADS_TO.items():

@@ -1,8 +1,8 @@
 """Chapter 8 of the conformance test: storing and restoring parameters, and the CAN-IDs that no object may take
 (CiA 301 v4.2.0, 7.5.2.13, 7.5.2.14, 7.3.5).
 
-What was stored is seen after a reset of the node. A case about saving leaves the device with what it had stored before; one about
-restoring leaves it with its defaults.
+A reset of the node shows what was stored. A case about saving leaves the device with the values that it had stored before; a case
+about restoring leaves it with its defaults.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ALL: Final = 1
 COMMUNICATION: Final = 2
 
 STORE_TIME: Final = 10 * SECOND
-"""What a device may take to answer that it has stored its parameters: flash memory is slow."""
+"""How long a device may take to confirm that it has stored its parameters: flash memory is slow."""
 
 WRONG_SIGNATURE: Final = 0x6E6F7277
 """ASCII "wron"."""
@@ -50,7 +50,7 @@ SYNC_OBJECT, TIME_OBJECT, EMCY_OBJECT = 0x1005, 0x1012, 0x1014
 
 
 def _sign(bench: Bench, index: int, subindex: int, signature: int) -> Procedure[int | None]:
-    """Write a signature; the abort code where it is refused. The device may take its time."""
+    """Write a signature; return the abort code if it is refused. Waits up to STORE_TIME."""
     usual = bench.sdo.timeout
     bench.sdo.timeout = STORE_TIME
     try:
@@ -67,7 +67,7 @@ def _check_able(bench: Bench, index: int, subindex: int) -> Procedure[None]:
 
 
 def save(bench: Bench, subindex: int = ALL) -> Procedure[None]:
-    """Have the device store parameters; the case does not apply where it does not do so on command."""
+    """Make the device store parameters; the case does not apply if it does not do so on command."""
     yield from _check_able(bench, STORE, subindex)
     refusal = yield from _sign(bench, STORE, subindex, SIGNATURES[STORE])
     if refusal is not None:
@@ -75,14 +75,14 @@ def save(bench: Bench, subindex: int = ALL) -> Procedure[None]:
 
 
 def wrong_signature(index: int, subindex: int, bench: Bench) -> Procedure[None]:
-    """8.1, 8.3, 8.5, 8.7: nothing is stored or restored by accident."""
+    """8.1, 8.3, 8.5, 8.7: a wrong signature stores or restores nothing."""
     yield from _check_able(bench, index, subindex)
     refusal = yield from _sign(bench, index, subindex, WRONG_SIGNATURE)
     expect_refusal(refusal, NOT_STORED, f"a wrong signature to 0x{index:04X}:{subindex:02X}")
 
 
 def _setting(bench: Bench, *, known: bool = False) -> Variable:
-    """A communication object to try it with. known: one whose default the dictionary tells."""
+    """Return a communication object for the trial. known: its default must be in the dictionary."""
     found = [each for each in settings(bench) if takes_any_time(each) and not (known and bench.restored_content_of(each) is None)]
     if not found:
         does_not_apply("no communication object can be changed without further ado")
@@ -90,7 +90,7 @@ def _setting(bench: Bench, *, known: bool = False) -> Variable:
 
 
 def store(subindex: int, bench: Bench) -> Procedure[str]:
-    """8.2, 8.6: what is saved is there after a reset of the node; what was changed since is not."""
+    """8.2, 8.6: a saved value is there after a reset of the node; a later change is not."""
     variable = _setting(bench)
     place = variable.index, variable.subindex
     before = yield from bench.number(*place)
@@ -104,7 +104,7 @@ def store(subindex: int, bench: Bench) -> Procedure[str]:
 
 
 def restore(subindex: int, bench: Bench) -> Procedure[str]:
-    """8.4, 8.8: after "load" and a reset of the node its default is there, whatever was saved."""
+    """8.4, 8.8: after "load" and a reset of the node an object has its default, whatever was saved."""
     variable = _setting(bench, known=True)
     place = variable.index, variable.subindex
     yield from _check_able(bench, RESTORE, subindex)
@@ -120,7 +120,7 @@ def restore(subindex: int, bench: Bench) -> Procedure[str]:
 
 
 def keep(bench: Bench, changes: Sequence[tuple[int, int, int]]) -> Procedure[None]:
-    """Write values (index, subindex, value), save them, reset the node, and look whether they are there."""
+    """Write values (index, subindex, value), save them, reset the node, and check that they are there."""
     for change in changes:
         yield from bench.write(*change)
     yield from save(bench)
@@ -130,15 +130,15 @@ def keep(bench: Bench, changes: Sequence[tuple[int, int, int]]) -> Procedure[Non
 
 
 def verify_configuration(bench: Bench) -> Procedure[None]:
-    """8.9: configuration date and time are kept: by them a master knows what it has configured already. 7.5.2.23"""
+    """8.9: configuration date and time are kept: they show a master that it has configured the device already. 7.5.2.23"""
     date, time = (yield from bench.number(VERIFY, 1)), (yield from bench.number(VERIFY, 2))
     yield from keep(bench, [(VERIFY, 1, 14_000), (VERIFY, 2, 43_200_000)])
     yield from keep(bench, [(VERIFY, 1, date), (VERIFY, 2, time)])
 
 
 def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
-    """The COB-IDs that can be written, each with the value that it needs before its CAN-ID may change, and flags for valid
-    ones."""
+    """Return the writable COB-IDs, each with the value that it must have before its CAN-ID may change, and the flags of a valid
+    COB-ID."""
     found = []
     for variable in bench.dictionary:
         if variable.data_type is DataType.UNSIGNED32 and variable.access.writable:
@@ -156,8 +156,8 @@ def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
 
 
 def restricted_can_ids(bench: Bench) -> Procedure[str]:
-    """8.10: no communication object takes a CAN-ID that the standard keeps for others. The lowest and the highest of each
-    range."""
+    """8.10: no communication object takes a CAN-ID that the standard reserves for others. The lowest and the highest of each
+    range are tried."""
 
     def look(cob_id: tuple[Variable, int, int]) -> Procedure[None]:
         variable, inactive, flags = cob_id

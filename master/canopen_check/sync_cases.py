@@ -1,7 +1,7 @@
 """Chapter 6 of the conformance test: SYNC (CiA 301 v4.2.0, 7.2.5, 7.5.2.5, 7.5.2.6, 7.5.2.22).
 
-Most cases are about a device that produces SYNC; they do not apply to one that cannot. A period (0x1006) that is not 0 by default
-is set to 0 first. A reset undoes that, and a case that stores puts it back itself.
+Most cases are about a device that produces SYNC; they do not apply to a device that cannot. A period (0x1006) that is not 0 by
+default is set to 0 first. A reset undoes that; a case that stores puts the period back itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PERIOD: Final = 100 * MILLISECOND
 COUNTED: Final = 10 * SECOND
 
 EACH_TENTH: Final = 10
-"""The transmission type of TPDOs that are counted, and SYNCS how many SYNCs they get."""
+"""The transmission type of the TPDOs that are counted; SYNCS is the number of SYNCs that they get."""
 SYNCS: Final = 100
 
 NOT_WHILE_RUNNING: Final = (AbortCode.DEVICE_STATE, AbortCode.GENERAL_ERROR)
@@ -40,14 +40,14 @@ RESERVED_VALUE: Final = tuple(dict.fromkeys((*TOO_HIGH, *TOO_LOW)))
 
 
 def default_cob_id(bench: Bench) -> Procedure[None]:
-    """6.1: the CAN-ID is 0x80, and the rest as described."""
+    """6.1: the CAN-ID is 0x80, and the rest of the COB-ID is as described."""
     yield from bench.expect_default(COB_ID_SYNC, 0, "after a reset")
     can_id = key_of_cob_id((yield from bench.number(COB_ID_SYNC)))
     expect_equal(can_id, SYNC, "the default CAN-ID of SYNC")
 
 
 def produce(bench: Bench, overflow: int | None = None) -> Procedure[None]:
-    """Make the device send SYNC; the case ends where it can't. overflow: what 0x1019 is to be, None to leave it alone."""
+    """Make the device send SYNC; if it cannot, the case does not apply. overflow: value for 0x1019, None to leave it alone."""
     yield from bench.silence_sync()
     bench.probe.listen_also(bench.sync_key)
     if overflow is not None:
@@ -65,7 +65,7 @@ def count_syncs(bench: Bench) -> Procedure[str]:
 
 
 def count_tpdos(bench: Bench) -> Procedure[str]:
-    """6.3: SYNC, ours as in CiA's tool, sets off the TPDOs: of type 10 one for ten SYNCs."""
+    """6.3: SYNC (sent by us, as by CiA's tool) triggers TPDOs: a TPDO of type 10 comes once for ten SYNCs."""
     pdos = usable(bench, Direction.TPDO)
     yield from bench.silence_sync()
     for pdo in pdos:
@@ -89,7 +89,7 @@ def count_tpdos(bench: Bench) -> Procedure[str]:
 
 
 def stop_producing(bench: Bench) -> Procedure[None]:
-    """6.4: a period of 0 ends the SYNC; so does being a consumer."""
+    """6.4: a period of 0 stops the SYNC; so does making the device a consumer (0x1005, bit 30)."""
     yield from produce(bench)
     yield from bench.write(CYCLE_PERIOD, 0, 0)
     yield from bench.expect_silence(bench.sync_key, 1 * SECOND, "the period in 0x1006 is 0, and a SYNC")
@@ -99,7 +99,7 @@ def stop_producing(bench: Bench) -> Procedure[None]:
 
 
 def invalid_overflow(bench: Bench) -> Procedure[None]:
-    """6.5: 1 and 241 to 255 are reserved."""
+    """6.5: the reserved counter overflow values 1 and 241 to 255 are refused."""
 
     def look(value: int) -> Procedure[None]:
         refusal = yield from bench.refusal_of_write(OVERFLOW, 0, value)
@@ -111,7 +111,7 @@ def invalid_overflow(bench: Bench) -> Procedure[None]:
 
 
 def no_counter(bench: Bench) -> Procedure[None]:
-    """6.6: with the counter overflow value 0 a SYNC is empty."""
+    """6.6: with the counter overflow value 0 a SYNC has no data."""
     yield from produce(bench, 0)
     heard = yield from bench.frames_within(bench.sync_key, 1 * SECOND)
     expect(len(heard) > 0, "no SYNC came within 1 s")
@@ -120,7 +120,7 @@ def no_counter(bench: Bench) -> Procedure[None]:
 
 
 def expect_counter(bench: Bench, overflow: int) -> Procedure[None]:
-    """Look whether the counter of the SYNCs that come runs from 1 to the overflow value, twice. 7.5.2.22"""
+    """Check that the counter of the SYNCs runs from 1 to the overflow value, twice. 7.5.2.22"""
     for turn in range(2 * overflow):
         heard = yield from bench.next_frame(bench.sync_key, ANSWER_TIME, "a SYNC")
         expected = bytes((turn % overflow + 1,))
@@ -128,13 +128,13 @@ def expect_counter(bench: Bench, overflow: int) -> Procedure[None]:
 
 
 def counter(bench: Bench) -> Procedure[None]:
-    """6.7: with the counter overflow value 5 it counts 1 to 5, beginning with 1."""
+    """6.7: with the counter overflow value 5 the SYNC counter runs from 1 to 5, and starts with 1."""
     yield from produce(bench, 5)
     yield from expect_counter(bench, 5)
 
 
 def overflow_while_running(bench: Bench) -> Procedure[None]:
-    """6.9: the counter overflow value can't be changed while there is a period."""
+    """6.9: the counter overflow value cannot be changed while the period is not 0."""
     yield from bench.silence_sync()
     yield from bench.write(CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
     refusal = yield from bench.refusal_of_write(OVERFLOW, 0, 5)
@@ -142,8 +142,8 @@ def overflow_while_running(bench: Bench) -> Procedure[None]:
 
 
 def kept_counter(bench: Bench) -> Procedure[None]:
-    """6.8: the counter overflow value survives a reset when it was saved."""
-    yield from produce(bench)  # if it can: nothing was stored yet
+    """6.8: a saved counter overflow value survives a reset."""
+    yield from produce(bench)  # ends the case if it cannot: nothing is stored yet
     yield from bench.reset()
     yield from bench.silence_sync()
     yield from keep(bench, [(OVERFLOW, 0, 5)])
@@ -154,14 +154,14 @@ def kept_counter(bench: Bench) -> Procedure[None]:
 
 
 def put_back(bench: Bench) -> Procedure[None]:
-    """Save what stood there before, in the order that each object takes it. SYNC is silent."""
+    """Put back and save the old values, in an order that the objects accept. SYNC is stopped."""
     for index, value in ((CYCLE_PERIOD, 0), *((index, bench.default(index)) for index in (OVERFLOW, COB_ID_SYNC, CYCLE_PERIOD))):
         yield from bench.write(index, 0, value)
     yield from save(bench)
 
 
 def kept_producer(bench: Bench) -> Procedure[None]:
-    """6.10: a SYNC producer whose settings were saved goes on by itself after a reset."""
+    """6.10: a SYNC producer whose settings were saved sends SYNC by itself after a reset."""
     yield from produce(bench, 5)
     cob_id = bench.default(COB_ID_SYNC) | PRODUCER
     yield from keep(bench, [(COB_ID_SYNC, 0, cob_id), (CYCLE_PERIOD, 0, PERIOD // MICROSECOND)])
