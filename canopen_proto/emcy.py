@@ -138,7 +138,7 @@ class EmcyProducer(Machine):
         """
         _check_error(code, additional_info)
         if not 0 <= register_bits <= 0xFF or register_bits & _RESERVED_BIT:
-            raise LocalProtocolError(f"error register bits 0x{register_bits:02X}: bit 6 is reserved, and there are 8")
+            raise LocalProtocolError(f"error register bits 0x{register_bits:02X}: bit 6 is reserved, and only bits 0 to 7 exist")
         if len(vendor_data) > VENDOR_BYTES:
             raise LocalProtocolError(f"an emergency has {VENDOR_BYTES} bytes for the manufacturer, not {len(vendor_data)}")
         error = additional_info << 16 | code

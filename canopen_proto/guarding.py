@@ -222,7 +222,7 @@ class GuardingMaster(Machine):
             return
         state, toggle = STATE_OF_BYTE[data[0]], data[0] & TOGGLE
         if not state:
-            out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT state"))
+            out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT state"))
             return
         if self._toggle is not None and toggle != self._toggle:
             out.events.append(GuardingToggleRepeated(self.node_id, frame, "the toggle bit of the answer before"))

@@ -284,7 +284,7 @@ class HeartbeatConsumer(Machine):
             return
         state = STATE_OF_BYTE[data[0]]
         if state is None:
-            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT state"))
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT state"))
             return
         self.last_heard = now
         out = self.out

@@ -195,7 +195,7 @@ class Machine:
 def check_node_id(node_id: int) -> int:
     """Return node_id if it is an integer of 1..127. Raises LocalProtocolError for any other."""
     if not isinstance(node_id, int) or isinstance(node_id, bool):  # it may come from a file or a form: True is not node 1
-        raise LocalProtocolError(f"node-ID {node_id!r} is no integer: node-IDs are 1..{MAX_NODE_ID}")
+        raise LocalProtocolError(f"node-ID {node_id!r} is not an integer: node-IDs are 1..{MAX_NODE_ID}")
     if 1 <= node_id <= MAX_NODE_ID:
         return node_id
     raise LocalProtocolError(f"node-ID {node_id} is outside 1..{MAX_NODE_ID}")

@@ -240,7 +240,7 @@ class NmtSlave(Machine):
             return
         command = _COMMAND_BY_NUMBER.get(data[0])
         if command is None:
-            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is no NMT command"))
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT command"))
             return
         self.execute(command, now)
 

@@ -73,7 +73,7 @@ class ParameterStorage(Owner):
         self._after: dict[tuple[int, int], dict[Mux, Value]] = {}  # access that waits for the host -> `saved` after it
         self.groups: dict[int, Collection[int]] = dict(GROUPS)
         self.excluded: set[int] = set(NO_PARAMETERS)
-        # What `Values` begins with, but is not the default
+        # The values with which `Values` begins that are not defaults
         self._configured = [each for each in values.dictionary if each.configured is not None and self._is_parameter(each)]
         self.saved: dict[Mux, Value] = {variable.mux: values.store[variable.mux] for variable in self._configured}
 

@@ -63,7 +63,7 @@ class Profile:
 
 
 class _Plan:
-    """A plan in the making: a row of pieces, each of which begins as the one before ends."""
+    """A plan in the making: a row of pieces. Each piece begins at the end of the one before."""
 
     __slots__ = ("pieces", "position", "time", "velocity")
 

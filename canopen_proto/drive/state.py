@@ -110,7 +110,7 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
         else:
             return
     raise ModeUnsupported(
-        f"{name_of(axis)} is in {mode_name(shown)}, in which power alone may move it, and takes up neither "
+        f"{name_of(axis)} is in {mode_name(shown)}, in which power alone may move it, and accepts neither "
         f"{', '.join(mode_name(mode) for mode in _STANDING[:-1])} nor {mode_name(_STANDING[-1])}. "
         "Try: look at its modes (0x6502), and enable it by hand once you know its targets"
     )

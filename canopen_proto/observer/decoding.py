@@ -133,7 +133,7 @@ def _of_pdo(pdo: OverheardPdo, dictionary: ObjectDictionary, frame: Frame) -> Me
     try:
         values = mapping.unpack(frame.data)
     except ValueRangeError as error:
-        why = f"shorter than it is mapped, {mapping.byte_length} bytes" if size < mapping.byte_length else str(error)
+        why = f"shorter than its mapping of {mapping.byte_length} bytes" if size < mapping.byte_length else str(error)
         return Meaning(pdo.name, pdo.node_id, f"{why}: {frame.data.hex(' ') or 'no data'}")
     texts = [
         f"{_name_of(entry, label)} = {shown_value(dictionary, entry.index, entry.subindex, value)}"
@@ -141,7 +141,7 @@ def _of_pdo(pdo: OverheardPdo, dictionary: ObjectDictionary, frame: Frame) -> Me
     ]
     if size > mapping.byte_length:
         texts.append(
-            f"longer than it is mapped, {mapping.byte_length} bytes: {frame.data[mapping.byte_length :].hex(' ')} left over"
+            f"longer than its mapping of {mapping.byte_length} bytes: {frame.data[mapping.byte_length :].hex(' ')} left over"
         )
     return Meaning(pdo.name, pdo.node_id, ", ".join(texts))
 
@@ -170,7 +170,7 @@ def _of_nmt(data: bytes) -> Meaning:
 
 def _of_error_control(node_id: int, data: bytes) -> Meaning:
     if len(data) != 1:
-        return Meaning("heartbeat", node_id, f"of a strange length: {data.hex(' ') or 'no data'}")
+        return Meaning("heartbeat", node_id, f"of a wrong length: {data.hex(' ') or 'no data'}")
     if data == _BOOT_UP:
         return Meaning("boot-up", node_id, "")
     state = data[0] & ~_TOGGLE
@@ -194,4 +194,4 @@ def _time_text(data: bytes) -> str:
     try:
         return str(time_of(data[:6]))
     except ValueRangeError:
-        return f"no time: {data.hex(' ') or 'no data'}"
+        return f"not a time: {data.hex(' ') or 'no data'}"

@@ -200,7 +200,7 @@ class OverheardChannel:
         self._segments.clear()
         self._sent = 0
         self._in_block = not self._was_last or again
-        return f"{self._verb} {self._object}: {taken} segments taken{', the others again' if again else ''}"
+        return f"{self._verb} {self._object}: {taken} segments taken{', the others must be sent again' if again else ''}"
 
     def _block_end(self, frame: bytes) -> str:
         if not self._object or frame[0] & KIND != END:
@@ -320,4 +320,4 @@ def _lone(frame: bytes) -> str:
 
 
 def _strange(data: bytes) -> str:
-    return f"too short for what it announces: {data.hex(' ') or 'no data'}"
+    return f"too short for its command: {data.hex(' ') or 'no data'}"

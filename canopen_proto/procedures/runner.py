@@ -372,6 +372,6 @@ class Runner(Machine):
         children, parent.children = parent.children, []
         failure = parent.failure
         if failure is not None and parent.clean_up_error is not None:
-            failure.add_note(f"besides, the clean-up of what ran beside it went wrong: {parent.clean_up_error}")
+            failure.add_note(f"and the clean-up of a procedure beside it failed: {parent.clean_up_error}")
             parent.clean_up_error = None
         return [child.result for child in children], failure

@@ -132,7 +132,7 @@ def expect_lost(bench: Bench, node_id: int) -> Procedure[None]:
     lost = f"the lost heartbeat of node {node_id}"
     heard = yield from next_error(bench, latest, f"an emergency message about {lost}")
     expect_equal(code_of(heard.frame.data), EMCY_CONNECTION_LOST, f"the error code for {lost}")
-    check_not_early(heard.at - begin, MONITORED, f"{lost} was told of")
+    check_not_early(heard.at - begin, MONITORED, f"{lost} was reported")
 
 
 def monitor_late(bench: Bench) -> Procedure[str]:

@@ -47,7 +47,7 @@ EVENT_TYPES: Final = (MANUFACTURER_EVENTS, PROFILE_EVENTS)
 
 EVENT_TIME: Final = 100 * MILLISECOND
 
-UNFORCED: Final = "no stimulus: no event could be brought about"
+UNFORCED: Final = "no stimulus: no event could be caused"
 
 _COMMANDS: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,

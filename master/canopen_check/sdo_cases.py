@@ -117,7 +117,7 @@ def read_and_write(bench: Bench) -> Procedure[str]:
     times = [variable for variable in found if takes_any_time(variable)]
     chosen = found if bench.strict else sorted(times, key=lambda variable: variable.index != HEARTBEAT)[:1]
     if not chosen:
-        does_not_apply("no communication object can be changed without further ado")
+        does_not_apply("no communication object can be changed for a trial")
 
     def look(variable: Variable) -> Procedure[None]:
         place = variable.index, variable.subindex

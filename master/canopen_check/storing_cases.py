@@ -85,7 +85,7 @@ def _setting(bench: Bench, *, known: bool = False) -> Variable:
     """Return a communication object for the trial. known: its default must be in the dictionary."""
     found = [each for each in settings(bench) if takes_any_time(each) and not (known and bench.restored_content_of(each) is None)]
     if not found:
-        does_not_apply("no communication object can be changed without further ado")
+        does_not_apply("no communication object can be changed for a trial")
     return found[0]
 
 

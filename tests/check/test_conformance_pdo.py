@@ -156,7 +156,7 @@ def test_unforced_events() -> None:
     for number in ("3.4", "3.7"):
         verdict = verdict_of(number, stimulus=False)
         assert verdict.result is Result.PASSED
-        assert "no event could be brought about" in verdict.reason
+        assert "no event could be caused" in verdict.reason
 
 
 def test_type_0_that_does_not_wait_for_sync() -> None:

@@ -58,18 +58,18 @@ def meanings(*frames: str, of: int | None = 5) -> list[str]:
         ("085#0000000000000000", "EMCY 5 0x0000 "),
         ("085#00", "EMCY 5 too short: 00"),
         ("100#000000000000", "TIME 0 1984-01-01 00:00:00+00:00"),
-        ("100#00", "TIME 0 no time: 00"),
+        ("100#00", "TIME 0 not a time: 00"),
         ("705#00", "boot-up 5"),
         ("705#05", "heartbeat 5 operational"),
         ("705#85", "guarding 5 operational"),
         ("705#42", "heartbeat 5 unknown state 0x42"),
-        ("705#", "heartbeat 5 of a strange length: no data"),
+        ("705#", "heartbeat 5 of a wrong length: no data"),
         ("705#R1", "guarding 5 the master asks for the state"),
         ("185#6F0039300000", "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039)"),
-        ("185#6F", "TPDO 1 5 shorter than it is mapped, 6 bytes: 6f"),
+        ("185#6F", "TPDO 1 5 shorter than its mapping of 6 bytes: 6f"),
         (
             "185#6F003930000007",
-            "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039), longer than it is mapped, 6 bytes: 07 left over",
+            "TPDO 1 5 statusword = 111 (ready), position = 12345 (0x3039), longer than its mapping of 6 bytes: 07 left over",
         ),
         ("185#R", "TPDO 1 5 requested by a remote frame"),
         ("205#0000", "RPDO 1 5 statusword = 0"),
@@ -82,8 +82,8 @@ def meanings(*frames: str, of: int | None = 5) -> list[str]:
         ("7E0#0401", "? 0 04 01"),
         ("780#", "? 0 nothing"),
         ("18FF0001#00", "? 0 29-bit identifier, which no file here assigns"),
-        ("605#", "SDO 5 too short for what it announces: no data"),
-        ("585#", "SDO 5 too short for what it announces: no data"),
+        ("605#", "SDO 5 too short for its command: no data"),
+        ("585#", "SDO 5 too short for its command: no data"),
     ],
 )
 def test_each_service(frame: str, meaning: str) -> None:
@@ -136,7 +136,7 @@ def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
     assert [f"{each.service} {each.text}" for each in seen] == [
         "short controlword = 15",
         "long controlword = 15, position = 1",
-        "short shorter than it is mapped, 2 bytes: 0f",
+        "short shorter than its mapping of 2 bytes: 0f",
         "TPDO 2 0f 00",
         "? nothing",
     ]
@@ -221,7 +221,7 @@ def test_block_upload_with_a_segment_lost() -> None:
         "read 1008:00 name: start",
         "read 1008:00 name: block segment 1",
         "read 1008:00 name: block segment 3, the last",
-        "read 1008:00 name: 1 segments taken, the others again",
+        "read 1008:00 name: 1 segments taken, the others must be sent again",
         "read 1008:00 name: block segment 1, the last",
         "read 1008:00 name: 1 segments taken",
         "read 1008:00 name = 'ABCDEFGHI'",
@@ -252,7 +252,7 @@ def test_block_download() -> None:
     again = sdo(
         ">C0 00 20 00 00 00 00 00", "<A0 00 20 00 02 00 00 00", ">01" + " 00" * 7, ">82" + " 00" * 7, "<A2 01 02 00 00 00 00 00"
     )
-    assert again[-1] == "write 2000:00 blob: 1 segments taken, the others again"
+    assert again[-1] == "write 2000:00 blob: 1 segments taken, the others must be sent again"
 
 
 def test_aborts() -> None:

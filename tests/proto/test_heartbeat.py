@@ -224,8 +224,8 @@ def test_a_frame_handled_before_its_time_out_counts_as_in_time() -> None:
         ("705#", "1 byte, not 0"),
         ("705#R1", "1 byte, not 0"),
         ("705#0505", "1 byte, not 2"),
-        ("705#01", "0x01 is no NMT state"),
-        ("705#D0", "0xD0 is no NMT state"),
+        ("705#01", "0x01 is not an NMT state"),
+        ("705#D0", "0xD0 is not an NMT state"),
     ],
 )
 def test_odd_frames_are_reported_and_no_sign_of_life(text: str, reason: str) -> None:

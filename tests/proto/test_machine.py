@@ -103,7 +103,7 @@ def test_other_node_ids(node_id: int) -> None:
 
 @pytest.mark.parametrize("node_id", ["5", b"\x05", 5.0, None, True, [5]])
 def test_a_node_id_that_is_no_integer_is_our_callers_fault(node_id: Any) -> None:
-    with pytest.raises(LocalProtocolError, match="is no integer"):
+    with pytest.raises(LocalProtocolError, match="is not an integer"):
         check_node_id(node_id)
 
 

@@ -185,8 +185,8 @@ def test_slave_obeys_commands_to_all_and_not_those_to_others() -> None:
         ("000#", "2 bytes, not 0"),
         ("000#01", "2 bytes, not 1"),
         ("000#010500", "2 bytes, not 3"),
-        ("000#0305", "0x03 is no NMT command"),
-        ("000#5000", "0x50 is no NMT command"),
+        ("000#0305", "0x03 is not an NMT command"),
+        ("000#5000", "0x50 is not an NMT command"),
     ],
 )
 def test_slave_reports_what_makes_no_sense(text: str, reason: str) -> None:

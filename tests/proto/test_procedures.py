@@ -360,7 +360,7 @@ def test_the_original_failure_is_raised_not_what_its_siblings_do_then(desk: Desk
     desk.wait(10)
     error = desk.result(request_id)
     assert str(error) == "broken"
-    assert cast(Exception, error).__notes__ == ["besides, the clean-up of what ran beside it went wrong: could not halt"]
+    assert cast(Exception, error).__notes__ == ["and the clean-up of a procedure beside it failed: could not halt"]
     assert cast(Exception, error).__context__ is None
 
 
