@@ -173,7 +173,7 @@ def _without_file(node_id: int) -> Exception:
         "CO134",
         f"which device is {node_text(node_id)} to be?",
         seen="no file of it was named",
-        cause="the cases go by what its file promises",
+        cause="the cases compare the device with its file",
         tries=(f"canopen check {node_id} -e FILE.eds", "canopen check 3 -b demo    (a simulated drive)"),
     )
 

@@ -192,9 +192,7 @@ def _side(path: str, description: DeviceDescription, whose: int | None, defaults
     if node_id is None:
         depends = next((each for each in dictionary if each.adds_node_id or each.configured_adds_node_id), None)
         if depends is not None:
-            raise usage(
-                "CO120", f"{path} does not say of which node it is, and {depends.label} depends on that", tries=("--id 5",)
-            )
+            raise usage("CO120", f"{path} names no node-ID, and {depends.label} depends on that", tries=("--id 5",))
     values = settings_of(dictionary, node_id or 0)
     if defaults or not values:
         values = settings_of(dictionary, node_id or 0, defaults=True)

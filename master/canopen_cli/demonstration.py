@@ -270,7 +270,7 @@ class Demonstration:
         for device in arm.devices:
             if device.axis.settings.counts_per_unit is None:
                 seen, tries = "only Schunk's joints tell it", ("--counts-per-degree 1000, or whatever it is",)
-                raise usage("CO123", f"{device.where}: nobody said what the drive counts in", seen=seen, tries=tries)
+                raise usage("CO123", f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
         view.done(step, f"{_count(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
 
     async def _home(self, arm: Chain, view: DemoView) -> None:

@@ -46,7 +46,7 @@ def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Scr
             node_id = description.commissioning.node_id if description.commissioning is not None else None
             if node_id is None:
                 tries = (f"-e 5={path}    (it is the file of node 5)",)
-                raise usage("CO126", f"there are several files, and {path} does not say of which node it is", tries=tries)
+                raise usage("CO126", f"there are several files, and {path} names no node-ID", tries=tries)
         if node_id in files:
             whose = "all nodes" if node_id is None else f"node {node_id}"
             raise usage("CO126", f"there are two files of {whose}: {files[node_id].source} and {path}")

@@ -49,7 +49,7 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
     if output is not None:
         if suffix not in FORMATS:
             raise usage(
-                "CO001", f"{output} is of no format that is known here", tries=[f"-o node{node_id}{each}" for each in FORMATS]
+                "CO001", f"{output} has an ending of no known format", tries=[f"-o node{node_id}{each}" for each in FORMATS]
             )
         check_new_file(settings, screen, output)
     found, description = run(settings, screen, lambda: _dump(settings, screen, node_id, indices, domains))

@@ -128,7 +128,7 @@ def _commissioned(description: DeviceDescription, node_id: int | None, path: str
     if node_id is not None:
         return replace(commissioning, node_id=node_id)
     if commissioning.node_id is None:
-        raise usage("CO120", f"{path} does not say of which node it is", tries=("--id 5",))
+        raise usage("CO120", f"{path} names no node-ID", tries=("--id 5",))
     return commissioning
 
 

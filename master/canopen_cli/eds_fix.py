@@ -38,7 +38,7 @@ def fix(settings: Settings, path: str, output: str | None, in_place: bool, dry_r
     """
     if sum((output is not None, in_place, dry_run)) != 1:
         tries = (f"canopen eds fix {path} --dry-run", f"canopen eds fix {path} -o fixed.eds")
-        raise usage("CO001", "say where the repaired file goes: one of -o OUT, --in-place, --dry-run", tries=tries)
+        raise usage("CO001", "name the place of the repaired file: one of -o OUT, --in-place, --dry-run", tries=tries)
     screen = settings.screen()
     file = open_description(path, settings.encoding)
     if file.description.kind not in (FileKind.EDS, FileKind.DCF):

@@ -38,7 +38,7 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
         return
     if not (screen.err.is_terminal and sys.stdin.isatty()):
         tries = (f"another name than {path}", "the same with --force")
-        raise usage("CO135", f"{path} is there already, and is not overwritten", seen="nothing was done", tries=tries)
+        raise usage("CO135", f"{path} is there already, and was not overwritten", seen="nothing was done", tries=tries)
     if not click.confirm(f"{clean(str(path))} is there already. Overwrite it?", err=True):
         raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was done")
 

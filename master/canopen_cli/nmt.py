@@ -78,7 +78,7 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
     if yes or not needed:
         return
     if not (screen.err.is_terminal and sys.stdin.isatty()):
-        raise usage("CO122", f"{question}. This has to be confirmed", seen="nothing was sent", tries=("the same with --yes",))
+        raise usage("CO122", f"{question}. This must be confirmed", seen="nothing was sent", tries=("the same with --yes",))
     if not click.confirm(f"{clean(question)}. Go on?", err=True):
         raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 

@@ -229,7 +229,7 @@ def write(
         _tell_file(settings, screen, written, "←", verified=verify)
         return
     if path is not None or text is None:
-        raise usage("CO001", "either a VALUE or --file FILE is written", tries=("canopen write --help",))
+        raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
     before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, block, verify))
     if settings.json:
         screen.json(

@@ -154,7 +154,7 @@ class Encoding(Kind):
         from canopen_data.eds.encodings import is_encoding
 
         if not is_encoding(str(value)):
-            self.fail(f"{value!r} is no encoding such as gbk, cp932 or cp1252", param, ctx)
+            self.fail(f"{value!r} is not an encoding such as gbk, cp932 or cp1252", param, ctx)
         return str(value)
 
 

@@ -25,7 +25,7 @@ def read_text(path: Path) -> str:
             raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} is no text in UTF-8", seen=str(error)) from None
+        raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} is not UTF-8 text", seen=str(error)) from None
     except OSError as error:
         failed = f"cannot read {path}: {error.strerror or error}"
         raise Problem(ExitCode.BAD_FILE, "CO330", failed, tries=("check the path",)) from None

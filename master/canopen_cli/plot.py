@@ -38,7 +38,10 @@ def check_plot(path: Path) -> None:
         )
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise Problem(
-            ExitCode.PERMISSION, "CO109", f"cannot write {path}: this user may not", tries=("--plot with another folder",)
+            ExitCode.PERMISSION,
+            "CO109",
+            f"cannot write {path}: no permission",
+            tries=("--plot with another folder",),
         )
     known = FigureCanvasAgg.get_supported_filetypes()
     if path.suffix.lstrip(".").lower() not in known:

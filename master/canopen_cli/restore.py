@@ -172,7 +172,7 @@ async def _check_identity(session: Session, wanted: Wanted) -> None:
             raise Problem(
                 ExitCode.DIFFERENT,
                 "CO207",
-                f"{node_text(wanted.node_id)} is not the type of device that {wanted.path} is of; nothing was written",
+                f"{node_text(wanted.node_id)} is not of the type that {wanted.path} describes; nothing was written",
                 seen=f"{name} 0x{found:08X}, in the file 0x{expected:08X}",
                 tries=(f"canopen info {wanted.node_id}", "--any-device, if that is what you want"),
                 node=wanted.node_id,

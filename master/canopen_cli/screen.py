@@ -128,7 +128,7 @@ class Screen:
             poll = select.poll()
             poll.register(stdout, 0)
             if any(signs & select.POLLERR for _, signs in poll.poll(0)):
-                raise BrokenPipeError(errno.EPIPE, "nobody reads what comes out")
+                raise BrokenPipeError(errno.EPIPE, "the reader of the output has gone")
 
     # ---- talk ----
 

@@ -148,4 +148,4 @@ def _keeper(path: str) -> ParameterKeeper:
         return ParameterKeeper(Path(path) if path else None)
     except StateFileError as error:
         tries = ("another --state; it is written anew when a device stores",)
-        raise Problem(ExitCode.BAD_FILE, "CO333", f"{error.path} is no state of devices", seen=error.seen, tries=tries) from None
+        raise Problem(ExitCode.BAD_FILE, "CO333", f"{error.path} is not a state file", seen=error.seen, tries=tries) from None

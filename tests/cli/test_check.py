@@ -152,7 +152,7 @@ def test_what_cannot_be_run(run: Run) -> None:
         (["5", "-b", "can0"], "no file of it was named"),
         (["5", "-e", SAMPLE], "no bus was named"),
         (["200", "-b", "demo"], "outside 1..127"),
-        ([*NODE], "This has to be confirmed"),
+        ([*NODE], "This must be confirmed"),
     ):
         outcome = run("check", *arguments)
         assert outcome.status == ExitCode.USAGE, arguments

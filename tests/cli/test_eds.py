@@ -276,4 +276,4 @@ def test_the_encoding_of_a_file_is_guessed_or_named(run: Run, tmp_path: Path) ->
     assert "тип" in run("eds", "show", str(russian), "--encoding", "cp1251").out
     outcome = run("eds", "show", str(russian), "--encoding", "rot13")
     assert outcome.status == 2
-    assert "is no encoding such as gbk" in outcome.err
+    assert "is not an encoding such as gbk" in outcome.err

@@ -78,7 +78,7 @@ def test_repairs_as_json(run: Run) -> None:
 def test_where_it_goes_is_said_once(run: Run, arguments: list[str]) -> None:
     outcome = run("eds", "fix", "drive.eds", *arguments)
     assert outcome.status == 2
-    assert "say where the repaired file goes" in outcome.err
+    assert "name the place of the repaired file" in outcome.err
 
 
 def test_only_eds_and_dcf_are_repaired(run: Run) -> None:

@@ -322,9 +322,13 @@ def test_scripts_tell_on_stderr(run: Run, tmp_path: Path) -> None:
             ["CO331", "late.py:1: ZeroDivisionError", "the script"],
         ),
         (("io.eds", "--id", "5", "--overlay", "bad.py"), ExitCode.BAD_FILE, ["CO301", "bad.py:1:"]),
-        (("io.eds", "--id", "5", "--overlay", "latin.toml"), ExitCode.BAD_FILE, ["CO330", "latin.toml is no text in UTF-8"]),
+        (("io.eds", "--id", "5", "--overlay", "latin.toml"), ExitCode.BAD_FILE, ["CO330", "latin.toml is not UTF-8 text"]),
         (("io.eds", "--id", "5", "--overlay", "huge.toml"), ExitCode.BAD_FILE, ["CO330", "huge.toml has more than"]),
-        (("io.eds", "--id", "5", "--state", "bad.py"), ExitCode.BAD_FILE, ["CO333", "bad.py is no state of devices"]),
+        (
+            ("io.eds", "--id", "5", "--state", "bad.py"),
+            ExitCode.BAD_FILE,
+            ["CO333", "bad.py is not a state file"],
+        ),
     ],
 )
 def test_bad_input(run: Run, tmp_path: Path, arguments: tuple[str, ...], status: int, texts: list[str]) -> None:

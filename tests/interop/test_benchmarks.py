@@ -36,14 +36,16 @@ def test_a_word_that_is_in_no_title_is_an_error() -> None:
 
 def test_each_goal_names_cases_that_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(RUN.parent))
-    goals, measure, run, imports = (importlib.import_module(name) for name in ("goals", "measure", "run", "imports"))
-    monkeypatch.setattr(imports, "over_bare", lambda program: 42.0)
+    goals, measure, run = (importlib.import_module(name) for name in ("goals", "measure", "run"))
+    monkeypatch.setattr(goals.imports, "over_bare", lambda program: 42.0)
+    monkeypatch.setattr(goals.chain_cycle, "cycle", lambda joints, cycle_time: 250_000.0)
     results = [measure.Result(case.title, [2.0], [4.6]) for module in run.MODULES for case in module.cases()]
     text = run.report(results, 1, 0.1, with_goals=True)
     rows = [line for line in text.splitlines() if any(goal.work in line for goal in goals.GOALS)]
     assert len(rows) == len(goals.GOALS)
     assert "| read by name, decoded, RemoteNode | 2.3 " in rows[0]
     assert "| 42 ms (missed) | 20 ms | 10 ms |" in text
+    assert "share of a core | 25 % | 30 % | 10 % |" in text.replace(" (missed)", "")
     page = (RUN.parents[1] / "docs" / "speed.md").read_text(encoding="utf-8")
     assert text in run.paste(page, text)
     assert run.paste(run.paste(page, "old"), text) == run.paste(page, text)
