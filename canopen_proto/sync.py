@@ -108,7 +108,7 @@ class SyncProducer(Machine):
         self.stop()
 
     def start(self, period: Time, now: Time, counter_overflow: int | None = None) -> None:
-        """Send SYNC now and then once per period (ns, 1 us or more), also if it runs already. The counter starts with 1.
+        """Send SYNC now and then once per period (ns, 1 us or more); a running producer starts again. The counter starts with 1.
 
         counter_overflow: 0 or 2..240; None leaves it as it is. Event: SyncSent with each frame. Raises LocalProtocolError for
         other values. CiA 301 v4.2.0, 7.2.5.2, 7.5.2.5, 7.5.2.6 and 7.5.2.22

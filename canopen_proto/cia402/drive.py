@@ -6,8 +6,8 @@ The drive is the application of a `LocalNode`. The node stores an object (writte
 drive answers by writing its own objects into the same store: statusword, actual values, mode display. It reports faults by the
 events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.
 
-- The state machine is the table in `states.py`. A command acts when its controlword is written, not as long as it is stored. An
-  edge (fault reset, new set-point) is a difference from the word written before: a PDO repeated for ever makes one edge.
+- The state machine is the table in `states.py`. A command acts when its controlword is written; the stored word does nothing by
+  itself. An edge (fault reset, new set-point) is a change from the word written before: a PDO repeated for ever makes one edge.
 - The option codes decide how the drive leaves Operation enabled: 605Ah quick stop, 605Bh shutdown, 605Ch disable operation, 605Eh
   fault reaction. While a ramp of 605Bh or 605Ch runs, the state stays Operation enabled; the transition follows at its end.
 - Motion is closed form (`servo.py`), so time costs little. The drive wakes every STEP while something moves or is watched, and at

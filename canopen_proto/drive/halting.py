@@ -61,9 +61,9 @@ _CAN_BE_ENABLED: Final = (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
 """States from which one controlword leads to Operation enabled (from the first: in drives that take two steps at once)."""
 
 _SLOWER: Final = 0.02
-"""A drive whose ramp is not known slows down if it loses at least this share of its speed in a step."""
+"""A drive counts as slower if it has lost more than this share of its speed in a step."""
 _OF_ITS_RAMP: Final = 0.25
-"""A drive whose ramp is known slows down if it loses this share of what the ramp takes in `halt_time`: it may begin smoothly."""
+"""If its ramp is known, more than this share of the ramp's loss in `halt_time` is enough too: a ramp may begin smoothly."""
 
 
 def halt(axis: Axis) -> Procedure[None]:
@@ -110,7 +110,7 @@ def _may_be_enabled(axis: Axis) -> bool:
 
 def _late_state(axis: Axis) -> Procedure[State]:
     """Wait for a drive that may be on its way to Operation enabled, at most `reaction_time`; return its state."""
-    goal = "operation enabled, which it was told"
+    goal = "operation enabled, as commanded"
     try:
         word = yield from wait_for_statusword(
             axis, lambda word: state_of(word) in POWERED, axis.settings.reaction_time, goal, accept_fault=True

@@ -4,8 +4,8 @@ Theory of operation
 -------------------
 A homing begins with the rising edge of bit 4. The drive may show the edge late: for up to `reaction_time` it may still show the
 end of the homing before, and be about to move. So a bit that shows an end counts for this homing once it was seen 0 after the
-edge. A bit that never was 0 counts once the drive has shown that end (it stands, then) for `reaction_time` without a break: the
-homing was done between two looks (methods 35 and 37), or the drive was at its reference.
+edge. A bit that was always 1 since then counts once the drive has shown that end, and so stands, for `reaction_time` without a
+break: the homing was done between two looks (methods 35 and 37), or the drive was at its reference.
 
               homed                          failed            neither, and it stands
     standard  bits 13, 12, 10 = 0, 1, 1      bit 13 = 1        bits 13, 12, 10 = 0, 0, 1

@@ -200,7 +200,7 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
     factor = min(max(MIN_LIFE_TIME_FACTOR, -(-grip.timeout // grip.period)), MAX_LIFE_TIME_FACTOR)
     guard_time = max(1, grip.timeout // factor // MILLISECOND)
     is_guarded = bool(node.guarding.guard_time) and not hold.guards
-    if is_guarded:  # by somebody else
+    if is_guarded:  # guarding was started elsewhere
         guard_time, factor = -(-node.guarding.guard_time // MILLISECOND), MIN_LIFE_TIME_FACTOR
     try:
         yield from _read(hold, LIFE_TIME_FACTOR, 0)

@@ -171,7 +171,7 @@ class VerifyMismatch(ProcedureError):
 
 
 class ObjectRestored(Event):
-    """One write of a restore was confirmed (and read back, where that was asked for). done, total: writes of the plan."""
+    """One write of a restore was confirmed (and read back, if asked for). done, total: numbers of writes of the plan."""
 
     __slots__ = ("data", "done", "index", "subindex", "total")
     __match_args__ = ("node_id", "index", "subindex", "data", "done", "total")
