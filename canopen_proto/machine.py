@@ -165,7 +165,7 @@ class Machine:
         """Handle a frame whose routing key is among `can_ids()`. Never raises, whatever the frame holds."""
 
     def receiver_of(self, key: RoutingKey) -> Machine:
-        """Return the machine whose `receive` gets the frames with a routing key: itself, or one with the look-ups already done."""
+        """Return the machine whose `receive` gets the frames with a routing key: itself, or one with the look-ups done."""
         return self
 
     def handle_timeout(self, now: Time) -> None:
