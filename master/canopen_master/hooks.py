@@ -1,37 +1,37 @@
 """Scripts that animate a simulated device: a plain Python file beside its EDS.
 
-    OBJECTS = ["temperature", "2001:02"]        # whose reading and writing the script serves
+    OBJECTS = ["temperature", "2001:02"]        # the objects that the script serves
 
     def setup(device):                          # power-on, and after each NMT reset of the node
         device["serial_number"] = 4711
 
-    def on_read(device, index, subindex):       # a client reads one of OBJECTS; None: what is stored
+    def on_read(device, index, subindex):       # a client reads one of OBJECTS; None: the stored value
         return 20 + index % 5
 
     def on_write(device, index, subindex, value):       # one of OBJECTS is written; then it is stored
         if value > 100:
-            device.abort(0x06090031)            # not taken
+            device.abort(0x06090031)            # refused
 
     def step(device, t):                        # every PERIOD seconds (0.01), t seconds after power-on
         device["position actual value"] = round(1000 * math.sin(t))
 
-    async def run(device):                      # or as a task of trio's, from power-on
+    async def run(device):                      # or as a trio task, from power-on
         await trio.sleep(2)
         device.raise_error(0x4210)
 
 Each of these may be left out. Without OBJECTS, on_read and on_write serve all objects from 0x2000 on. `device` is a `Device`:
-`device[name]` reads and writes what it holds, by name, index or (index, subindex), and a value that is set goes out by the
-event-driven TPDOs that carry it.
+`device[name]` reads and writes an object by name, index or (index, subindex). A value that is set is sent by the event-driven
+TPDOs that carry it.
 
 Theory of operation
 -------------------
-Objects that a script serves are `LocalNode.deferred`: the core reports ObjectAccessPending, and the answer is the script's, by
-`complete`. on_read and on_write may be `async`; the client waits, up to 5 s. By PDO things go another way: a TPDO carries what is
-stored and asks nobody, and what an RPDO brings is stored before on_write hears of it, and cannot be refused.
+Objects that a script serves are `LocalNode.deferred`: the core reports ObjectAccessPending, and the script's answer is given by
+`complete`. on_read and on_write may be `async`; the client waits, up to 5 s. PDOs do not ask the script: a TPDO carries the
+stored values, and those of an RPDO are stored before on_write is called, which cannot refuse them.
 
-A script is somebody else's code, and its errors must not end the simulation: an error in on_read or on_write is answered with
-0x08000020, and all are told, with file and line. `step` is called no more after MAX_FAILURES errors in a row, `run` when it ends.
-Nothing of this may block: what takes time is for `run`.
+A script is foreign code, and its errors must not end the simulation: an error in on_read or on_write is answered with 0x08000020,
+and every error is reported with file and line. After MAX_FAILURES errors in a row `step` is no longer called; `run` is not called
+again once it ends. No function may block: work that takes time belongs into `run`.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ from canopen_proto.pdo.multiplexed import MpdoReceived
 from canopen_proto.sdo.server import ObjectAccessPending
 
 PERIOD: Final = 0.01
-"""Seconds between two calls of `step`, where a script says nothing."""
+"""Seconds between two calls of `step`, unless the script says otherwise."""
 MIN_PERIOD: Final = 0.001
 MAX_FAILURES: Final = 10
-"""Errors of `step` in a row: it will not get better, and nobody reads on."""
+"""Errors of `step` in a row after which it is no longer called."""
 FIRST_SERVED: Final = 0x2000
 """The first index that a script may serve. Those below are the protocol's own."""
 
 FUNCTIONS: Final = {"setup": 1, "run": 1, "step": 2, "on_read": 3, "on_write": 4}
-"""What a script may have, and how many arguments each takes."""
+"""The functions that a script may have, and how many arguments each takes."""
 
 
 class ScriptError(Exception):
@@ -77,7 +77,7 @@ class ScriptError(Exception):
 
 
 class HookAbort(Exception):
-    """What `Device.abort` raises."""
+    """Raised by `Device.abort`."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")
@@ -85,19 +85,19 @@ class HookAbort(Exception):
 
 
 class Owner(Protocol):
-    """What drives the device: `simulation.Host`."""
+    """Drives the device: `simulation.Host`."""
 
     def now(self) -> Time:
         """The devices' time."""
 
     def pump(self) -> None:
-        """Send and report what the devices have to say."""
+        """Send the frames and report the events of the devices."""
 
 
 class Script:
-    """A script's text. Each device runs it anew, so that two devices of one script share nothing.
+    """A script's text. Each device runs it by itself, so that two devices of one script share nothing.
 
-    path: for messages. Raises ScriptError where the text is no Python.
+    path: for messages. Raises ScriptError if the text is not Python.
     """
 
     def __init__(self, text: str, path: str | Path = "script") -> None:
@@ -110,7 +110,7 @@ class Script:
             raise ScriptError(f"{self.path}:{line}" if line else self.path, str(message)) from None
 
     def load(self) -> dict[str, Any]:
-        """Run it: its names. Raises ScriptError for whatever goes wrong in it."""
+        """Run the script, and return its names. Raises ScriptError for every error in it."""
         names: dict[str, Any] = {"__name__": Path(self.path).stem, "__file__": self.path}
         try:
             exec(self._code, names)
@@ -123,7 +123,7 @@ class Script:
         return names
 
     def describe(self, error: BaseException) -> tuple[str, str]:
-        """Where in the script an error is, and what."""
+        """The place of an error in the script, and its text."""
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == self.path]
         return f"{self.path}:{lines[-1]}" if lines else self.path, f"{type(error).__name__}: {error}"
 
@@ -139,7 +139,7 @@ def _takes(function: object, count: int) -> bool:
 
 
 class Device:
-    """What a script sees of its device. node: the `LocalNode`, for all that is not here."""
+    """A device as its script sees it. node: the `LocalNode`, for everything that is not here."""
 
     def __init__(self, node: LocalNode, owner: Owner, say: Callable[[str], object]) -> None:
         self.node = node
@@ -158,18 +158,18 @@ class Device:
 
     @property
     def is_operational(self) -> bool:
-        """Whether PDOs live."""
+        """Whether the node is Operational: PDOs are exchanged."""
         return self.node.state is NmtState.OPERATIONAL
 
     def __getitem__(self, key: Key) -> Value:
-        """What an object holds now. Raises ObjectNotFound."""
+        """The present value of an object. Raises ObjectNotFound."""
         self.node.application.refresh(self._owner.now())
         return self.node.values.read(key)
 
     def __setitem__(self, key: Key, value: Value) -> None:
-        """The device's own side changes an object; the name of a constant stands for its value.
+        """Change an object from the device's side; the name of a constant stands for its value.
 
-        Event-driven TPDOs that carry it are sent. Raises ObjectNotFound, or ValueRangeError where it cannot hold that value.
+        Event-driven TPDOs that carry it are sent. Raises ObjectNotFound, or ValueRangeError if it cannot hold the value.
         """
         variable = self.dictionary.variable(key)
         value = self.dictionary.value_from(variable, value)
@@ -177,21 +177,21 @@ class Device:
         self._owner.pump()
 
     def raise_error(self, code: int, vendor_data: bytes = b"") -> None:
-        """An error is there: EMCY, 0x1001 and 0x1003. code: 0x0100..0xFFFF."""
+        """Raise an error: sends EMCY, sets 0x1001 and 0x1003. code: 0x0100..0xFFFF."""
         self.node.raise_error(code, int(register_bits_of(code)), vendor_data, self._owner.now())
         self._owner.pump()
 
     def clear_error(self, code: int) -> None:
-        """It is gone."""
+        """Clear an error."""
         self.node.clear_error(code, self._owner.now())
         self._owner.pump()
 
     def abort(self, code: int = AbortCode.CANNOT_TRANSFER) -> NoReturn:
-        """In on_read and on_write: refuse, with an SDO abort code."""
+        """Refuse the access with an SDO abort code; for on_read and on_write."""
         raise HookAbort(code)
 
     def say(self, text: str) -> None:
-        """Tell something to whoever watches the simulation."""
+        """Show a text to the user of the simulation."""
         self._say(text)
 
 
@@ -199,7 +199,7 @@ class Hooks:
     """One device's run of a script."""
 
     def __init__(self, script: Script, node: LocalNode, owner: Owner, say: Callable[[str], object]) -> None:
-        """say: takes what is to be told. Raises ScriptError where the script fails, or names objects that there are not."""
+        """say: called with each message. Raises ScriptError if the script fails, or names unknown objects."""
         self._script = script
         self._node = node
         self._owner = owner
@@ -229,11 +229,11 @@ class Hooks:
     # ---- the life of the device ----
 
     def set_up(self) -> None:
-        """Power-on: its values are the defaults."""
+        """Call `setup`, after power-on or a reset: the values are the defaults."""
         self._guard("setup", self._device)
 
     async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
-        """From power-on until cancelled."""
+        """Run `run` and `step`, from power-on until cancelled."""
         async with trio.open_nursery() as self._nursery:
             try:
                 if "run" in self._names:
@@ -250,7 +250,7 @@ class Hooks:
             running = self._names["run"](self._device)
             if inspect.iscoroutine(running):
                 await running
-        except Exception as error:  # noqa: BLE001 - somebody else's code
+        except Exception as error:  # noqa: BLE001 - foreign code
             self._complain("run", error)
 
     async def _step(self) -> None:
@@ -262,7 +262,7 @@ class Hooks:
             failures = 0 if done else failures + 1
             wake = max(wake + period, trio.current_time())
             await trio.sleep_until(wake)
-        self._tell(f"{self._script.path}: step failed {MAX_FAILURES} times in a row and is called no more")
+        self._tell(f"{self._script.path}: step failed {MAX_FAILURES} times in a row and is no longer called")
 
     def _period(self) -> float:
         period = self._names.get("PERIOD", PERIOD)
@@ -271,7 +271,7 @@ class Hooks:
     # ---- accesses ----
 
     def on_event(self, event: Event) -> None:
-        """Something happened to the device."""
+        """Hand an event of the device to the script."""
         match event:
             case ObjectAccessPending(index=index) if index in self._served and index in self._node.deferred:
                 self._answer(event)
@@ -292,7 +292,7 @@ class Hooks:
     def _start(
         self, coroutine: Coroutine[object, object, object], task: Callable[..., Awaitable[object]], *arguments: object
     ) -> bool:
-        """Run what an async function of the script gave, by `task`; False, and it is dropped, where the device is ending."""
+        """Run the coroutine of an async function of the script by `task`. If the device is ending, drop it and return False."""
         if self._nursery is None:
             coroutine.close()
             return False
@@ -304,7 +304,7 @@ class Hooks:
             return True, await result
         except HookAbort as refusal:
             return False, refusal.code
-        except Exception as error:  # noqa: BLE001 - somebody else's code
+        except Exception as error:  # noqa: BLE001 - foreign code
             self._complain(name, error)
             return False, AbortCode.CANNOT_TRANSFER
 
@@ -327,7 +327,7 @@ class Hooks:
         self._complete(access, name, *await self._finish(name, result))
 
     def _complete(self, access: ObjectAccessPending, name: str, done: bool, result: object) -> None:
-        """done: the script was content; result: what it gave, else the abort code."""
+        """done: whether the script succeeded; result: its value, else the abort code."""
         now, node = self._owner.now(), self._node
         answer: bytes | AbortCode | None
         if not done:
@@ -341,7 +341,7 @@ class Hooks:
         self._owner.pump()
 
     def _bytes(self, access: ObjectAccessPending, name: str, result: object) -> bytes | AbortCode:
-        """What is read: the script's value, which is stored too, or what is stored."""
+        """The bytes to answer a read: the script's value, which is stored too, or the stored value."""
         variable = self._node.dictionary.variable((access.index, access.subindex))
         try:
             if result is not None:
@@ -351,10 +351,10 @@ class Hooks:
             self._complain(name, error)
             return AbortCode.CANNOT_TRANSFER
 
-    # ---- somebody else's code ----
+    # ---- foreign code ----
 
     def _guard(self, name: str, *arguments: object) -> tuple[bool, object]:
-        """Call a function of the script, if there is one: whether all went well, and what it gave, else the abort code."""
+        """Call a function of the script, if it has one. Returns whether it succeeded, and its value, else the abort code."""
         function = self._names.get(name)
         if function is None:
             return True, None
@@ -362,7 +362,7 @@ class Hooks:
             return True, function(*arguments)
         except HookAbort as refusal:
             return False, refusal.code
-        except Exception as error:  # noqa: BLE001 - somebody else's code
+        except Exception as error:  # noqa: BLE001 - foreign code
             self._complain(name, error)
             return False, AbortCode.CANNOT_TRANSFER
 
@@ -375,7 +375,7 @@ class Hooks:
 
 
 def _abort_code(code: int) -> AbortCode:
-    """A script may have made up any code."""
+    """The code as an AbortCode; CANNOT_TRANSFER if CiA 301 has no such code."""
     try:
         return AbortCode(code)
     except ValueError:

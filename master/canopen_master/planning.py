@@ -1,4 +1,4 @@
-"""Does a network fit on its bus? Answered before it is bought, by the worst-case analysis and by letting the bus machine run.
+"""Does a network fit on its bus? Worst-case analysis and a run of the bus machine tell before it is bought.
 
 Theory of operation
 -------------------
@@ -6,20 +6,20 @@ One bus, one master, one device for each joint. Per cycle the master sends SYNC 
 device answers the SYNC by its TPDO. Besides there are heartbeats, one SDO transfer in the background, and EMCYs. Each of these is
 a `Stream` with its identifier, size and period:
 
-- The SYNC's deadline is its period, that of an RPDO the next SYNC (it acts there), and that of a TPDO too. A TPDO may be late by
-  what its SYNC was late: that is its jitter, besides the time that the device takes.
+- The SYNC's deadline is its period. The deadline of an RPDO is the next SYNC, where it acts; that of a TPDO too. A TPDO may be as
+  late as its SYNC was: that is its jitter, besides the time that the device takes.
 - A device's event-driven TPDO comes once per inhibit time at most, or once per event timer: that is its period and its deadline.
-- SDO: the client waits for each answer, so there is one request and one answer per `sdo` time, taken as those of the highest
-  node-ID; each has SDO_DEADLINE. EMCY: a device may send one per EMCY_INTERVAL, and at worst all do at once; its period is its
-  deadline, as a heartbeat's is.
+- SDO: the client waits for each answer, so there is one request and one answer per `sdo` time, counted as those of the
+  highest node-ID; the deadline of each is SDO_DEADLINE.
+- EMCY: a device may send one per EMCY_INTERVAL; at worst all devices do at once. The deadline is the period, as of a heartbeat.
 
 `plan` bounds each stream's latency (canopen_transports.wire.response_time) with all stuff bits that there can be, and runs the
-bus machine for some cycles with random phases of all that is not cyclic. What the machine shows is never above the bound, and
-says how far from it an ordinary day is. With `Background.errors` the bound has room for errors on the bus, each of which costs an
-error frame and a frame that is sent again; the machine has none. Latency is from the queue (of a TPDO: from the SYNC being
-queued) to the intermission's end.
+bus machine for some cycles, with random phases of the streams that are not cyclic. The latencies of the machine are never above
+the bound, and show how far below it an ordinary day is. With `Background.errors` the bound has room for errors on the bus, each
+of which costs an error frame and a repeated frame; the machine has no errors. Latency is from the queue (of a TPDO: from the SYNC
+being queued) to the intermission's end.
 
-Left out: NMT and TIME (rare), LSS, guarding, what a master says to devices that are no joints.
+Left out: NMT and TIME (rare), LSS, guarding, frames to devices that are not joints.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from canopen_transports.wire import Message, QueueOrder, ResponseTime, Wire, Wir
 from canopen_transports.wire.response_time import utilisation
 
 EMCY_INTERVAL: Final = 100 * MILLISECOND
-"""A device's EMCYs come no closer than this: drives have an inhibit time, or few errors."""
+"""The least time between two EMCYs of a device: drives have an inhibit time, or few errors."""
 SDO_DEADLINE: Final = 100 * MILLISECOND
-"""For one frame; clients wait 300 ms or more for an answer."""
+"""The deadline of one frame; clients wait 300 ms or more for an answer."""
 SIMULATED_CYCLES: Final = 200
-"""At least, and at least until each stream has come once."""
+"""The least number of cycles; the run also goes on until each stream has come once."""
 SIMULATED_FRAMES: Final = 20_000
-"""At most: about a second's computing, whatever the periods are."""
+"""The most frames of a run: about a second of computing, whatever the periods are."""
 CYCLES: Final = (
     *range(100 * MICROSECOND, 25_600 * MICROSECOND, 100 * MICROSECOND),
     *range(26 * MILLISECOND, 256 * MILLISECOND, MILLISECOND),
 )
-"""Cycle times that drives can be told (0x60C2 has one byte): in tenths of a millisecond up to 25.5 ms, then in milliseconds."""
+"""Cycle times that 0x60C2 can hold in its one byte: in tenths of a millisecond up to 25.5 ms, then in milliseconds."""
 MASTER: Final = "master"
 STUFFING: Final = 0x3C
-"""A byte of many stuff bits: what the machine sends is nearly as long as it can be."""
+"""A byte with many stuff bits: the machine's frames are nearly as long as frames can be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +73,18 @@ class Stream:
 
     @property
     def is_from_master(self) -> bool:
-        """Who sends it: the master, or its node."""
+        """Whether the master sends it; else its node does."""
         return self.kind in ("SYNC", "RPDO") or (self.kind == "SDO" and self.can_id >= SDO_CLIENT_TO_SERVER)
 
     @property
     def answers_sync(self) -> bool:
-        """Whether a SYNC is what makes it go out."""
+        """Whether a SYNC makes its node send it."""
         return self.kind == "TPDO"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamPlan:
-    """What is to be expected of a stream. worst: the bound, ns, or NEVER. simulated: the longest that the machine showed; None
-    where none got out."""
+    """The latencies of a stream, ns. worst: the bound, or NEVER. simulated: the longest in the machine; None if none was sent."""
 
     stream: Stream
     worst: Time
@@ -93,20 +92,20 @@ class StreamPlan:
 
     @property
     def fits(self) -> bool:
-        """Whether it is always there in time."""
+        """Whether it always meets its deadline."""
         return self.worst <= self.stream.deadline
 
     @property
     def margin(self) -> Time:
-        """What is left until its deadline, ns; below 0 where it does not fit."""
+        """ns left until its deadline; below 0 if it does not fit."""
         return self.stream.deadline - self.worst
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkPlan:
-    """What is to be expected of one bus. load: which part of it is needed at worst; simulated_load: by the machine.
+    """The plan of one bus. load: the share of it that is needed at worst; simulated_load: the share in the machine.
 
-    shortest_cycle: of CYCLES, the shortest one that fits; None where none does.
+    shortest_cycle: the shortest one of CYCLES that fits; None if none does.
     """
 
     bus: str
@@ -119,14 +118,14 @@ class NetworkPlan:
 
     @property
     def fits(self) -> bool:
-        """Whether all of it is always there in time."""
+        """Whether all streams always meet their deadlines."""
         return all(each.fits for each in self.streams)
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What is exchanged with one joint in each cycle. rpdo, tpdo: (CAN-ID, bytes). events: TPDOs that come by themselves, as
-    (CAN-ID, bytes, shortest distance in ns)."""
+    """The PDOs exchanged with one joint in each cycle. rpdo, tpdo: (CAN-ID, bytes). events: event-driven TPDOs, as (CAN-ID,
+    bytes, shortest distance in ns)."""
 
     name: str
     node_id: int
@@ -137,9 +136,9 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """What goes on besides. heartbeat: period of each device; sdo: time between two requests; emcy: between two of one device;
-    each 0 for none. reaction: what a device takes to answer a SYNC. order: of the transmit queues. sync_counter: whether SYNC has
-    its byte. errors: the shortest time between two errors on the bus; NEVER: none."""
+    """The other traffic. heartbeat: period of each device; sdo: time between two requests; emcy: between two of one device;
+    each 0 for none. reaction: ns that a device takes to answer a SYNC. order: of the transmit queues. sync_counter: whether SYNC
+    carries its counter. errors: the shortest time between two errors on the bus; NEVER: none."""
 
     heartbeat: Time = 500 * MILLISECOND
     sdo: Time = 10 * MILLISECOND
@@ -151,7 +150,7 @@ class Background:
 
 
 def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) -> tuple[Stream, ...]:
-    """All that is said on a bus with these joints. LocalProtocolError where two of it have one identifier."""
+    """All streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier."""
     streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle, cycle)]
     for joint in joints:
         for kind, pdos in (("RPDO", joint.rpdo), ("TPDO", joint.tpdo)):
@@ -180,7 +179,7 @@ def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) 
 def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder, errors: Time = NEVER) -> list[ResponseTime]:
     """The worst-case response time of each stream. errors: the shortest time between two, ns."""
     messages = [_message(stream, bitrate, order) for stream in streams]
-    # A TPDO comes when its SYNC has come: as late as that, and after the device's own time.
+    # A TPDO comes after its SYNC: as late as that, and later by the device's own time.
     late = response_times(messages, bitrate, error_interval=errors)[0].worst
     if late >= NEVER:
         return [ResponseTime(message, NEVER, 0, 0, 0) for message in messages]
@@ -199,7 +198,7 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
 
 
 def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()) -> NetworkPlan:
-    """Whether a bus with these joints fits, and what is to be expected. cycle: ns. bitrate: bit/s."""
+    """Plan a bus with these joints: whether all fits, and its latencies. cycle: ns. bitrate: bit/s."""
     streams = streams_of(joints, cycle, background)
     found = bounds(streams, bitrate, background.order, background.errors)
     worst, load = simulate(streams, bitrate, background.order)
@@ -216,7 +215,7 @@ def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, backgr
 
 
 def _shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: Background) -> Time | None:
-    """Found by halves: what fits into a cycle fits into each longer one, where all of it comes as seldom or less often."""
+    """Search by halves: streams that fit into a cycle fit into each longer one, in which none comes more often."""
     place = bisect_left(CYCLES, True, key=lambda cycle: _fits(joints, cycle, bitrate, background))
     return CYCLES[place] if place < len(CYCLES) else None
 
@@ -228,19 +227,22 @@ def _fits(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Bac
 def simulate(
     streams: Sequence[Stream], bitrate: int, order: QueueOrder, cycles: int = SIMULATED_CYCLES, seed: int = 0
 ) -> tuple[dict[int, Time], float]:
-    """Let the bus machine run: the longest latency by CAN-ID of what got out, and the load. What finds no room in its queue is
-    left out. cycles: at least; each stream comes once at least, if that is no more than SIMULATED_FRAMES."""
+    """Run the bus machine. Returns the longest latency of each CAN-ID that was sent, and the load.
+
+    Frames without room in their queue are left out. cycles: the least number; each stream comes at least once, within
+    SIMULATED_FRAMES.
+    """
     wire = Wire(WireSettings(bitrate=bitrate))
     members: dict[int, WireMember] = {0: wire.join(0, order=order)}
     for stream in streams:
         if stream.node_id not in members:
             members[stream.node_id] = wire.join(0, order=order)
-    wire.join(0)  # somebody to acknowledge what the last one says
+    wire.join(0)  # acknowledges the frames of the last one
     frames = {stream.can_id: Frame(stream.can_id, bytes((STUFFING,)) * stream.size) for stream in streams}
     phases = random.Random(seed)
     end = max(cycles * streams[0].period, *(stream.period for stream in streams))
     end = min(end, round(SIMULATED_FRAMES / sum(1 / stream.period for stream in streams)))
-    # What is to be queued, and when: (time, place in the list of streams), so that a SYNC goes before its RPDOs.
+    # Frames to queue: (time, place in the list of streams), so that a SYNC goes before its RPDOs.
     due = [
         (0 if stream.kind in ("SYNC", "RPDO") else phases.randrange(stream.period), place)
         for place, stream in enumerate(streams)

@@ -1,18 +1,18 @@
 """Plant files: which simulated devices stand on a bus, in TOML, for `canopen sim plant.toml`.
 
-    bus = "udp_multicast"           # where -b names none
-    state = "state.json"            # what they store outlives the simulation
+    bus = "udp_multicast"           # unless -b names one
+    state = "state.json"            # stored parameters outlive the simulation
 
     [[device]]
     file = "drive.eds"              # EDS, DCF, XDD or XDC; paths are relative to this file
     id = 5                          # or [5, 6, 7]; by default the node-ID of a DCF
-    profile = "402"                 # a simulated drive behind it; "none": plain memory; by default what its device type says
-    shape = "standard"              # of that drive, or "schunk"
+    profile = "402"                 # a simulated drive behind it; "none": plain memory; by default as its device type says
+    shape = "standard"              # of this drive, or "schunk"
     script = "animate.py"           # see hooks.py
     overlay = "units.toml"          # or several: units, names; see canopen_data/overlay.py
-    defaults = true                 # not what a DCF has configured, but the defaults of its EDS
+    defaults = true                 # the defaults of the EDS, not the configured values of the DCF
 
-    [device.values]                 # what objects hold at power-on
+    [device.values]                 # the values of objects at power-on
     1017 = 500
     "identity_object:serial_number" = 4711
 
@@ -32,7 +32,7 @@ from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.frame import MAX_NODE_ID
 
 MAX_DEVICES: Final = MAX_NODE_ID
-"""More than there are node-IDs cannot be right."""
+"""A plant with more devices than node-IDs is wrong."""
 
 AUTOMATIC: Final = "auto"
 PROFILES: Final = (AUTOMATIC, "402", "none")
@@ -41,10 +41,10 @@ SHAPES: Final = ("standard", "schunk")
 
 @dataclass(frozen=True)
 class DeviceEntry:
-    """One device, or several of one file, as it was asked for. Paths are as they were written.
+    """One device, or several of one file, as the plant file gives it. Paths are as written there.
 
-    node_ids: empty for that of the file. shape: empty for what the maker's drives are like. values: by key of the object.
-    encoding: of the file, empty to be found out.
+    node_ids: empty for that of the file. shape: empty for the shape of the maker's drives. values: by key of the object.
+    encoding: of the file; empty to detect it.
     """
 
     file: str
@@ -60,7 +60,7 @@ class DeviceEntry:
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant file. bus, state: empty where it names none."""
+    """A plant file. bus, state: empty if it names none."""
 
     devices: tuple[DeviceEntry, ...]
     bus: str = ""
@@ -68,7 +68,7 @@ class Plant:
 
 
 class _Reading:
-    """What is wrong, while the file is read."""
+    """Collects the errors of a file while it is read."""
 
     def __init__(self, source: str) -> None:
         self.source = source
@@ -83,7 +83,7 @@ class _Reading:
                 self.error(place, f"there is no entry {key[:40]!r}{did_you_mean(key, keys)}")
 
     def take(self, place: str, table: Mapping[str, Any], key: str, fits: Callable[[Any], bool], expected: str) -> Any:
-        """What stands there, if it is of the right kind; else None."""
+        """The value of a key if it fits; else None, with an error if it is there."""
         if key not in table:
             return None
         value = table[key]

@@ -139,7 +139,7 @@ def test_send_sdo_raises_what_went_wrong(session: Session, arm: Devices) -> None
         session.send_sdo(12, "controlword", 0x10000)
     with pytest.raises(LocalProtocolError):
         session.send_sdo(200, "statusword")
-    with pytest.raises(LocalProtocolError, match="'12' is no node-ID"):
+    with pytest.raises(LocalProtocolError, match="'12' is not a node-ID"):
         session.homing("12")  # type: ignore[arg-type]
     assert arm.frames() == []
     with pytest.raises(SdoRefused):

@@ -290,7 +290,7 @@ def on_write(device, index, subindex, value):
         assert [text for text in rig.told if "in step" in text] == [
             "node 5: anim.py:7: in step: ValueRangeError: valve (0x2001:00): 1000 is outside 0..255 (UNSIGNED8)"
         ] * MAX_FAILURES
-        assert f"node 5: anim.py: step failed {MAX_FAILURES} times in a row and is called no more" in rig.told
+        assert f"node 5: anim.py: step failed {MAX_FAILURES} times in a row and is no longer called" in rig.told
         assert any("in on_read: ConstantNotFound" in text for text in rig.told)
         assert rig.told[-1] == "node 5: anim.py:11: in on_write: KeyError: 1"
 

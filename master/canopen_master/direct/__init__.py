@@ -17,8 +17,8 @@
     canopen.shutdown_device(12)
     canopen.close_connection()
 
-Functions that take time give True or False; `last_error()` tells why. The others raise. However a script ends, its drives are
-halted and the connection is closed. See `session` for all of it, and for `Session`, the same without globals.
+Functions that take time return True or False; `last_error()` says why. The others raise. However a script ends, its drives are
+halted and the connection is closed. See `session` for details, and for `Session`, the same without globals.
 
 With the master's thread: set `using_master_thread = True` in this module, `init_chain_map(file)`, open the connection as above,
 then `init_master_thread()`; the chains in `chain_map` then take commands from any thread: `chain_map["chain1"].init()`.
@@ -30,7 +30,7 @@ from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.direct.session import Session
 
 using_master_thread: bool = False
-"""Whether a master's thread is used: to be set to True before `init_master_thread`, as the manual has it."""
+"""Whether to use a master's thread: set it to True before `init_master_thread`, as in the manual."""
 
 
 class _ModuleSession(Session):

@@ -5,17 +5,17 @@ Theory of operation
 `start` begins a thread that enters an async context manager and stays in it until `stop`. `call` hands an async function to that
 thread, where it runs as a task inside the context, and waits for its result; any number of threads may call at the same time.
 
-**Nothing is left running.** A caller that is interrupted while it waits (Ctrl-C) takes its call back: the task is cancelled, so
-that what it moved is halted, and only then does the interrupt go on. When the context ends (by `stop`, or by itself because a bus
-failed), all calls that still wait end with the reason.
+**Nothing is left running.** If a caller is interrupted while it waits (Ctrl-C), its call is taken back: the task is cancelled,
+which halts what it moved, and only then does the interrupt go on. When the context ends (by `stop`, or by itself because a bus
+failed), all waiting calls end with the reason.
 
 **The end of a script.** However the main thread ends (its last line, an exception, sys.exit, Ctrl-C), Python then waits for all
-threads that are no daemons. Ours is none; it looks every WATCH_INTERVAL whether the main thread is still alive, and else leaves
-the context by itself, so that the drives are halted while the interpreter is whole. (A daemon thread with an atexit function
-would come too late: from there on Python 3.12 starts no threads any more, which transports may need.) A Ctrl-C while Python waits
-would end the interpreter at once. So where SIGINT is still Python's own affair, such a Ctrl-C does nothing: see `_interrupt`.
-Against a signal that kills the process no thread helps: `signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))` makes an
-exception of SIGTERM.
+threads that are no daemons. Ours is not a daemon. It checks every WATCH_INTERVAL whether the main thread is still alive; if not,
+it leaves the context, so that the drives are halted while the interpreter still works. (A daemon thread with an atexit function
+would be too late: from there on Python 3.12 starts no new threads, which transports may need.) A Ctrl-C while Python waits would
+end the interpreter at once. So if SIGINT still has Python's own handler, such a Ctrl-C does nothing: see `_interrupt`. No thread
+helps against a signal that kills the process: `signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))` makes an exception of
+SIGTERM.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 WATCH_INTERVAL: Final = 0.05
-"""Seconds after which the end of the main thread is noticed, at most."""
+"""The most seconds until the end of the main thread is noticed."""
 TAKE_BACK_TIME: Final = 30.0
 """Seconds that an interrupted call may take to clean up: a procedure takes CLEAN_UP_TIME, 1 s, or as long as a drive brakes. A
 second Ctrl-C ends the waiting."""
 _LOOK_UP: Final = 0.5
-"""Seconds after which a waiting thread looks up: on Windows, Ctrl-C is held back by a wait until that is over."""
+"""The longest single wait of a thread, in seconds: on Windows, a Ctrl-C takes effect only when the wait is over."""
 
 
 class Background(Generic[T]):
-    """See this module's text. Used once: start, any number of calls, stop."""
+    """See this module's text. Use it once: start, any number of calls, stop."""
 
     def __init__(
         self,
@@ -58,8 +58,8 @@ class Background(Generic[T]):
         failure: Callable[[T], Exception | None] = lambda _: None,
         name: str = "canopen master",
     ) -> None:
-        """make: gives the context manager; called in the thread. Its entering and leaving are not cancelled: they have to end by
-        themselves. failure: why the context came to its end, None if it was left."""
+        """make: returns the context manager; called in the thread. Entering and leaving it are not cancelled: they must end by
+        themselves. failure: why the context ended, None if it was left."""
         self._make = make
         self._failure = failure
         self._entered: Future[T] = Future()
@@ -67,33 +67,33 @@ class Background(Generic[T]):
         self._nursery: trio.Nursery | None = None  # where calls run; None before and after. Of our thread
         self._token: trio.lowlevel.TrioToken | None = None
         self._is_stopping = False
-        self._error: BaseException | None = None  # with which the context ended
-        self._was_told = False  # that error, to somebody
+        self._error: BaseException | None = None  # the error that ended the context
+        self._was_told = False  # whether that error was raised to a caller
         self._thread = threading.Thread(target=self._run, name=name, daemon=False)
 
     @property
     def is_running(self) -> bool:
-        """Whether calls are taken."""
+        """Whether it takes calls."""
         return self._nursery is not None
 
     def start(self) -> T:
-        """Begin the thread, and enter the context there; what that gives. Raises what that raises."""
+        """Begin the thread, and enter the context there. Returns and raises as the context does."""
         _handle_interrupts(signal.default_int_handler, _interrupt)
         try:
             self._thread.start()
             _wait(self._entered)
         except BaseException:  # interrupted
-            if not self._thread.is_alive():  # in Thread.start already: it may be on its way still
+            if not self._thread.is_alive():  # interrupted in Thread.start: the thread may still be starting
                 wait((self._entered,), _LOOK_UP)
             self.stop()
             raise
         return self._entered.result()
 
     def call(self, function: Callable[[T], Awaitable[R]]) -> R:
-        """Run an async function of the context in the thread, and wait for its end: its result, or what it raises.
+        """Run an async function of the context in the thread, wait for its end, and return its result or raise its error.
 
-        Raises what the context came to its end by, or MasterClosed, when that is over. Interrupted, it takes the call back and
-        waits for its clean-up. LocalProtocolError if called in that very thread, which would wait for itself.
+        If the context is over, raises the error that ended it, or MasterClosed. If interrupted, takes the call back and waits for
+        its clean-up. Raises LocalProtocolError if called in that very thread, which would wait for itself.
         """
         if threading.current_thread() is self._thread:
             raise LocalProtocolError("the blocking API was called in the master's own thread; call it in another one")
@@ -114,9 +114,9 @@ class Background(Generic[T]):
         return future.result()
 
     def stop(self) -> BaseException | None:
-        """Leave the context and end the thread; returns when that is done. May be called twice, and by several threads.
+        """Leave the context, end the thread, and wait for that. May be called twice, and by several threads.
 
-        Returns what the context ended with, unless a call was told it already.
+        Returns the error that ended the context, unless a call has raised it already.
         """
         self._is_stopping = True
         self._soon(self._scope.cancel)
@@ -132,13 +132,13 @@ class Background(Generic[T]):
     def _run(self) -> None:
         try:
             trio.run(self._serve)
-        except BaseException as error:  # noqa: BLE001 - whatever it is belongs to whoever asks
+        except BaseException as error:  # noqa: BLE001 - every error belongs to the caller of `stop`
             self._error = error
         if not self._entered.done():
             self._was_told = True
             self._entered.set_exception(self._error or MasterClosed())
         if self._error is not None and not self._was_told and not threading.main_thread().is_alive():
-            print(clean_lines(str(self._error)), file=sys.stderr)  # nobody is left to ask
+            print(clean_lines(str(self._error)), file=sys.stderr)  # no caller is left to get it
 
     async def _serve(self) -> None:
         self._token = trio.lowlevel.current_trio_token()
@@ -154,7 +154,7 @@ class Background(Generic[T]):
                             await trio.sleep(WATCH_INTERVAL)
                         nursery.cancel_scope.cancel()
                     finally:
-                        self._nursery = None  # here: when its last task has ended, a nursery takes no more
+                        self._nursery = None  # here: a nursery takes no task once its last one has ended
 
     def _begin(self, function: Callable[[T], Awaitable[R]], scope: trio.CancelScope, future: Future[R]) -> None:
         if self._nursery is None:
@@ -176,7 +176,7 @@ class Background(Generic[T]):
                 future.set_exception(self._reason())
 
     def _reason(self) -> BaseException:
-        """Why no more calls are taken."""
+        """Why it takes no calls now."""
         self._was_told = True
         failure = self._failure(self._context) if self._entered.done() else None
         return failure or self._error or MasterClosed()
@@ -189,7 +189,7 @@ class Background(Generic[T]):
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """What a Ctrl-C does: what Python's own handler does, but nothing once the main thread has ended and drives are halted."""
+    """Handle a Ctrl-C as Python's own handler does, but do nothing once the main thread has ended and drives are being halted."""
     if threading.main_thread().is_alive():
         signal.default_int_handler(number, frame)
 
@@ -197,13 +197,13 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def _handle_interrupts(
     present: Callable[[int, FrameType | None], object], new: Callable[[int, FrameType | None], object]
 ) -> None:
-    """Change the handler of Ctrl-C from one to another. A handler of the program's own stays, and so does all outside the main
+    """Change the handler of Ctrl-C from `present` to `new`. Does nothing if the program has its own handler, or outside the main
     thread, which alone may change it."""
     if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == present:
         signal.signal(signal.SIGINT, new)
 
 
 def _wait(future: Future[Any], timeout: float = float("inf")) -> None:
-    """Wait until it is done, or the time is over; can be interrupted by Ctrl-C."""
+    """Wait until a call is done, or the time is over; Ctrl-C interrupts it."""
     while timeout > 0 and not wait((future,), min(timeout, _LOOK_UP)).done:
         timeout -= _LOOK_UP

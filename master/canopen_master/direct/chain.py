@@ -1,8 +1,8 @@
-"""`ChainCalls`: a chain that may be asked and commanded from any thread. What `chain_map` holds.
+"""`ChainCalls`: a chain that may be asked and commanded from any thread; the values of `chain_map`.
 
-They are the manual's callbacks (init, homing, IPmode, setPos, getCurrentPos), free of any framework: whoever wraps the master for
-another process calls them from threads of his own. What takes time and may fail in the world gives True or False, and
-`last_error` tells why; what only hands over set-points raises.
+Its methods are the manual's callbacks (init, homing, IPmode, setPos, getCurrentPos), free of any framework: a program that wraps
+the master for another process calls them from threads of its own. Methods that take time return True or False, and `last_error`
+says why; `set_pos` raises.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ class ChainCalls:
     # ---- what it does ----
 
     def init(self) -> bool:
-        """Make all joints ready to move: PDOs, NMT start, fault reset, Operation enabled. True if all got there."""
+        """Make all joints ready to move: PDOs, NMT start, fault reset, Operation enabled. True if all are ready."""
         return self._attempt(Chain.initialise)
 
     def homing(self) -> bool:
-        """Home all joints side by side; returns when all have stopped. True if all are referenced."""
+        """Home all joints side by side; return when all have stopped. True if all are referenced."""
         return self._attempt(Chain.home)
 
     def ip_mode(self) -> bool:
-        """Let all joints follow set-points, beginning where they stand. False where a drive lacks the mode."""
+        """Let all joints follow set-points from where they stand. False if a drive lacks the mode."""
         return self._attempt(Chain.enable_interpolated_position)
 
     def halt(self) -> bool:
@@ -65,9 +65,9 @@ class ChainCalls:
     def cycles(self) -> Iterator[Cycle]:
         """The SYNC cycles from now on: `for cycle in chain.cycles(): chain.set_pos(...)`. Each `next` waits for one.
 
-        A path that is read at `cycle.time` takes longer when this thread is late, and never jumps. From the first cycle on a
-        set-point is due in each: after 10 in a row without one the chain is halted. Raises ChainFault, ChainHalted, and
-        ChainError for a chain that is not in IP mode.
+        If this thread is late, a path that is read at `cycle.time` takes longer, and never jumps. From the first cycle on a
+        set-point is due in each cycle: after 10 cycles in a row without one the chain is halted. Raises ChainFault, ChainHalted,
+        and ChainError for a chain that is not in IP mode.
         """
 
         async def begin(chain: Chain) -> Cycles:
@@ -81,10 +81,10 @@ class ChainCalls:
             yield self._call(wait)
 
     def set_pos(self, positions: Sequence[int]) -> None:
-        """Give the set-points that go out behind the next SYNC. Until others are given, they are repeated.
+        """Give the set-points to send behind the next SYNC. They are repeated until others are given.
 
-        Raises SetPointRefused for a wrong count, a value that does not fit, or one beyond the limits of its joint, ChainFault
-        when a joint has failed, ChainHalted, and ChainError for a chain that is not in IP mode.
+        Raises SetPointRefused for a wrong count, a value that does not fit, or one beyond the limits of its joint; ChainFault if
+        a joint has failed; ChainHalted; and ChainError for a chain that is not in IP mode.
         """
 
         async def give(chain: Chain) -> None:
@@ -95,25 +95,25 @@ class ChainCalls:
     # ---- what is known ----
 
     def get_current_pos(self) -> list[int]:
-        """Where the joints are, as last heard."""
+        """The actual positions, as last heard."""
         return self._ask(lambda chain: [round(position) for position in chain.positions])
 
     def get_desired_pos(self) -> list[int]:
-        """Where the joints are told to be, by the next PDOs."""
+        """The positions that the next PDOs command."""
         return self._ask(lambda chain: [round(position) for position in chain.desired_positions])
 
     @property
     def is_homed(self) -> bool:
-        """Whether all joints are."""
+        """Whether all joints are homed."""
         return self._ask(lambda chain: chain.is_homed)
 
     @property
     def state(self) -> ChainState:
-        """What it is ready for."""
+        """The state of the chain."""
         return self._ask(lambda chain: chain.state)
 
     def describe(self) -> list[str]:
-        """Each joint with its state and statusword, a line each, for people."""
+        """A line for people about each joint: its state and statusword."""
         return self._ask(lambda chain: [f"{device.name}: {device.describe()}" for device in chain.devices])
 
     # ---- inside ----

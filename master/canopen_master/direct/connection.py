@@ -1,7 +1,7 @@
-"""`Connection`: a master in the background, and simulated drives beside it where they are wanted.
+"""`Connection`: a master in the background, perhaps with simulated drives beside it.
 
-What takes time and may fail in the world is an `attempt`: True or False, and `last_error` tells why. It is kept per thread, as
-C's errno is, so that threads which work side by side do not read each other's.
+A command that takes time and may fail is an `attempt`: it returns True or False, and `last_error` says why. The error is kept for
+each thread, like C's errno, so that threads do not read each other's.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from canopen_transports import TransportError, open_transport
 R = TypeVar("R")
 
 OPENING_ERRORS: Final = (MasterError, TransportError, DataError, DictionaryError)
-"""Why a connection cannot be opened."""
+"""The errors for which `open` returns False."""
 
 
 class NotConnected(MasterError):
@@ -41,14 +41,14 @@ class NotConnected(MasterError):
 
 
 class AlreadyConnected(MasterError):
-    """There is an open connection, and a session has only one."""
+    """A connection is open already, and a session has only one."""
 
     def __init__(self, bus: str) -> None:
         super().__init__(MASTER_CLOSED, f"the connection to {bus} is still open", tries=("close_connection() first",))
 
 
 class Connection:
-    """At most one open master at a time; see this module's text. bus: the one that was opened, "" while there is none."""
+    """At most one open master at a time; see this module's text. bus: the open one, "" while none is."""
 
     def __init__(self) -> None:
         self.bus = ""
@@ -59,18 +59,18 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether commands are taken."""
+        """Whether it takes commands."""
         return self._background is not None and self._background.is_running
 
     @property
     def last_error(self) -> Exception | None:
-        """Why the last attempt of the calling thread gave False; None if it gave True, or if there was none."""
+        """Why the last attempt of the calling thread returned False; None if it returned True, or there was none."""
         error: Exception | None = getattr(self._errors, "last", None)
         return error
 
     @contextmanager
     def simulated(self, node_ids: Sequence[int], bus: str) -> Iterator[None]:
-        """Inside the block, an opened connection finds simulated joints on a bus; leaving the block closes it."""
+        """Simulate joints on a bus for connections that are opened in the block; leaving the block closes the connection."""
         entry = bus, powerballs(*node_ids)
         self._simulated.append(entry)
         try:
@@ -88,14 +88,14 @@ class Connection:
         grip: Grip | None = DEFAULT_GRIP,
         prepare: Callable[[Master], object] = lambda _: None,
     ) -> bool:
-        """Open the buses and begin the master's thread. buses: more of them, by name. prepare: is given the master at once."""
+        """Open the buses and begin the master's thread. buses: further ones, by name. prepare: called with the master at once."""
         with self._lock:
             try:
                 if self.is_open:
                     raise AlreadyConnected(self.bus)
                 self._end()
                 if dictionary is None:
-                    dictionary, _ = load_dictionary()  # now, so that a fault in the files is told now
+                    dictionary, _ = load_dictionary()  # now, so that a fault in the files is raised now
                 make = partial(_master, tuple(self._simulated), bus, dict(buses), sdo_timeout, dictionary, grip, prepare)
                 background = Background(make, lambda master: master.failure)
                 background.start()
@@ -109,22 +109,22 @@ class Connection:
     def close(self) -> None:
         """Halt what moves and end the thread. Without an open connection it does nothing.
 
-        Raises HaltNotConfirmed, or BusError where the bus failed and nobody was told.
+        Raises HaltNotConfirmed, or BusError if the bus failed and no call has raised that yet.
         """
         with self._lock:
             self._end()
 
     def call(self, function: Callable[[Master], Awaitable[R]]) -> R:
-        """Run an async function of the master in its thread; its result, or what it raises. NotConnected without one."""
+        """Run an async function of the master in its thread. Returns and raises as that; NotConnected without a master."""
         background = self._background
         if background is None:
             raise NotConnected
         return background.call(function)
 
     def attempt(self, function: Callable[[Master], Awaitable[object]]) -> bool:
-        """As `call`: True if it was done, False where the world did not let it be done.
+        """As `call`: True if it succeeded, False if a bus or a device did not let it.
 
-        What is wrong with the call itself raises: no connection, a node-ID of 200, an unknown name, a value that does not fit.
+        A wrong call raises: no connection, a node-ID of 200, an unknown name, a value that does not fit.
         """
         try:
             self.call(function)
@@ -154,7 +154,7 @@ async def _master(
     grip: Grip | None,
     prepare: Callable[[Master], object],
 ) -> AsyncIterator[Master]:
-    """The master, and around it the simulated drives, which have to outlive it: it halts them on its way out."""
+    """The master, and around it the simulated drives, which must outlive it: it halts them on its way out."""
     failure: Exception | None = None
     async with AsyncExitStack() as stack:
         if simulated:

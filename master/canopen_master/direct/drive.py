@@ -4,17 +4,16 @@ Theory of operation
 -------------------
 Commands go by SDO ("all these commands and checks are performed by SDO communication"). Set-points go by the manual's rPDO, sent
 at the very moment of `send_position`, and the drive takes them at the next SYNC: the user alternates send_pos and send_sync, and
-nobody else sends either. That is why the rPDO is a producer of our own here, and none of the RemoteNode's: those follow the SYNC.
-It is built from the node's one image, in which each confirmed command stands too; so it always bears the controlword last
-commanded.
+nothing else sends either. So the rPDO has a producer of its own here: the producers of the RemoteNode follow the SYNC. The rPDO
+is built from the node's one image, which also holds each confirmed command; so it always carries the controlword last commanded.
 
-A drive keeps an rPDO until the next SYNC, anybody's. One that was sent before a halt or the brake was commanded, and not taken
-yet, would undo that. So while the drive may hold one, the rPDO is sent once more before each command, with the controlword of
-that command: whenever the SYNC comes, it brings what the SDO brings. `RemoteNode.write` does so, whoever commands.
+A drive keeps an rPDO until the next SYNC, whoever sends it. An rPDO sent before a halt or the brake was commanded, and not taken
+yet, would undo that command. So while the drive may hold one, the rPDO is sent once more before each command, with the
+controlword of that command: whenever the SYNC comes, it brings the same as the SDO. `RemoteNode.write` does so for every command.
 
-**How fast a set-point is.** The drive goes to it within `interval`, the time that it was told (0x60C2), from where the last SYNC
-sent it: that step has to keep to its `limits`. A SYNC that comes sooner than that takes the next step all the same, so the way
-of the last STEPS SYNCs together has to keep to them too, by the clock. A pause makes no step larger.
+**How fast a set-point is.** Within `interval`, the time written to 0x60C2, the drive goes to the set-point from the one of the
+last SYNC: that step must keep to its `limits`. If a SYNC comes early, the drive takes the next step all the same. So the way of
+the last STEPS SYNCs together must keep to the limits too, by the clock. A pause makes no step larger.
 """
 
 from __future__ import annotations
@@ -58,20 +57,20 @@ COUNTS: Final = AxisSettings(counts_per_unit=1.0)
 """Positions as they are on the wire: integers, millidegrees for the manual's arm."""
 
 STEPS: Final = 50
-"""Half a second at the manual's 10 ms: what the timer of a computer is off then is less than one step."""
+"""Half a second at the manual's 10 ms: over that time a computer's timer is off by less than one step."""
 SILENT_SYNCS: Final = 10
-"""A drive that answered SYNC by its PDO, and now has not for so many of them, is gone. More than in a chain: here the user's loop
-keeps the time, and his threads may hold up the one that hears the drive."""
+"""A drive that answered SYNC by its PDO, and then leaves so many SYNCs unanswered, is gone. More than in a chain: here the user's
+loop keeps the time, and the user's threads may delay the one that hears the drive."""
 
 STATUSWORD: Final = "0x6041"
 _SYNC_TIME_OUT: Final = "0x200E"
 
 
 class DirectDrive:
-    """See this module's text. interval: ms between two SYNCs, as the drive is told."""
+    """See this module's text. interval: ms between two SYNCs, as written to the drive."""
 
     def __init__(self, master: Master, device: Device, rpdo: str, tpdo: str) -> None:
-        """rpdo, tpdo: which PDOs of the dictionary the drive comes with; a name that it does not have stands for none."""
+        """rpdo, tpdo: the PDOs of the dictionary that the drive comes with; an unknown name means none."""
         self._master = master
         self._device = device
         self.axis = device.axis
@@ -80,11 +79,11 @@ class DirectDrive:
         self._producer: PdoProducer | None = None
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
-        self._taken: deque[tuple[Time, int]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; the first: where it stood
+        self._taken: deque[tuple[Time, int]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; at first: where it stood
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
         self._cyclic: dict[Mux, int] = {}  # the same by object, of those that came
-        self._lost: FollowingLost | None = None  # why it follows no more, for the next send_position
-        self._reading: RequestId | None = None  # the procedure that asks for what no PDO brings
+        self._lost: FollowingLost | None = None  # why it stopped following, for the next send_position
+        self._reading: RequestId | None = None  # the procedure that reads what no PDO brings
         descriptions = {each.name: each for each in self.node.dictionary.pdos}
         if rpdo in descriptions:
             self._use(descriptions[rpdo], descriptions[rpdo].number)
@@ -104,7 +103,7 @@ class DirectDrive:
         await self._run(drive.reset_fault(self.axis))
 
     async def change_state(self, state: State) -> None:
-        """Lead it to a state, up or down. To another one than Operation enabled: it follows no set-points any more."""
+        """Lead the drive to a state, up or down. In any state but Operation enabled it stops following set-points."""
         if state is State.OPERATION_ENABLED:
             await self._run(identify(self.axis))
         else:
@@ -112,7 +111,7 @@ class DirectDrive:
         await self._run(drive.change_state(self.axis, state))
 
     async def home(self) -> None:
-        """Home it, in the way that it has: see `identify`."""
+        """Home the drive, in its own way: see `identify`."""
         self._end_following()
         await self._run(identify(self.axis))
         await self._run(drive.home(self.axis))
@@ -123,7 +122,7 @@ class DirectDrive:
         await self._run(drive.set_mode(self.axis, mode))
 
     async def follow(self) -> None:
-        """Interpolated position mode, from where it stands."""
+        """Let the drive follow set-points in interpolated position mode, from where it stands."""
         if self._producer is None:
             raise LocalProtocolError(
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
@@ -138,24 +137,24 @@ class DirectDrive:
         self._reading, _ = self._master.launch(read_unsent([following]))
 
     async def halt(self) -> None:
-        """Stop it, and end what is being done with it; it stays enabled."""
+        """Stop the drive, and end its running commands; it stays enabled."""
         self._end_following()
         for scope in self._running:
             scope.cancel()
         await self._master.run(drive.halt(self.axis))
 
     async def shut_down(self) -> None:
-        """Take its power away."""
+        """Take the drive's power away."""
         self._end_following()
         await self._run(drive.shut_down(self.axis))
 
     async def set_interval(self, milliseconds: int) -> None:
-        """Tell the drive the time between two SYNCs, and that it shall not watch over it (Schunk's 0x200E = 0)."""
+        """Write the time between two SYNCs to the drive, and switch off its watch over SYNC (Schunk's 0x200E = 0)."""
         await self._run(self._set_interval(milliseconds))
         self.interval = milliseconds
 
     async def set_max_speed(self, speed: float) -> None:
-        """Let set-points be as fast as this, in counts per second, whatever the drive says."""
+        """Allow set-points this fast, in counts per second, whatever the drive says."""
         await self._run(identify(self.axis))
         self.axis.settings = replace(self.axis.settings, max_speed=speed)
         self._device.limits = await self._run(read_limits(self.axis))
@@ -163,12 +162,12 @@ class DirectDrive:
     async def wait_for(self, constant: str, timeout: Time) -> None:
         """Wait until the statusword bears a constant; StepTimeout after `timeout` ns."""
         wanted = self.node.dictionary.constant("statusword", constant)
-        # A fault, too, may be what is waited for.
+        # The constant waited for may be that of a fault.
         waiting = drive.wait_for_statusword(self.axis, wanted.is_in, timeout, constant, accept_fault=True)
         await self._run(waiting)
 
     async def define(self, description: PdoDescription, number: int | None, transmission_type: int) -> None:
-        """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices ask."""
+        """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices require."""
         number = number or description.number
         state = self.node.nmt_state
         if description.direction is Direction.RPDO:
@@ -181,7 +180,7 @@ class DirectDrive:
             if state is NmtState.OPERATIONAL:
                 await self._master.nmt_start(self.node.node_id, bus=self.node.bus)
             if description.direction is Direction.RPDO and number is not None:
-                self.node.remote.remove_pdo(Direction.RPDO, number)  # we send it, not the SYNC
+                self.node.remote.remove_pdo(Direction.RPDO, number)  # we send it by hand, not behind the SYNC
         if description.direction is Direction.TPDO and number is not None:
             self._every.pop(number, None)
             if transmission_type in CYCLIC_TYPES:
@@ -189,7 +188,7 @@ class DirectDrive:
         self._use(description, number, transmission_type)
 
     async def _run(self, procedure: Procedure[T]) -> T:
-        """Run a sequence to its end; ProcedureError where `halt` ended it before."""
+        """Run a sequence to its end. Raises ProcedureError if `halt` ended it before."""
         with trio.CancelScope() as scope:
             self._running.add(scope)
             try:
@@ -201,7 +200,7 @@ class DirectDrive:
     # ---- set-points ----
 
     async def send_position(self, position: int) -> None:
-        """Send the rPDO with this set-point now. Raises where the drive would not follow it; see Session.send_pos."""
+        """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
         chain = next((each for each in self._master.chains if self._device in each.devices), None)
         if chain is not None and self.node.remote.rpdo_of(0x60C1, 1) is not None:
             at = {device: device.desired_position for device in chain.devices} | {self._device: position}
@@ -216,18 +215,18 @@ class DirectDrive:
         self._check(position)
         self.axis.set_position_counts(position)
         producer = self._producer
-        assert producer is not None  # else it would not follow
+        assert producer is not None  # a drive that follows has one
         await self._master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
 
     # ---- inside ----
 
     def _check(self, position: int) -> None:
-        """Raise ValueRangeError, or SetPointRefused, for a set-point that the drive must not be asked for."""
+        """Raise ValueRangeError or SetPointRefused for a set-point that the drive cannot hold, or that is beyond its limits."""
         self.node.dictionary.variable((0x60C1, 1)).encode(position)
         interval = self.interval * MILLISECOND
         (since, start), (_, last) = self._taken[0], self._taken[-1]
         check_limits(self._device, last, position, interval)
-        if abs(position - start) > abs(last - start):  # else it stands, or comes back: that must always be possible
+        if abs(position - start) > abs(last - start):  # standing and coming back must always be possible
             check_limits(self._device, start, position, self._master.now() - since + interval)
 
     def _on_sync(self, report: Event | None = None) -> None:
@@ -241,14 +240,14 @@ class DirectDrive:
             self._master.take_back(reading)
 
     def _on_lost(self, report: FollowingLost) -> None:
-        """It does not do what its set-points say: stop it. The next send_position says why."""
+        """Stop the drive: it does not follow its set-points. The next send_position says why."""
         if self._is_following and not self._master.is_closed:
             self._end_following()
             self._lost = report
             self._master.launch(quietly(self._device, stop(self._device)))
 
     async def _why(self, lost: FollowingLost) -> Exception:
-        """What to raise for it."""
+        """The error to raise for it."""
         if self._device.has_fault:
             return await self._master.run(drive.fault_of(self.axis, "while it followed set-points"))
         failed = f"drive {self.node.node_id} {lost.cause}"

@@ -1,4 +1,4 @@
-"""`IncomingPdos`: the manual's queue `incomingPDOs`, with an end to its growth."""
+"""`IncomingPdos`: the manual's queue `incomingPDOs`, but bounded."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ QUEUE_SIZE: Final = 4096
 
 
 _LOOK_UP: Final = 0.5
-"""Seconds after which a waiting thread looks up: on Windows, Ctrl-C is held back by a wait until that is over."""
+"""The longest single wait of a thread, in seconds: on Windows, a Ctrl-C takes effect only when the wait is over."""
 
 
 class IncomingPdos:
     """The PDOs that devices sent, oldest first. Any thread may take from it, and wait.
 
-    Each is a `PdoReceived`: node_id, `values` by name, `get("position_actual_value")`, data, timestamp. A queue that nobody
-    empties loses its oldest entries; `dropped` counts them.
+    Each is a `PdoReceived`: node_id, `values` by name, `get("position_actual_value")`, data, timestamp. A full queue loses its
+    oldest entries; `dropped` counts them.
     """
 
     def __init__(self, size: int = QUEUE_SIZE) -> None:
@@ -35,12 +35,12 @@ class IncomingPdos:
         return len(self._pdos)
 
     def __iter__(self) -> Iterator[PdoReceived]:
-        """Takes what is there now, and what comes meanwhile; ends when the queue is empty."""
+        """Take PDOs, also those that come meanwhile, until the queue is empty."""
         while (pdo := self.get(0)) is not None:
             yield pdo
 
     def get(self, timeout: float | None = None) -> PdoReceived | None:
-        """Take the oldest one. Waits for it, at most `timeout` seconds; None if none came."""
+        """Take the oldest PDO, waiting at most `timeout` seconds for one; None if none came."""
         deadline = None if timeout is None else time.monotonic() + timeout
         with self._changed:
             while not self._pdos:
@@ -51,11 +51,11 @@ class IncomingPdos:
             return self._pdos.popleft()
 
     def clear(self) -> None:
-        """Throw away what is there."""
+        """Drop all PDOs in the queue."""
         self._pdos.clear()
 
     def put(self, pdo: PdoReceived) -> None:
-        """Add one (the session does)."""
+        """Add a PDO (the session does)."""
         with self._changed:
             if len(self._pdos) == self._size:
                 self._pdos.popleft()

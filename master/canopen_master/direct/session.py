@@ -2,19 +2,19 @@
 
 Theory of operation
 -------------------
-One session has one connection: a trio master in a thread of its own (background.py), which every call goes to. Any number of
-threads may call, also at the same time; for one and the same drive, one thing at a time makes sense, and `halt`.
+One session has one connection: a trio master in a thread of its own (background.py), which serves every call. Any number of
+threads may call, also at the same time. Give one drive one command at a time; `halt` may come at any time.
 
 Three kinds of result:
 
-- what takes time and may fail in the world (init_device, homing ...) gives True or False, as the manual says; `last_error` tells
-  why it was False, to the thread that asks;
-- what is just sent, or asks for a value (send_sdo, send_pos, get_pos ...), raises: SdoError, ProcedureError, BusError;
-- what is wrong with the call itself always raises, and nothing is sent: NotConnected, LocalProtocolError (node-ID 200),
-  ObjectNotFound, ConstantNotFound, ValueRangeError.
+- commands that take time (init_device, homing ...) return True or False, as the manual says; `last_error` says why it was False,
+  to the thread that called;
+- calls that only send, or ask for a value (send_sdo, send_pos, get_pos ...), raise SdoError, ProcedureError, BusError;
+- a wrong call always raises, with nothing sent: NotConnected, LocalProtocolError (node-ID 200), ObjectNotFound, ConstantNotFound,
+  ValueRangeError.
 
-The direct half sends no SYNC by itself: `send_pos` sends the rPDO, `send_sync` the SYNC. The master half does the SYNC, and has
-its chains in `chain_map`.
+The direct half sends no SYNC by itself: `send_pos` sends the rPDO, `send_sync` the SYNC. The master half sends SYNC periodically,
+and has its chains in `chain_map`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 R = TypeVar("R")
 
 _LOOK_UP: Final = 0.5
-"""Seconds after which a thread that waits for PDOs looks whether the connection is still open."""
+"""Seconds between two checks, by a thread that waits for PDOs, whether the connection is still open."""
 NMT_TIME: Final = 0.1
 """Seconds that init_nmt gives the devices to get to Operational: nothing confirms an NMT command."""
 SYNC_INTERVAL: Final = 10
@@ -59,12 +59,12 @@ SYNC_INTERVAL: Final = 10
 class Session:
     """See this module's text. Node-IDs are 1..127; positions are integers as on the wire, millidegrees for the manual's arm.
 
-    incoming_pdos: what devices sent by PDO (bounded). chain_map: the chains of `init_chain_map`, by name. using_master_thread: to
-    be set to True before `init_master_thread`. As a context manager it closes its connection at the end.
+    incoming_pdos: the PDOs that devices sent (bounded). chain_map: the chains of `init_chain_map`, by name. using_master_thread:
+    set it to True before `init_master_thread`. As a context manager it closes its connection at the end.
     """
 
     def __init__(self, *, rpdo: str = "schunk_default_rPDO", tpdo: str = "schunk_default_tPDO") -> None:
-        """rpdo, tpdo: names of the PDOs in PDOs.csv that the drives come with. Opens nothing."""
+        """Make a session; opens nothing. rpdo, tpdo: names of the PDOs in PDOs.csv that the drives come with."""
         self.using_master_thread = False
         self.incoming_pdos = IncomingPdos()
         self.chain_map: dict[str, ChainCalls] = {}
@@ -93,46 +93,46 @@ class Session:
         dictionary: ObjectDictionary | None = None,
         grip: Grip | None = DEFAULT_GRIP,
     ) -> bool:
-        """Open a bus: "/dev/pcan32", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "virtual:demo". The first command of all.
+        """Open a bus: "/dev/pcan32", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "virtual:demo". This is the first command.
 
-        False if that cannot be done (`last_error` says why, and what to try), also while a connection is open. bus: what node-IDs
-        refer to. buses: more buses by the names that a chain file has for them; a file's buses are opened by themselves where
-        `bus` is one of them. sdo_timeout: seconds for one answer of a device. dictionary: by default that of the data files.
-        grip: how drives notice that this program is gone, and stop; see `open_master`.
+        Returns False if it fails (`last_error` says why, and what to try), also while a connection is open. bus: the bus of the
+        node-IDs. buses: more buses, by the names that a chain file gives them; a file's buses are opened by themselves if `bus`
+        is one of them. sdo_timeout: seconds for one answer of a device. dictionary: by default that of the data files. grip: how
+        drives notice that this program is gone, and stop; see `open_master`.
         """
         named = dict.fromkeys(joint.bus for chain in self._chains for joint in chain.joints)
         more = {name: name for name in named if name != bus} if bus in named else {}
         return self._connection.open(bus, {**more, **(buses or {})}, sdo_timeout, dictionary, grip, self._prepare)
 
     def init_listener_thread(self) -> None:
-        """Nothing is left to do: `open_connection` has begun to listen. It stays for the manual's order of calls.
+        """Do nothing: `open_connection` has begun to listen. It is there for the manual's order of calls.
 
-        What devices send by PDO goes to `incoming_pdos`. Raises NotConnected.
+        PDOs of the devices go to `incoming_pdos`. Raises NotConnected.
         """
         self._call(_nothing)
 
     def close_connection(self) -> None:
-        """Halt what moves, close the buses, end the thread. Without a connection it does nothing.
+        """Halt the drives, close the buses, end the thread. Does nothing without a connection.
 
-        Raises HaltNotConfirmed where a drive did not confirm that it stands; BusError for a bus that failed unnoticed.
+        Raises HaltNotConfirmed if a drive did not confirm that it stands; BusError for a bus that failed unnoticed.
         """
         self._connection.close()
 
     def last_error(self) -> Exception | None:
-        """Why the calling thread's last True-or-False call gave False; None after a True. `str` of it is a screen for people."""
+        """Why the calling thread's last True-or-False call returned False; None after True. `str` of it is for people."""
         return self._connection.last_error
 
     def simulated(self, node_ids: Sequence[int], bus: str = "virtual") -> AbstractContextManager[None]:
         """`with session.simulated([12], bus="virtual:demo"):` puts simulated joints on a bus that is opened in the block.
 
-        They are joints of the Schunk Powerball arm, in this very process. Leaving the block closes the connection.
+        They are joints of the Schunk Powerball arm, in this process. Leaving the block closes the connection.
         """
         return self._connection.simulated(node_ids, bus)
 
     # ---- network management and SYNC ----
 
     def init_nmt(self) -> None:
-        """NMT start to all devices: to Operational, where their PDOs live. Waits NMT_TIME, since nothing confirms it."""
+        """Start all devices (NMT, to Operational, where PDOs are exchanged). Waits NMT_TIME, since nothing confirms it."""
 
         async def start(master: Master) -> None:
             await master.nmt(NmtCommand.START)
@@ -149,16 +149,16 @@ class Session:
         async def send(master: Master) -> None:
             value = master.dictionary.constant_value("NMT", command) if isinstance(command, str) else command
             if value not in list(NmtCommand):
-                raise LocalProtocolError(f"{command!r} is no NMT command: 0x{value:02X}")
+                raise LocalProtocolError(f"{command!r} is not an NMT command: 0x{value:02X}")
             await master.nmt(NmtCommand(value), node, bus=self._connection.bus)
 
         self._call(send)
 
     def send_sync(self, milliseconds: float = 0) -> None:
-        """Send one SYNC, then wait. While the master's own SYNC runs (init_master_thread), none is sent, and it only waits.
+        """Send one SYNC, then wait. While the master's own SYNC runs (init_master_thread), only wait.
 
-        Called in a row it keeps time: the wait ends `milliseconds` after the end of the last one, so that what the loop does
-        besides does not add to its period.
+        In a loop it keeps time: the wait ends `milliseconds` after the end of the last one, so that the other work of the loop
+        does not add to the period.
         """
 
         async def send(master: Master) -> None:
@@ -176,10 +176,10 @@ class Session:
     def send_sdo(self, node: int, key: Key, value: Value | None = None) -> Message:
         """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`.
 
-        Returns what was read, or what was written, with the names of the constants that it bears, once the device has answered.
-        Raises SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and what is said of wrong calls in this module's text. A
-        controlword that enables the drive also raises NodeIdTaken, or NotHeldError (both ProcedureError), with nothing written:
-        the drive has to watch over this program first; see grip of `open_connection`.
+        Once the device has answered, returns the value read or written, with the names of the constants that it bears. Raises
+        SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and the errors of wrong calls (see this module's text). A controlword
+        that enables the drive may raise NodeIdTaken or NotHeldError (both ProcedureError), with nothing written: the drive must
+        watch over this program first; see `grip` of `open_connection`.
         """
 
         async def transfer(master: Master) -> Message:
@@ -192,8 +192,8 @@ class Session:
         return self._call(transfer)
 
     def define_pdo(self, node: int, name: str, *, number: int | None = None, transmission_type: int = 1) -> bool:
-        """Declare a PDO of PDOs.csv to a device, and use it: a tPDO comes to `incoming_pdos`, an rPDO with a set-point carries
-        those of `send_pos`. False if the device refuses; it has its old PDO again then.
+        """Declare a PDO of PDOs.csv to a device, and use it: a tPDO goes to `incoming_pdos`, an rPDO with a set-point is sent by
+        `send_pos`. Returns False if the device refuses; it then has its old PDO again.
 
         number: by default that of its COB-ID in the predefined connection set. transmission_type: 1 for each SYNC. The device is
         pre-operational meanwhile. Raises PdoNotFound.
@@ -208,7 +208,7 @@ class Session:
     # ---- drives ----
 
     def fault_reset(self, node: int) -> bool:
-        """Reset a fault; a drive without one is left as it is. False if the fault stays."""
+        """Reset a fault; does nothing to a drive without one. Returns False if the fault stays."""
         return self._attempt(node, lambda drive: drive.reset_fault())
 
     def init_device(self, node: int) -> bool:
@@ -216,22 +216,22 @@ class Session:
         return self._attempt(node, lambda drive: drive.change_state(State.OPERATION_ENABLED))
 
     def homing(self, node: int) -> bool:
-        """Home the drive; returns when it has stopped. True if it is referenced. IT MOVES; an interrupt halts it."""
+        """Home the drive; return when it has stopped. True if it is referenced. IT MOVES; an interrupt halts it."""
         return self._attempt(node, lambda drive: drive.home())
 
     def enable_ip_mode(self, node: int) -> bool:
-        """Make the drive follow the set-points of `send_pos`, beginning where it stands. False where it lacks the mode."""
+        """Make the drive follow the set-points of `send_pos` from where it stands. Returns False if it lacks the mode."""
         return self._attempt(node, lambda drive: drive.follow())
 
     def send_pos(self, node: int, position: int) -> None:
-        """Send the rPDO with this set-point; the drive takes it at the next SYNC and is there one interval later.
+        """Send the rPDO with this set-point. The drive takes it at the next SYNC and is there one interval later.
 
-        Absolute, in millidegrees (what the drive counts in). The rPDO also bears the controlword that was commanded last. Raises
-        SetPointRefused, with nothing sent, for a position that the drive's limits (0x607D) exclude, or one that is further from
-        the last than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises
-        LocalProtocolError before enable_ip_mode. A drive that does not follow is halted, and told by the next call: DriveFault in
-        fault, NodeSilent if its PDOs no longer come, else ProcedureError with the reason, as a chain finds it. Where the drive is
-        a joint of a chain, the master's next cycle sends it; raises ChainFault and ChainHalted as the chain does.
+        position: absolute, in millidegrees (the drive's counts). The rPDO also carries the controlword that was commanded last.
+        Raises SetPointRefused, with nothing sent, for a position beyond the drive's limits (0x607D), or further from the last one
+        than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises LocalProtocolError before
+        enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveFault in fault, NodeSilent if its
+        PDOs no longer come, else ProcedureError with the reason. If the drive is a joint of a chain, the master's next cycle
+        sends the set-point; raises ChainFault and ChainHalted as the chain does.
         """
 
         async def send(master: Master) -> None:
@@ -240,7 +240,7 @@ class Session:
         self._call(send)
 
     def get_pos(self, node: int) -> int:
-        """The actual position (0x6064), asked of the drive now. Raises ProcedureError."""
+        """Read the actual position (0x6064) from the drive. Raises ProcedureError."""
 
         async def ask(master: Master) -> int:
             return round(await master.run(read_position(self._drive(master, node).axis)))
@@ -259,7 +259,7 @@ class Session:
         return self._connection.attempt(select)
 
     def halt(self, node: int) -> bool:
-        """Stop the drive, whatever another thread is doing with it. It stays enabled; set-points need enable_ip_mode again."""
+        """Stop the drive, whatever another thread is doing with it. It stays enabled. New set-points need enable_ip_mode."""
         return self._attempt(node, lambda drive: drive.halt())
 
     def enable_brake(self, node: int) -> bool:
@@ -275,7 +275,7 @@ class Session:
     release_break = release_brake
 
     def shutdown_device(self, node: int) -> bool:
-        """Take the drive's power away (Switch on disabled), then stop its communication (NMT stop), in any case."""
+        """Take the drive's power away (Switch on disabled); then, even if that failed, stop its communication (NMT stop)."""
 
         async def shut_down(master: Master) -> None:
             drive = self._drive(master, node)
@@ -288,26 +288,26 @@ class Session:
         return self._connection.attempt(shut_down)
 
     def set_sync_interval(self, node: int, milliseconds: int = SYNC_INTERVAL) -> bool:
-        """Tell the drive the time between two SYNCs (0x60C2), 1 to 255 ms; 10 ms where it is never told.
+        """Write the time between two SYNCs (0x60C2) to the drive, 1 to 255 ms; 10 ms if it is never written.
 
-        Its watch over the SYNC, where it has the manual's (0x200E), is switched off: here the user sends the SYNC.
+        If the drive has the manual's watch over the SYNC (0x200E), that is switched off: here the user sends the SYNC.
         """
         return self._attempt(node, lambda drive: drive.set_interval(milliseconds))
 
     def set_max_speed(self, node: int, counts_per_second: float) -> bool:
-        """Let the set-points of `send_pos`, and of a chain, be as fast as this; millidegrees per second for the manual's arm.
+        """Allow set-points of `send_pos`, and of a chain, this fast; millidegrees per second for the manual's arm.
 
-        By default it is what the drive says (0x607F, 0x6080), or 30 000 where it says nothing. False if the drive does not
-        answer. Raises LocalProtocolError unless it is above 0.
+        The default is the drive's own limit (0x607F, 0x6080), or 30 000 if it has none. Returns False if the drive does not
+        answer. Raises LocalProtocolError unless the speed is above 0.
         """
         return self._attempt(node, lambda drive: drive.set_max_speed(counts_per_second))
 
     def wait_for_status(self, node: int, constant: str, timeout: float = 1.0) -> bool:
-        """Wait until the statusword bears a constant, as "operation_enable"; at most `timeout` seconds, then False."""
+        """Wait until the statusword bears a constant, such as "operation_enable". Returns False after `timeout` seconds."""
         return self._attempt(node, lambda drive: drive.wait_for(constant, round(timeout * SECOND)))
 
     def set_motor_state(self, node: int, state: str) -> bool:
-        """Lead the drive to a state, up or down, by the shortest way: a constant of statusword, as "switched_on"."""
+        """Lead the drive to a state, up or down, by the shortest way: a constant of statusword, such as "switched_on"."""
 
         async def lead(master: Master) -> None:
             drive = self._drive(master, node)
@@ -320,8 +320,8 @@ class Session:
     def init_chain_map(self, file: str | Path = "", *, text: str | None = None) -> None:
         """Read a chain file (a row: `chain1 joint1 /dev/pcan32 12`) into `chain_map`: name -> ChainCalls.
 
-        file: a path, or the name of one of the data files; or, in its place, the text of one. Raises ChainFileError with all that
-        is wrong, DataError where it cannot be read. The chains take commands after `init_master_thread`.
+        file: a path, or the name of one of the data files. text: the content instead of a file. Raises ChainFileError with every
+        problem, DataError if the file cannot be read. The chains take commands after `init_master_thread`.
         """
         self._chains = read_chains(file) if text is None else parse_chains(text)
         self._chain_source = file, text
@@ -329,10 +329,11 @@ class Session:
         self.chain_map.update({chain.name: ChainCalls(self._connection, chain) for chain in self._chains})
 
     def init_incoming_pdo_processor_thread(self, handler: Callable[[PdoReceived], object] | None = None) -> None:
-        """From now on the devices' PDOs are processed: they bring the chains' joints up to date.
+        """Process the devices' PDOs from now on: the chains' joints are kept up to date in any case.
 
-        Without a handler nothing more comes to `incoming_pdos`. A handler, the manual's `updateStatusWithIncomingPDO` of one's
-        own, is called with each PDO, in a thread of its own that takes them from there; what it raises is shown, and it goes on.
+        Without a handler `incoming_pdos` gets no more PDOs. A handler, such as the manual's `updateStatusWithIncomingPDO`, is
+        called with each PDO, in a thread of its own that takes them from `incoming_pdos`. If it raises, the error is shown, and
+        the thread goes on.
         """
         self._call(_nothing)
         self._queues_pdos = handler is not None
@@ -340,10 +341,10 @@ class Session:
             threading.Thread(target=self._process, args=(handler,), name="canopen incoming PDOs", daemon=True).start()
 
     def init_master_thread(self, sync_interval: int = SYNC_INTERVAL) -> None:
-        """Begin the master's cycle: SYNC, then the PDOs of the chains that follow set-points, then SDO in what is left.
+        """Begin the master's cycle: SYNC, then the PDOs of the chains that follow set-points, then SDO in the time left.
 
-        sync_interval: milliseconds. From now on the chains of `chain_map` take commands. `using_master_thread` has to be True.
-        Raises ChainFileError where the chain file names buses that are not open.
+        sync_interval: milliseconds. From now on the chains of `chain_map` take commands. `using_master_thread` must be True.
+        Raises ChainFileError if the chain file names buses that are not open.
         """
         if not self._uses_master_thread():
             raise LocalProtocolError("init_master_thread() needs using_master_thread = True")
@@ -371,15 +372,15 @@ class Session:
         return self._connection.attempt(lambda master: function(self._drive(master, node)))
 
     def _prepare(self, master: Master) -> None:
-        """A connection was opened; in the master's thread."""
+        """Prepare for a connection that was just opened. Called in the master's thread."""
         self._drives = {}
         self._queues_pdos = True
         self.incoming_pdos.clear()
         master.watch((PdoReceived,), self._on_pdo)
 
     def _drive(self, master: Master, node_id: int) -> DirectDrive:
-        if not isinstance(node_id, int):  # what stands in sys.argv is a text
-            raise LocalProtocolError(f"{node_id!r} is no node-ID: it has to be an int")
+        if not isinstance(node_id, int):  # an argument of the command line is a text
+            raise LocalProtocolError(f"{node_id!r} is not a node-ID: it must be an int")
         drive = self._drives.get(node_id)
         if drive is None:
             node = master.node(node_id, bus=self._connection.bus)

@@ -1,4 +1,4 @@
-"""`Chain`: several joints that are moved as one. Made by `Master.load_chains` or `Master.chain`.
+"""`Chain`: several joints that move as one. Made by `Master.load_chains` or `Master.chain`.
 
     await arm.initialise()
     await arm.home()
@@ -8,21 +8,21 @@
 
 Theory of operation
 -------------------
-**One thing at a time**: initialise, home, enable_interpolated_position, recover and shut_down run one procedure per joint, side
-by side; if one fails, the others are cancelled (what they moved is halted), and the error names the joint.
+**One command at a time**: initialise, home, enable_interpolated_position, recover and shut_down run one procedure per joint, side
+by side. If one fails, the others are cancelled, which halts what they moved, and the error names the joint.
 
-**Cycle.** SYNC goes out, right behind it one PDO per joint with the set-points as they are then. A set-point given in cycle n so
-goes out behind SYNC n+1, acts at SYNC n+2, and is reached at the SYNC after it. If none was given in a cycle, the last one is
+**Cycle.** SYNC is sent, and right behind it one PDO per joint with the set-points of that moment. So a set-point given in cycle n
+is sent behind SYNC n+1, acts at SYNC n+2, and is reached at the SYNC after that. If none was given in a cycle, the last one is
 repeated, and the cycle counts as missed; after `max_missed_cycles` in a row the chain is halted. It stays halted until
-`enable_interpolated_position` or `recover`. Nor does a path jump that is read at `cycle.time`: it advances only with SYNCs that
-took set-points along, so a late loop makes the path slower (see cycles.py).
+`enable_interpolated_position` or `recover`. A path that is read at `cycle.time` does not jump: the time advances only with SYNCs
+that took set-points along, so a late loop makes the path slower (see cycles.py).
 
-**Nothing jumps.** What makes the joints move begins with joints that stand: initialise, home, enable_interpolated_position and
-recover halt a chain that follows set-points, and wait for a halt under way, whoever ordered it. Then each joint is halted once
-more, and seen to stand, by the procedure itself (canopen_proto.drive.halt); one that does not stand is an error.
+**Nothing jumps.** Every motion begins with joints that stand: initialise, home, enable_interpolated_position and recover halt a
+chain that follows set-points, and wait for a halt under way. Then the procedure itself halts each joint once more and sees that
+it stands (canopen_proto.drive.halt); a joint that does not stand is an error.
 
 **Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
-set-points, stops its whole chain: what runs is cancelled, all joints are halted, and everything that is asked of the chain raises
+set-points, stops its whole chain: the running command is cancelled, all joints are halted, and every further command raises
 ChainFault, which says what the joint did, until `recover`.
 """
 
@@ -68,7 +68,7 @@ MAX_MISSED_CYCLES: Final = 10
 
 
 class ChainState(enum.Enum):
-    """What a chain is ready for."""
+    """The state of a chain: which commands it can take."""
 
     OFF = "off"
     """Not initialised, or shut down."""
@@ -77,7 +77,7 @@ class ChainState(enum.Enum):
     FOLLOWING = "following"
     """In interpolated position mode: set-points are sent behind each SYNC."""
     HALTED = "halted"
-    """Halted; no set-points are followed."""
+    """Halted; it follows no set-points."""
     FAULT = "fault"
     """Stopped because a joint failed."""
 
@@ -103,7 +103,7 @@ class ChainSettings:
 
 
 class _Operation:
-    """What a chain is doing. name: for messages; request_id: of its procedure."""
+    """The command that a chain executes. name: for messages; request_id: of its procedure."""
 
     __slots__ = ("name", "request_id")
 
@@ -113,7 +113,7 @@ class _Operation:
 
 
 class Chain:
-    """See this module's text. devices: its joints in the order of the file. state: a ChainState."""
+    """See this module's text. devices: the joints in the order of the file. state: a ChainState."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class Chain:
         heartbeat_timeout: Time = 0,
         chains: Sequence[Chain] = (),
     ) -> None:
-        """heartbeat_timeout: ns, as `open_master` was given it. chains: all that share one SYNC; this one may be among them."""
+        """heartbeat_timeout: ns, as given to `open_master`. chains: all chains of the one SYNC; this one may be among them."""
         self._participant = participant
         self._heartbeat_timeout = heartbeat_timeout
         self._chains = chains
@@ -137,7 +137,7 @@ class Chain:
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
         self._stopping: Waiter | None = None  # the procedure that halts the joints
-        self._culprit: tuple[Device, str, str] | None = None  # for whose sake it was stopped, why, and the likely cause
+        self._culprit: tuple[Device, str, str] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
         participant.watch((SyncSent,), self._on_sync, buses[0])
@@ -154,7 +154,7 @@ class Chain:
 
     @property
     def positions(self) -> list[float]:
-        """The actual positions, as last heard. Raises ChainError for a joint that was never heard since its last boot."""
+        """The actual positions, as last heard. Raises ChainError for a joint that was not heard since its last boot."""
         return self._known("position", [device.position for device in self.devices])
 
     @property
@@ -169,7 +169,7 @@ class Chain:
 
     @property
     def is_homed(self) -> bool:
-        """Whether all joints are."""
+        """Whether all joints are homed."""
         return all(device.is_homed for device in self.devices)
 
     @property
@@ -179,7 +179,7 @@ class Chain:
 
     @property
     def missed_cycles(self) -> int:
-        """How many of these cycles brought no new set-point, though a loop over `cycles` was there to give it."""
+        """How many of these cycles brought no new set-point, though a loop over `cycles` was running."""
         return self._set_points.missed_cycles
 
     @property
@@ -192,7 +192,7 @@ class Chain:
     async def initialise(self) -> None:
         """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Joints that move are halted.
 
-        Raises ChainFault where a fault stays, ChainError for a joint that does not answer, does not stand, or refuses.
+        Raises ChainFault if a fault stays, ChainError for a joint that does not answer, does not stand, or refuses.
         """
         participant, settings = self._participant, self.settings
         self._require_idle("initialise")
@@ -211,16 +211,16 @@ class Chain:
         self.state, self._supervision.is_on = ChainState.READY, True
 
     async def home(self) -> None:
-        """Home all joints, side by side, from where they stand. Cancelled, or if one fails, all are halted."""
+        """Home all joints, side by side, from where they stand. If one fails, or the task is cancelled, all are halted."""
         await self._require_standing("home")
         self._end_following(ChainState.READY)
         await self._for_all("home", lambda device: home(device.axis))
 
     async def enable_interpolated_position(self) -> None:
-        """Let all joints follow set-points, beginning where they stand. They need not be homed before.
+        """Let all joints follow set-points from where they stand. They need not be homed before.
 
-        A chain that follows set-points already is halted first. Raises ChainError where a drive does not stand, lacks the mode,
-        or has lost its reference: see `recover`.
+        A chain that already follows set-points is halted first. Raises ChainError if a drive does not stand, lacks the mode, or
+        has lost its reference (see `recover`).
         """
         await self._require_standing("enable interpolated position")
         self._end_following(ChainState.READY)
@@ -233,9 +233,9 @@ class Chain:
         self.state, self._followed = ChainState.FOLLOWING, True
 
     async def halt(self) -> None:
-        """Stop all joints, whatever the chain is doing (that ends with ChainHalted), and wait until they stand.
+        """Stop all joints and wait until they stand. A running command ends with ChainHalted.
 
-        They stay enabled. Raises ChainError that names a joint which did not confirm it.
+        The joints stay enabled. Raises ChainError, which names a joint that did not confirm that it stands.
         """
         self._participant.check_open()
         if self._stopping is None or self._stopping.done.is_set():
@@ -244,11 +244,11 @@ class Chain:
         self._raise_first("halt", failures)
 
     async def recover(self) -> None:
-        """After a fault or a halt: reset and enable all joints again; a chain that followed set-points does so again.
+        """Reset and enable all joints after a fault or a halt. A chain that followed set-points follows them again.
 
-        A joint that was homed and has lost its reference since (a reset, its power) must be homed before it follows set-points:
-        ChainError then, and the chain is READY. Positions would mean something else. AxisSettings(keeps_reference=True) is for
-        drives with an absolute encoder. A chain that was never homed has no reference to lose.
+        Raises ChainError, with the chain READY, for a joint that was homed and has lost its reference since (by a reset, or
+        without power): its positions would mean something else, so it must be homed first. AxisSettings(keeps_reference=True) is
+        for drives with an absolute encoder. A chain that was never homed has no reference to lose.
         """
         followed = self._followed
         await self.initialise()
@@ -258,7 +258,7 @@ class Chain:
     async def shut_down(self) -> None:
         """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop). SYNC ends with the last chain.
 
-        All joints are shut down as far as they let themselves be; then ChainError names one that did not.
+        Every joint is tried. Raises ChainError, which names a joint that was not shut down.
         """
         self._participant.check_open()
         self._supervision.is_on = self._followed = False
@@ -274,28 +274,28 @@ class Chain:
         self._raise_first("shut down", failures)
 
     def cycles(self) -> Cycles:
-        """The SYNC cycles from now on, as an async iterator; read the path at `Cycle.time`. A late loop gets the newest cycle.
+        """The SYNC cycles from now on, as an async iterator. Read the path at `Cycle.time`. A late loop gets the newest cycle.
 
-        Raises ChainFault when a joint fails, ChainHalted when the chain is halted, once the other joints stand.
+        Raises ChainFault if a joint fails, ChainHalted if the chain is halted; both once the other joints stand.
         """
         self._require("give cycles", ChainState.FOLLOWING)
         return Cycles(self._set_points, self._why_stopped)
 
     @enable_ki_protection
     def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
-        """Give the next set-points, one per joint, in the user's unit; they go out behind the next SYNC.
+        """Give the next set-points, one per joint, in the user's unit; they are sent behind the next SYNC.
 
-        cycles: be there in that many cycles, on a straight line from the last set-points; no cycle is missed meanwhile. Raises
+        cycles: how many cycles the way takes, on a straight line from the last set-points; none of them counts as missed. Raises
         SetPointRefused, with nothing changed, for a wrong count, a number that is not finite or does not fit, a position or a
         speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises ChainFault,
-        ChainHalted, ChainError as the chain's state is.
+        ChainHalted or ChainError if the chain follows no set-points.
         """
         self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.give(positions, cycles)
 
     @enable_ki_protection
     def hold(self) -> None:
-        """Stay at the set-points that were sent last. What was given and not sent yet is dropped: the rest of a path, too.
+        """Stay at the set-points that were sent last. Set-points not sent yet are dropped, also the rest of a path.
 
         The cycle does not count as missed. `Cycle.time` stands still.
         """
@@ -314,7 +314,7 @@ class Chain:
         return prepare(device, exchange, self._heartbeat_timeout)
 
     async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
-        """Run one procedure for each joint, side by side. A failure is told as this chain's."""
+        """Run one procedure for each joint, side by side. A failure is raised as this chain's."""
         procedures = [of_joint(device, make(device)) for device in self.devices]
         request_id, waiter = self._participant.launch(all_of(*procedures))
         running = self._running = _Operation(operation, request_id)
@@ -340,7 +340,7 @@ class Chain:
     # ---- state ----
 
     def _known(self, what: str, values: Sequence[float | None]) -> list[float]:
-        """The values, one for each joint, if all are known."""
+        """The values, one for each joint. Raises ChainError if one is not known."""
         known = []
         for device, value in zip(self.devices, values, strict=True):
             if value is None:
@@ -372,14 +372,14 @@ class Chain:
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
 
     async def _require_standing(self, what: str) -> None:
-        """Raise unless the chain can do that from a standstill; halt it, and wait until the joints stand."""
+        """Halt the chain and wait until the joints stand. Raises unless the chain can then do `what`."""
         states = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
         self._require(what, *states)
         await self._joints_halted(what)
-        self._require(what, *states)  # somebody else may have been quicker
+        self._require(what, *states)  # another task may have been quicker
 
     def _require_same_cycle(self) -> None:
-        """SYNC is one for all chains."""
+        """Raise ChainError if other chains run with another cycle: SYNC is one for all chains."""
         period = self._participant.sync_period
         others = [chain.name for chain in self._chains if chain is not self and chain.state is not ChainState.OFF]
         if others and period != round(self.settings.cycle_time * SECOND):
@@ -395,7 +395,7 @@ class Chain:
     # ---- being stopped ----
 
     def _stop(self, why: str) -> None:
-        """Halt all joints, and have whatever runs on this chain end. Also in the pump's turn; `_joints_stopped` waits for it."""
+        """Halt all joints and end the running command. May be called in the pump's turn; `_joints_stopped` waits for the halt."""
         self._why_halted = why
         state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
@@ -405,7 +405,7 @@ class Chain:
             self._participant.take_back(running.request_id)
 
     async def _joints_stopped(self) -> list[JointFailed | None]:
-        """Wait until the joints that were told to stop stand; which of them did not confirm it."""
+        """Wait until the joints that were told to stop stand. Returns the failures of those that did not confirm it."""
         await trio.lowlevel.checkpoint()
         if self._stopping is None:
             return []
@@ -414,13 +414,13 @@ class Chain:
         return failures
 
     async def _joints_halted(self, what: str) -> None:
-        """Halt joints that follow set-points, and wait for a halt under way. Whether each stands is seen by what follows."""
+        """Halt joints that follow set-points, and wait for a halt under way. The next procedure sees whether each stands."""
         if self.state is ChainState.FOLLOWING:
             self._stop(f"to {what}")
         await self._joints_stopped()
 
     async def _why_stopped(self) -> ChainError | None:
-        """Why no set-points are followed (any more), once the joints stand; None while they are."""
+        """Why the chain follows no set-points, once the joints stand; None while it follows them."""
         if self.state is ChainState.FOLLOWING:
             return None
         await self._joints_stopped()
@@ -448,7 +448,7 @@ class Chain:
 
 
 def _reset_and_enable(device: Device) -> Procedure[None]:
-    yield from halt(device.axis)  # somebody else may have left it running
+    yield from halt(device.axis)  # another program may have left it running
     yield from reset_fault(device.axis)
     yield from select_standing_mode(device.axis)
     yield from enable(device.axis)

@@ -1,4 +1,4 @@
-"""What a chain raises: about a joint that failed, a chain that was halted, a reference that is lost. chain: its name."""
+"""The errors of a chain: a joint that failed, a chain that was halted, a reference that is lost. chain: its name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from canopen_proto.procedures.steps import SdoFailed
 
 
 def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
-    """A joint's procedure failed in `operation`."""
+    """The error for a joint whose procedure failed in `operation`."""
     device, error = failed.device, failed.error
     if isinstance(error, DriveFault):
         return joint_fault(chain, device, "is in fault")
@@ -44,7 +44,7 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
 
 
 def reference_lost(chain: str, operation: str, device: Device) -> ChainError:
-    """A joint was homed, and its positions mean something else now."""
+    """The error for a joint that was homed, but whose positions mean something else now."""
     return ChainError(
         CHAIN_NOT_READY,
         chain,
@@ -59,7 +59,7 @@ def reference_lost(chain: str, operation: str, device: Device) -> ChainError:
 
 
 def chain_halted(chain: str, why: str) -> ChainHalted:
-    """The chain was halted. why: "by halt()"."""
+    """The error for a chain that was halted. why: such as "by halt()"."""
     return ChainHalted(
         CHAIN_HALTED,
         chain,
@@ -69,7 +69,7 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
 
 
 def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> ChainFault:
-    """A joint is in fault, or was lost, or did not follow. reason: what it did; cause: likely."""
+    """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
     home_again = ", chain.home() and chain.enable_interpolated_position()" if device.axis.has_lost_reference else ""
     return ChainFault(
         chain,

@@ -1,4 +1,4 @@
-"""Chain files: which joints make up a chain, and where each of them is to be found.
+"""Chain files: which joints make up a chain, and on which bus and node-ID each joint is.
 
 One line per chain: its name, then for each joint its name, its bus and its node-ID, separated by white space:
 
@@ -7,7 +7,7 @@ One line per chain: its name, then for each joint its name, its bus and its node
     arm    joint1 can0 3  joint2 can0 4  joint3 can1 3
 
 The bus is a locator (see canopen_transports.locator), or any name that the caller maps to one. Node-IDs are decimal, or with 0x
-hexadecimal. What stands behind a # is a comment. All that is wrong in a file is told at once, each with line and column.
+hexadecimal. Text after a # is a comment. All problems of a file are reported at once, each with line and column.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _Word = tuple[int, str]  # column, text
 
 @dataclass(frozen=True, slots=True)
 class JointDescription:
-    """One joint of a chain. bus: as the file names it. line, column: where it stands, 0 where it comes from no file."""
+    """One joint of a chain. bus: as the file names it. line, column: its place in the file, 0 without a file."""
 
     name: str
     bus: str
@@ -55,14 +55,14 @@ class ChainDescription:
 def read_chains(path: str | Path, directory: str | Path | None = None) -> tuple[ChainDescription, ...]:
     """The chains of a file: a path, or the name of one of the data files ("single_device.csv"; see canopen_data).
 
-    Raises ChainFileError, and DataError where the file cannot be read.
+    Raises ChainFileError, and DataError if the file cannot be read.
     """
     file = read_chain_file(path, directory)
     return parse_chains(file.text, file.source)
 
 
 def parse_chains(text: str, source: str = "chains") -> tuple[ChainDescription, ...]:
-    """The chains of a file's text. source: what to call it. Raises ChainFileError with all that is wrong."""
+    """The chains of a file's text. source: its name in messages. Raises ChainFileError with every problem."""
     problems: list[tuple[int, int, str]] = []
     chains: list[ChainDescription] = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -87,12 +87,12 @@ def parse_chains(text: str, source: str = "chains") -> tuple[ChainDescription, .
 
 
 def on_buses(chains: Sequence[ChainDescription], buses: Mapping[str, str]) -> list[ChainDescription]:
-    """The chains with the buses that are there. buses: by each of their names, the name by which one is known.
+    """The chains with the file's bus names replaced by ours. buses: our name of each bus, by all of its names.
 
-    Where both the file and we have only one bus, it is that one, whatever it is called. Raises ChainFileError for a bus that is
-    not there, and where two joints are one drive.
+    If the file and we have only one bus each, its name does not matter. Raises ChainFileError for a bus that is not open, and if
+    two joints are one drive.
     """
-    named = {joint.bus: joint for chain in reversed(chains) for joint in reversed(chain.joints)}  # where it stands first
+    named = {joint.bus: joint for chain in reversed(chains) for joint in reversed(chain.joints)}  # its first place
     real = dict(buses)
     if len(named) == 1 and len(set(buses.values())) == 1:
         real |= dict.fromkeys(named, next(iter(buses.values())))
@@ -105,9 +105,9 @@ def on_buses(chains: Sequence[ChainDescription], buses: Mapping[str, str]) -> li
 
 
 def same_nodes(chains: Iterable[ChainDescription], real_names: Mapping[str, str] | None = None) -> list[tuple[int, int, str]]:
-    """The problem of each joint whose node another joint has already: two would move one drive.
+    """A problem for each joint whose node another joint has already: two joints would move one drive.
 
-    real_names: bus by its name in the file, where several names mean one bus.
+    real_names: the bus by its name in the file, if several names mean one bus.
     """
     problems = []
     taken: dict[tuple[str, int], str] = {}
@@ -124,7 +124,7 @@ def same_nodes(chains: Iterable[ChainDescription], real_names: Mapping[str, str]
 def _joints(
     line: int, chain: str, words: list[_Word], end: int, problems: list[tuple[int, int, str]]
 ) -> Iterator[JointDescription]:
-    """The joints of a line; what cannot be one is left out and enters `problems`."""
+    """The joints of a line. A joint that is wrong is left out and added to `problems`."""
     if not words:
         problems.append((line, end, f"chain {chain} has no joints"))
     for start in range(0, len(words), 3):
@@ -135,7 +135,7 @@ def _joints(
             return
         (column, name), (_, bus), (id_column, text) = triple
         if not _NODE_ID.fullmatch(text):
-            problems.append((line, id_column, f"{text!r} is no node-ID (1..{MAX_NODE_ID}); a joint is NAME BUS NODE-ID"))
+            problems.append((line, id_column, f"{text!r} is not a node-ID (1..{MAX_NODE_ID}); a joint is NAME BUS NODE-ID"))
             return  # what follows would be read as the wrong columns
         node_id = int(text, 16) if text[:2] in ("0x", "0X") else int(text)
         if not 1 <= node_id <= MAX_NODE_ID:

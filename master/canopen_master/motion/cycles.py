@@ -1,11 +1,11 @@
-"""The cycle of a chain that follows set-points: which of them go out behind which SYNC, and which cycles brought none.
+"""The cycle of a chain that follows set-points: which set-points are sent behind which SYNC, and which cycles brought none.
 
-The set-points stand in the images from which the core builds the PDOs behind each SYNC; here is kept what that means over time.
-A path of several cycles is put into the images step by step, each step right after the SYNC that took the one before.
+The core builds the PDOs behind each SYNC from images, which hold the set-points; this module keeps track of them over time. A
+path of several cycles is put into the images step by step, each step right after the SYNC that took the one before.
 
-**The time of a path is no clock.** It advances by one period for each SYNC that took new set-points along, and stands still in
-all others. So a path that is read at `Cycle.time` is never ordered faster than it is, however late the loop or SYNC comes: it
-takes longer. A path that is read at a clock would catch up instead, with many times its speed for one cycle.
+**The time of a path is not a clock.** It advances by one period for each SYNC that took new set-points along, and stands still
+otherwise. So a path that is read at `Cycle.time` is never commanded faster than it is: if the loop or SYNC is late, it takes
+longer. A path that is read at a clock would catch up instead, at many times its speed for one cycle.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from canopen_proto.machine import SECOND, LocalProtocolError
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """One SYNC cycle, as a loop over `Chain.cycles` gets it.
+    """One SYNC cycle, as given to a loop over `Chain.cycles`.
 
-    number: of the turn of the loop, from 0. time: seconds of the path, at which to read it: one period for each SYNC that took
-    new set-points along since the first cycle; `Chain.hold` and lateness stop it. skipped: periods since the cycle before that
-    this loop did not see, 0 for a loop in time. late: seconds that the path has lost since the first cycle, in periods without
-    new set-points or without a SYNC; `Chain.hold` is not lateness.
+    number: of the turn of the loop, from 0. time: seconds at which to read the path: one period for each SYNC that took new
+    set-points along since the first cycle; it stands still after `Chain.hold` and while the loop is late. skipped: periods that
+    this loop did not see since its last turn, 0 for a loop in time. late: seconds that the path has lost since the first cycle,
+    in periods without new set-points or without a SYNC; `Chain.hold` is not lateness.
     """
 
     number: int
@@ -39,12 +39,12 @@ class Cycle:
 
 
 class SetPoints:
-    """What a chain is told to follow.
+    """The set-points that a chain follows.
 
-    sync_cycles: SYNCs while it followed; missed_cycles: those of them without a new set-point; missed_in_row: the last ones of
-    these; skipped_cycles: periods in which no SYNC was sent, because this process was late; late_cycles: both together. number:
-    of the current period. taken: SYNCs that took new set-points along. given_in: the period in which the last ones were given,
-    or held. sent: the set-points that went out last, as they were given; empty while none are followed.
+    sync_cycles: SYNCs while it followed. missed_cycles: how many of them brought no new set-point. missed_in_row: how many of the
+    last ones in a row. skipped_cycles: periods without a SYNC, because this process was late. late_cycles: missed and skipped
+    ones. number: of the current period. taken: SYNCs that took new set-points along. given_in: the period in which set-points
+    were last given, or held. sent: the set-points sent last, in the user's unit; empty while none are followed.
     """
 
     def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
@@ -60,7 +60,7 @@ class SetPoints:
         self.number = 0
         self.taken = 0
         self.given_in = -1
-        self.is_awaited = False  # somebody was handed a cycle: set-points are due from now on
+        self.is_awaited = False  # a loop was handed a cycle: set-points are due from now on
         self._is_new = self._is_held = False  # what the next SYNC takes along
         self._next: list[float] = []
         self._path: deque[list[float]] = deque()
@@ -71,12 +71,12 @@ class SetPoints:
         return self.missed_cycles + self.skipped_cycles
 
     def begin(self) -> None:
-        """From now on each SYNC takes the images along."""
+        """Begin: from now on each SYNC takes the images along."""
         self.end()
         self._next = self.sent = [device.desired_position for device in self.devices]
 
     def end(self) -> None:
-        """No set-points are followed any more."""
+        """End: no set-points are followed from now on."""
         self.sent = []
         self._path.clear()
         self._is_new = self._is_held = self.is_awaited = False
@@ -96,7 +96,7 @@ class SetPoints:
         self.given_in = self.number
 
     def hold(self) -> None:
-        """See Chain.hold. What was given and not sent yet is taken back."""
+        """See Chain.hold. Set-points not sent yet are taken back."""
         self._path.clear()
         if self._is_new:
             self._put(self.sent)
@@ -105,7 +105,7 @@ class SetPoints:
         self.given_in = self.number
 
     def on_sync(self, skipped: int) -> None:
-        """A SYNC went out, and the images behind it."""
+        """Count a SYNC that was sent, with the images behind it. skipped: periods without a SYNC before it."""
         self.number += 1 + skipped
         self.sync_cycles += 1
         self.skipped_cycles += skipped
@@ -138,19 +138,19 @@ class SetPoints:
         for device, target, start in zip(self.devices, positions, self.sent, strict=True):
             check_set_point(device, start, target, time)
             step = abs(target - start) / cycles
-            if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # not to refuse the limit itself for its last bit
+            if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # rounding must not refuse the limit itself
                 seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {self.max_step:g}"
                 raise refused(device, target, seen, ("a finer path, more `cycles`, or a larger max_step",))
 
 
 class Cycles:
-    """The iterator that `Chain.cycles` gives. A cycle is handed out once: right behind its SYNC, or later to a loop that is late.
+    """The iterator that `Chain.cycles` returns. A cycle is given out once: right behind its SYNC, or later to a late loop.
 
-    A loop that has given its set-points waits for the SYNC that takes them, so that none are overwritten before they were sent.
+    A loop that has given its set-points waits for the SYNC that takes them, so that none is overwritten before it was sent.
     """
 
     def __init__(self, set_points: SetPoints, stopped: Callable[[], Awaitable[Exception | None]]) -> None:
-        """stopped: why no set-points are followed (any more), once the joints stand; None while they are."""
+        """stopped: why the chain follows no set-points, once the joints stand; None while it follows them."""
         self._set_points = set_points
         self._stopped = stopped
         self._last = set_points.number

@@ -1,6 +1,6 @@
-"""`Device`: one joint of a chain, with all that is known of it. Its properties can be asked at any time; they send nothing.
+"""`Device`: one joint of a chain, with all that is known of it. Its properties may be read at any time; they send nothing.
 
-What they show comes from the PDOs that the drive sends, and from what was read by SDO. For more, or at once when it comes, take
+Their values come from the PDOs that the drive sends, and from objects read by SDO. To get each value at once when it comes, take
 the events: `async with joint.events(PdoReceived) as updates: ...`.
 """
 
@@ -27,12 +27,11 @@ E = TypeVar("E", bound=Event)
 
 
 class Device:
-    """A joint; see this module's text. name: as the chain calls it; axis: the core's view of the drive. cyclic: the objects that
-    it sends at SYNCs, by which it is known to be there (as far as there are none, its heartbeat has to tell): mux -> at every how
-    many. following: whether it does what its set-points say. limits: what set-points must not ask of it; what the drive says of
-    that itself is read each time that it begins to follow set-points.
+    """A joint; see this module's text. axis: the core's view of the drive. cyclic: the objects that it sends at every n-th SYNC
+    (mux -> n), which show that it is alive; without any, only its heartbeat does. following: whether the joint follows its
+    set-points. limits: for its set-points; the drive's own are read each time that it begins to follow set-points.
 
-    Positions are in the user's unit, which its AxisSettings say; in counts where nobody gave a scale.
+    Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
 
     def __init__(self, name: str, node: Node, axis: Axis) -> None:
@@ -59,7 +58,7 @@ class Device:
 
     @property
     def name(self) -> str:
-        """What its chain calls it."""
+        """Its name in the chain."""
         return self.node.name
 
     @property
@@ -74,8 +73,8 @@ class Device:
 
     @property
     def velocity(self) -> float | None:
-        """Actual velocity, per second: the drive's own (0x606C), unless its last position is newer by more than 100 ms; then from
-        its last two positions. None if neither was heard.
+        """Actual velocity, per second; None if it is not known. It is the drive's own (0x606C), unless the last position is newer
+        by more than 100 ms: then it is computed from the last two positions.
         """
         heard_at = self.node.remote.heard_at.get(VELOCITY_ACTUAL_VALUE)
         if heard_at is not None and (self._position is None or self._position[0] - heard_at <= FRESH):
@@ -89,7 +88,7 @@ class Device:
 
     @property
     def state(self) -> State:
-        """The CiA 402 state that the last statusword shows; UNKNOWN if there was none since the drive's last boot."""
+        """The CiA 402 state that the last statusword shows; UNKNOWN if none was heard since the drive's last boot."""
         return self.axis.state
 
     @property
@@ -114,12 +113,12 @@ class Device:
 
     @property
     def nmt_state(self) -> NmtState | None:
-        """What its heartbeat says, and where it has none, what we commanded."""
+        """The NMT state that its heartbeat shows; without a heartbeat, the one that we commanded."""
         return self.node.nmt_state
 
     @property
     def is_homed(self) -> bool:
-        """Whether it was homed, by this master, since it was switched on."""
+        """Whether this master has homed it since it was switched on."""
         return self.axis.is_homed
 
     @property
@@ -129,26 +128,26 @@ class Device:
 
     @property
     def largest_following_error(self) -> float:
-        """The largest one so far, whatever its sign; `following.largest_error` may be set back."""
+        """The largest absolute following error so far; `following.largest_error` may be reset."""
         return self.following.largest_error
 
     @property
     def may_move(self) -> bool:
-        """Whether it is in Operation enabled, as far as we know, or was last commanded there."""
+        """Whether it is known to be in Operation enabled, or was last commanded there."""
         return self.state is State.OPERATION_ENABLED or (self.node.was_enabled and not self.has_fault)
 
     @property
     def may_be_enabled(self) -> bool:
-        """Whether it is a drive that was heard and that still answers: a command under way may yet enable it."""
+        """Whether a command under way may yet enable it: it was heard, and still answers."""
         return self.state is not State.UNKNOWN and self.nmt_state is not NmtState.STOPPED
 
     @property
     def where(self) -> str:
-        """It, for people: "joint1 (node 3 on can0)"."""
+        """The joint and its place, for people: "joint1 (node 3 on can0)"."""
         return f"{self.name} ({self.node.where})"
 
     def describe(self) -> str:
-        """State, statusword and what else explains it, in one line for people."""
+        """State, statusword, error code and last emergency, in one line for people."""
         text = self.axis.describe()
         if self.emcy_time is not None:
             text += f" ({(self.node.now() - self.emcy_time) / SECOND:.3g} s ago)"

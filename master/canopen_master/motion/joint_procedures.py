@@ -1,4 +1,4 @@
-"""What a chain does with each of its joints, as procedures; the sequences themselves are in canopen_proto.drive."""
+"""The procedures that a chain runs for each of its joints; the sequences themselves are in canopen_proto.drive."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ DEVICE_TYPE: Final = "0x1000"
 """The one object that every device has: reading it shows whether the device answers at all."""
 HEARTBEAT: Final = "0x1017"
 HEARTBEATS_PER_TIMEOUT: Final = 3
-"""One lost frame, or one late one, is no lost node."""
+"""One lost or late frame does not make a lost node."""
 MAX_HEARTBEAT_MS: Final = 0xFFFF
 DRIVE_COMMANDS: Final = (CONTROLWORD, INTERPOLATION_SET_POINT)
-"""What a chain says to its joints in each cycle."""
+"""The objects that a chain sends to its joints in each cycle."""
 DRIVE_FEEDBACK: Final = (
     STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE, TORQUE_ACTUAL_VALUE, ERROR_CODE,
 )  # fmt: skip
-"""What it hears from them."""
+"""The objects that it hears from them."""
 
 
 class JointFailed(ProcedureError):
@@ -56,7 +56,7 @@ class JointFailed(ProcedureError):
 
 
 def of_joint(device: Device, procedure: Procedure[T]) -> Procedure[T]:
-    """The same procedure, whose failure says which joint's it is."""
+    """Run a procedure; its failure says which joint it was."""
     try:
         return (yield from procedure)
     except ProcedureError as error:
@@ -64,7 +64,7 @@ def of_joint(device: Device, procedure: Procedure[T]) -> Procedure[T]:
 
 
 def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFailed | None]:
-    """The same procedure, whose failure is its result: what runs beside it goes on."""
+    """Run a procedure; its failure is its result, so that the procedures beside it go on."""
     try:
         yield from procedure
     except ProcedureError as error:
@@ -73,9 +73,9 @@ def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFail
 
 
 def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
-    """See whether the node answers reading an object. One that was stopped cannot, and becomes pre-operational for it.
+    """Read an object to see whether the node answers. A node in state Stopped cannot answer, and is made pre-operational first.
 
-    Whoever used a drive before us has left it stopped: that is how a chain, and the manual's shutdownDevice, end.
+    The last program that used the drive has left it stopped: a chain, and the manual's shutdownDevice, end so.
     """
     if node.nmt_state is not NmtState.STOPPED:
         try:
@@ -93,7 +93,7 @@ def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
 
 
 def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: bool) -> Procedure[None]:
-    """Exchange these PDOs with the joint, at each SYNC; define: and declare them to it before."""
+    """Exchange these PDOs with the joint, at each SYNC. define: declare them to the device before."""
     node = device.node.remote
     tpdos = [Mapping.from_description(each) for each in pdos if each.direction is Direction.TPDO]
     device.cyclic = {mux: 1 for mapping in tpdos for mux in mapping.muxes}
@@ -105,7 +105,7 @@ def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: boo
 
 
 def exchange_own(device: Device) -> Procedure[None]:
-    """Exchange the PDOs that the joint's own dictionary describes; at least one has to carry the set-points."""
+    """Exchange the PDOs that the joint's own dictionary describes; one of them must carry the set-points."""
     exchanged = yield from exchange_described(device.node.remote, DRIVE_COMMANDS, DRIVE_FEEDBACK)
     if INTERPOLATION_SET_POINT in exchanged.missing:
         source = device.node.dictionary.source or "its dictionary"
@@ -114,7 +114,7 @@ def exchange_own(device: Device) -> Procedure[None]:
 
 
 def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
-    """See whether the joint answers and what it is, exchange PDOs with it, have it send its heartbeat if that is supervised."""
+    """See that the joint answers, identify it, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
     node = device.node.remote
     yield from awake(device.node)
     yield from identify(device.axis)
@@ -131,7 +131,7 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
 
 
 def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[Limit]:
-    """Halt the joint, read its limits, then let it follow set-points from where it stands; how far off them it may be.
+    """Halt the joint, read its limits, and let it follow set-points from where it stands. Returns how far off them it may be.
 
     cycle_time: ns.
     """
@@ -143,7 +143,7 @@ def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> P
 
 
 def stop(device: Device) -> Procedure[None]:
-    """Halt the joint, and wait until it stands, also at the end of a fault reaction; of one in fault, read the error code."""
+    """Halt the joint, and wait until it stands, also at the end of a fault reaction. Of a joint in fault, read the error code."""
     if device.has_fault:
         yield from read_if_present(device.node.remote, "0x603F")
     yield from halt(device.axis)

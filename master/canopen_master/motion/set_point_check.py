@@ -17,9 +17,9 @@ NARROWER = "a path within the limits of the joint: its `limits` tells them"
 
 
 def check_set_point(device: Device, start: float, target: float, time: Time) -> None:
-    """Raise SetPointRefused for a set-point that the joint must not be asked for; its `limits` count.
+    """Raise SetPointRefused for a set-point beyond the `limits` of the joint, or one that its object cannot hold.
 
-    start: the set-point that it comes from; time: ns in which it is to get from there to `target`.
+    start: the set-point before. time: ns for the way from there to `target`.
     """
     axis = device.axis
     if axis.settings.counts_per_unit is None:
@@ -34,7 +34,7 @@ def check_set_point(device: Device, start: float, target: float, time: Time) -> 
 
 
 def check_limits(device: Device, start: float, target: float, time: Time) -> None:
-    """As `check_set_point`, for a set-point that is known to be a number that the drive's object can hold."""
+    """As `check_set_point`, for a set-point that is known to fit the drive's object."""
     excess = device.limits.excess(start, target, time)
     if excess is not None:
         raise refused(device, target, *_words(excess, start))
@@ -46,7 +46,7 @@ def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = (
 
 
 def _words(excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:
-    """What was seen, and what to try."""
+    """`seen` and `tries` of the error."""
     limit, source = f"{excess.limit.value:.6g}", excess.limit.source
     if excess.is_speed:
         return f"from {start:.6g} that is {excess.value:.6g} per second, more than {limit}: {source}", (FINER, FASTER)

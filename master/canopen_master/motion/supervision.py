@@ -1,15 +1,14 @@
 """`Supervision`: tells a chain which of its joints has failed, and why.
 
-From the end of `initialise` to `shut_down`: a joint that falls into fault, is reset, no longer sends its heartbeat, or no longer
-answers node guarding. While set-points are followed, also whatever `canopen_proto.drive.following` sees of each drive, from what
-comes in each cycle.
+From the end of `initialise` to `shut_down` it reports a joint that falls into fault, is reset, no longer sends its heartbeat, or
+no longer answers node guarding. While set-points are followed, it also reports every finding of `canopen_proto.drive.following`,
+which judges the values of each cycle.
 
-What a joint does not send at SYNCs by itself is read by SDO beside the cycle: with the PDOs of the manual's arm the mode of
-operation (0x6061). The joints take turns, one request behind each SYNC, and none waits for another's answer. So another mode that
-shows in nothing else is seen that much later: a cycle for each joint of the chain (60 ms for six joints at 10 ms), and an SDO
-time-out for each answer of this joint that is lost. An SDO transfer that is under way with a joint holds up the reads of this
-joint, unless it has a further SDO channel that is free. A joint that could not be read for three SDO time-outs (1.5 s) has
-failed.
+Objects that a joint does not send at SYNCs are read by SDO beside the cycle: with the PDOs of the manual's arm the mode of
+operation (0x6061). The joints take turns, one request behind each SYNC, and none waits for another's answer. So a changed mode is
+seen late: after a cycle for each joint of the chain (60 ms for six joints at 10 ms), and an SDO time-out for each lost answer of
+this joint. An SDO transfer under way with a joint delays its reads, unless it has another SDO channel that is free. A joint that
+could not be read for three SDO time-outs (1.5 s) has failed.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
 
 RECENT: Final = 1 * SECOND
-"""What another master said within this time may be the reason why a joint does not follow."""
+"""A command of another master within this time may be the reason why a joint does not follow."""
 
 SILENT: Final = (
     "its power is off, its cable is loose, or it was stopped; or it does not send its PDO at each SYNC (then "
@@ -40,10 +39,10 @@ SILENT: Final = (
 
 
 class Supervision:
-    """See this module's text. is_on: whether failures are told at all."""
+    """See this module's text. is_on: whether failures are reported."""
 
     def __init__(self, participant: Participant, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
-        """failed: called in the pump's turn with the joint, what it did, as "fell into fault", and the likely cause, or "".
+        """failed: called in the pump's turn with the joint, what it did, such as "fell into fault", and the likely cause, or "".
 
         It may be called several times for one failure.
         """
@@ -57,13 +56,13 @@ class Supervision:
             device.node.watch(kinds, partial(self._on_event, device))
 
     def begin_following(self, limits: Sequence[Limit], silent_cycles: int) -> None:
-        """The joints follow set-points from now on. limits: of their following errors. silent_cycles: as in ChainSettings."""
+        """Watch joints that now follow set-points. limits: of their following errors. silent_cycles: see ChainSettings."""
         for device, limit in zip(self._devices, limits, strict=True):
             device.following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=device.cyclic, silent_syncs=silent_cycles)
         self._reading, _ = self._participant.launch(read_unsent([device.following for device in self._devices]))
 
     def end_following(self) -> None:
-        """They do not any more."""
+        """Stop watching: the joints no longer follow set-points."""
         for device in self._devices:
             device.following.end()
         reading, self._reading = self._reading, None
@@ -90,7 +89,7 @@ class Supervision:
 
 
 def foreign_commands(device: Device, bus: Bus) -> str:
-    """Which commands of others were heard lately that may be why a joint does not follow, for people; "" for none."""
+    """Commands of other masters heard lately, which may be why a joint does not follow, for people; "" if there are none."""
     node_id, now = device.node.node_id, device.node.now()
     keys = {"an NMT command": NMT, "an SDO request to it": SDO_CLIENT_TO_SERVER + node_id}
     if not bus.hears_own_sync:
