@@ -62,6 +62,7 @@ async def test_from_power_on_to_motion_and_back() -> None:
         assert [position_of(host, node) for node in drives(host)] == [5730, -11459]
         assert arm.missed_cycles == 5  # since the break
         await arm.shut_down()
+        await trio.sleep(0.001)  # nothing confirms the last command: the devices take it in a moment later
         assert arm.state is ChainState.OFF
         assert all(node.drive.state is State.SWITCH_ON_DISABLED for node in drives(host))
         assert all(node.state is NmtState.STOPPED for node in host.nodes)
