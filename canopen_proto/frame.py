@@ -138,4 +138,6 @@ def flags_of(key: RoutingKey) -> int:
 
 def frame_for_key(key: RoutingKey, data: bytes) -> Frame:
     """Return a data frame with the CAN-ID of a routing key."""
-    return Frame(can_id_of(key), data, flags_of(key) & EXTENDED)
+    if key & KEY_EXTENDED:
+        return Frame(key & 0x1FFFFFFF, data, EXTENDED)
+    return Frame(key, data)

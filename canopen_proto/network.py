@@ -67,7 +67,7 @@ class Network:
 
     __slots__ = (
         "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_now", "_reactions", "_routes", "_settled",
-        "_times", "out", "runner",
+        "_tasks", "_times", "out", "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
@@ -92,6 +92,7 @@ class Network:
             runner = Runner(self.out)
             self.attach(runner)
         self.runner = runner
+        self._tasks = runner.tasks  # asked for at each drain
 
     def attach(self, machine: Machine) -> None:
         """Route frames to a machine that was made with this network's `out`, and wake it at its deadlines."""
@@ -117,8 +118,7 @@ class Network:
         out = self.out
         if out.rerouted:
             self._members.refresh()
-        root = out.root
-        root.timestamp = timestamp
+        out.root.timestamp = timestamp
         key = frame.key
         for machine in self._routes.get(key, ()):
             machine.receive(frame, now)
@@ -129,7 +129,8 @@ class Network:
                 reaction(events[settled], now)
             settled += 1
         self._settled = settled
-        root.timestamp = None
+        if timestamp is not None:
+            out.root.timestamp = None
         if settled > MAX_UNDRAINED_EVENTS:
             self._shed()
         if key < SLOTS:
@@ -191,9 +192,10 @@ class Network:
         now = max(now, self._now)
         self._now = now
         self._members.handle_timeout(now)
-        self._settle(now)
-        if len(self.out.events) > MAX_UNDRAINED_EVENTS:
-            self._shed()
+        if len(self.out.events) > self._settled:
+            self._settle(now)
+            if self._settled > MAX_UNDRAINED_EVENTS:
+                self._shed()
 
     def drain(self, now: Time) -> tuple[list[Frame], list[Event]]:
         """The frames to send and the events to deliver since the last drain, each in order."""
@@ -204,7 +206,7 @@ class Network:
         frames, events = out.frames, out.events
         if len(events) > self._settled:
             self._settle(now)
-        if self.runner.tasks:
+        if self._tasks:
             self._feed(now)
         to_send: list[Frame] = []
         to_deliver: list[Event] = []
