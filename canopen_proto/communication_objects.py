@@ -37,6 +37,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import CAN_ID_AND_FRAME, check_can_id, check_cob_id, is_valid
 from canopen_proto.datatypes import Value, range_of
@@ -62,17 +63,17 @@ TIME_PRODUCER_BIT: Final = 1 << 30
 TIME_CONSUMER_BIT: Final = 1 << 31
 _TIME_BITS: Final = TIME_PRODUCER_BIT | TIME_CONSUMER_BIT
 
-ERROR_REGISTER: Final = mux(0x1001)
-ERROR_HISTORY: Final = mux(0x1003)
-COB_ID_SYNC: Final = mux(0x1005)
-CYCLE_PERIOD: Final = mux(0x1006)
-GUARD_TIME: Final = mux(0x100C)
-LIFE_TIME_FACTOR: Final = mux(0x100D)
-COB_ID_TIME: Final = mux(0x1012)
-COB_ID_EMCY: Final = mux(0x1014)
+ERROR_REGISTER: Final = mux(indices.ERROR_REGISTER)
+ERROR_HISTORY: Final = mux(indices.PREDEFINED_ERROR_FIELD)
+COB_ID_SYNC: Final = mux(indices.COB_ID_SYNC)
+CYCLE_PERIOD: Final = mux(indices.COMMUNICATION_CYCLE_PERIOD)
+GUARD_TIME: Final = mux(indices.GUARD_TIME)
+LIFE_TIME_FACTOR: Final = mux(indices.LIFE_TIME_FACTOR)
+COB_ID_TIME: Final = mux(indices.COB_ID_TIME_STAMP)
+COB_ID_EMCY: Final = mux(indices.COB_ID_EMERGENCY)
 EMCY_INHIBIT_TIME: Final = mux(0x1015)
-PRODUCER_HEARTBEAT: Final = mux(0x1017)
-SYNC_OVERFLOW: Final = mux(0x1019)
+PRODUCER_HEARTBEAT: Final = mux(indices.PRODUCER_HEARTBEAT_TIME)
+SYNC_OVERFLOW: Final = mux(indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE)
 LAST_ERROR_BEHAVIOUR: Final = 2
 """Of 0x1029: 0 pre-operational, 1 no change, 2 stopped."""
 
@@ -112,7 +113,7 @@ class CommunicationObjects(Owner):
         self._members = members
         self.node_id = node_id
         self.values = values
-        history = values.dictionary.objects.get(0x1003)
+        history = values.dictionary.objects.get(indices.PREDEFINED_ERROR_FIELD)
         length = DEFAULT_HISTORY_LENGTH if history is None else min(max(1, len(history.variables) - 1), MAX_HISTORY)
         self.emcy = EmcyProducer(out, node_id, history_length=length)
         self.heartbeat = HeartbeatProducer(out, node_id)
@@ -125,17 +126,17 @@ class CommunicationObjects(Owner):
         self.time_consumer = TimeConsumer(out, None)
         self.emcy.set_enabled(False, 0)  # until the boot-up frame is out
         self._effects: dict[int, Callable[[Time], None]] = {
-            0x1003: self._clear_history,
-            0x1005: self._set_sync,
-            0x1006: self._set_sync,
-            0x100C: self._set_guarding,
-            0x100D: self._set_guarding,
-            0x1012: self._set_time,
+            indices.PREDEFINED_ERROR_FIELD: self._clear_history,
+            indices.COB_ID_SYNC: self._set_sync,
+            indices.COMMUNICATION_CYCLE_PERIOD: self._set_sync,
+            indices.GUARD_TIME: self._set_guarding,
+            indices.LIFE_TIME_FACTOR: self._set_guarding,
+            indices.COB_ID_TIME_STAMP: self._set_time,
             0x1014: self._set_emcy,
             0x1015: self._set_emcy_inhibit,
-            0x1016: self._set_monitors,
-            0x1017: self._set_heartbeat,
-            0x1019: self._set_sync,
+            indices.CONSUMER_HEARTBEAT_TIME: self._set_monitors,
+            indices.PRODUCER_HEARTBEAT_TIME: self._set_heartbeat,
+            indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE: self._set_sync,
             0x1028: self._set_emcy_consumers,
         }
         for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer, self.time_consumer):
@@ -188,11 +189,15 @@ class CommunicationObjects(Owner):
     def refresh(self, index: int, subindex: int) -> AbortCode | None:
         """Copy 0x1001 or 0x1003 into the values before a read. Returns NO_DATA for an entry of 0x1003 beyond the last error."""
         store = self.values.store
-        if index == 0x1001 and self._has_room(0x1001, 0, BYTE):
+        if index == indices.ERROR_REGISTER and self._has_room(indices.ERROR_REGISTER, 0, BYTE):
             store[ERROR_REGISTER] = self.emcy.error_register
-        elif index == 0x1003 and self._has_room(0x1003, 0, BYTE):
+        elif index == indices.PREDEFINED_ERROR_FIELD and self._has_room(indices.PREDEFINED_ERROR_FIELD, 0, BYTE):
             shown = {mux(0x1003, number): entry for number, entry in enumerate(self.emcy.history, start=1)}
-            shown = {key: entry for key, entry in shown.items() if self._has_room(0x1003, subindex_of(key), MAX_NUMBER)}
+            shown = {
+                key: entry
+                for key, entry in shown.items()
+                if self._has_room(indices.PREDEFINED_ERROR_FIELD, subindex_of(key), MAX_NUMBER)
+            }
             store.update(shown)
             store[ERROR_HISTORY] = len(shown)
             if subindex and (key := ERROR_HISTORY + subindex) in store and key not in shown:
@@ -208,29 +213,29 @@ class CommunicationObjects(Owner):
     # ---- as the owner of these objects ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        if index == 0x1003:
+        if index == indices.PREDEFINED_ERROR_FIELD:
             return None if value == 0 and subindex == 0 else AbortCode.INVALID_VALUE
         standing = self.values.store.get(mux(index, subindex))
         if not isinstance(value, int) or not isinstance(standing, int) or value == standing:
             return None
         match index:
-            case 0x1005:
+            case indices.COB_ID_SYNC:
                 return check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
-            case 0x1006 if value and value < MIN_SYNC_PERIOD_US:
+            case indices.COMMUNICATION_CYCLE_PERIOD if value and value < MIN_SYNC_PERIOD_US:
                 return AbortCode.INVALID_VALUE
-            case 0x1012:
+            case indices.COB_ID_TIME_STAMP:
                 return check_cob_id(value, standing, in_use=bool(standing & _TIME_BITS and value & _TIME_BITS))
-            case 0x1014 if not value & COB_ID_INVALID:
+            case indices.COB_ID_EMERGENCY if not value & COB_ID_INVALID:
                 return check_cob_id(value, standing, in_use=not standing & COB_ID_INVALID)
-            case 0x1016:
+            case indices.CONSUMER_HEARTBEAT_TIME:
                 return self._check_monitor(subindex, value)
-            case 0x1019:
+            case indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
                 if self._int(CYCLE_PERIOD):
                     return AbortCode.DEVICE_STATE
                 return None if _is_overflow(value) else AbortCode.INVALID_VALUE
-            case 0x1028 if not value & COB_ID_INVALID:
+            case indices.EMERGENCY_CONSUMER if not value & COB_ID_INVALID:
                 return check_cob_id(value, standing, in_use=is_valid(standing))
-            case 0x1029 if value > LAST_ERROR_BEHAVIOUR:
+            case indices.ERROR_BEHAVIOR if value > LAST_ERROR_BEHAVIOUR:
                 return AbortCode.INVALID_VALUE
         return None
 
@@ -245,7 +250,7 @@ class CommunicationObjects(Owner):
         node_id, period = value >> 16 & 0xFF, value & 0xFFFF
         if not 1 <= node_id <= MAX_NODE_ID or period == 0:
             return None  # an entry that is not used
-        for other, standing in self._entries(0x1016).items():
+        for other, standing in self._entries(indices.CONSUMER_HEARTBEAT_TIME).items():
             if other != subindex and standing & 0xFFFF and standing >> 16 & 0xFF == node_id:
                 return AbortCode.PARAMETER_INCOMPATIBLE
         return None
@@ -261,7 +266,9 @@ class CommunicationObjects(Owner):
     def _clear_history(self, now: Time) -> None:
         self.emcy.clear_history()
         for key in self.values.store:
-            if index_of(key) == 0x1003 and self._has_room(0x1003, subindex_of(key), BYTE):
+            if index_of(key) == indices.PREDEFINED_ERROR_FIELD and self._has_room(
+                indices.PREDEFINED_ERROR_FIELD, subindex_of(key), BYTE
+            ):
                 self.values.store[key] = 0
 
     def _set_emcy(self, now: Time) -> None:
@@ -276,7 +283,7 @@ class CommunicationObjects(Owner):
 
     def _set_monitors(self, now: Time) -> None:
         wanted: dict[int, Time] = {}
-        for entry in self._entries(0x1016).values():
+        for entry in self._entries(indices.CONSUMER_HEARTBEAT_TIME).values():
             node_id, period = entry >> 16 & 0xFF, entry & 0xFFFF
             if 1 <= node_id <= MAX_NODE_ID and period:
                 wanted.setdefault(node_id, period * MILLISECOND)
@@ -292,7 +299,7 @@ class CommunicationObjects(Owner):
 
     def _set_emcy_consumers(self, now: Time) -> None:
         """While EMCY lives, one consumer for each valid entry of 0x1028, whose subindex is the node-ID."""
-        entries = self._entries(0x1028).items() if self._lives(Service.EMCY) else ()
+        entries = self._entries(indices.EMERGENCY_CONSUMER).items() if self._lives(Service.EMCY) else ()
         wanted = {node_id: key_of_cob_id(entry) for node_id, entry in entries if node_id <= MAX_NODE_ID and is_valid(entry)}
         for node_id in [each for each, consumer in self.emcy_consumers.items() if wanted.get(each) != consumer.key]:
             self._members.detach(self.emcy_consumers.pop(node_id))

@@ -32,6 +32,7 @@ from __future__ import annotations
 import datetime
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.application import Application, PlainMemory
 from canopen_proto.communication_errors import (
@@ -74,7 +75,6 @@ ALL_OBJECTS: Final = range(0x10000)
 COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
 """The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
 
-ERROR_BEHAVIOUR: Final = 0x1029
 COMMUNICATION_ERROR: Final = 1
 """Subindex of 0x1029: CAN off the bus, a lost heartbeat, life guarding. The further ones are the device profile's: in CiA 401
 output errors (2) and input errors (3). CiA 301 v4.2.0, 7.5.2.32"""
@@ -398,7 +398,7 @@ class LocalNode(Group):
             return
         if self._errors.sync_length:
             self._errors.sync_good(now)
-        self.communication.refresh(0x1001, 0)
+        self.communication.refresh(indices.ERROR_REGISTER, 0)
         self.application.refresh(now)
         mark = len(self.inner.events)
         self.pdos.on_sync(sync.counter, now)
@@ -426,7 +426,7 @@ class LocalNode(Group):
         self.pdos.trigger(mux(report.index, report.subindex), now)
 
     def _on_emcy_sent(self, sent: EmcySent, now: Time) -> None:
-        self.communication.refresh(0x1001, 0)
+        self.communication.refresh(indices.ERROR_REGISTER, 0)
         self.pdos.trigger(ERROR_REGISTER, now)
 
     def _on_length_error(self, report: PdoLengthError, now: Time) -> None:
@@ -460,7 +460,7 @@ class LocalNode(Group):
 
     def _behave(self, error_class: int, now: Time) -> None:
         """Do what 0x1029 says: 0 pre-operational, but only from operational; 1 nothing; 2 stopped. CiA 301 v4.2.0, 7.5.2.32"""
-        behaviour = self.values.store.get(mux(ERROR_BEHAVIOUR, error_class), 0)
+        behaviour = self.values.store.get(mux(indices.ERROR_BEHAVIOR, error_class), 0)
         if behaviour == 0 and self.state is NmtState.OPERATIONAL:
             self.nmt.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now)
         elif behaviour == 2:

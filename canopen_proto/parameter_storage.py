@@ -34,6 +34,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, range_of
 from canopen_proto.dictionary import Values, Variable
@@ -41,8 +42,8 @@ from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.owner import Owner
 from canopen_proto.sdo.channels import is_dynamic
 
-STORE: Final = 0x1010
-RESTORE: Final = 0x1011
+STORE: Final = indices.STORE_PARAMETERS
+RESTORE: Final = indices.RESTORE_DEFAULT_PARAMETERS
 SIGNATURES: Final = {STORE: 0x65766173, RESTORE: 0x64616F6C}
 """The values that a client has to write: ASCII "save" and "load", as little-endian numbers. CiA 301 v4.2.0, figures 54 and 58"""
 ON_COMMAND: Final = 0x01
@@ -55,7 +56,17 @@ GROUPS: Final[Mapping[int, Collection[int]]] = {
     **dict.fromkeys(range(4, 128), range(0x2000, 0x6000)),
 }
 ALL_INDICES: Final = range(0x10000)
-NO_PARAMETERS: Final = frozenset({0x1003, STORE, RESTORE, 0x1023, 0x1024, 0x1025, 0x1026})
+NO_PARAMETERS: Final = frozenset(
+    {
+        indices.PREDEFINED_ERROR_FIELD,
+        STORE,
+        RESTORE,
+        indices.OS_COMMAND,
+        indices.OS_COMMAND_MODE,
+        indices.OS_DEBUGGER_INTERFACE,
+        indices.OS_PROMPT,
+    }
+)
 """Communication objects that can be written but are not parameters: error history, storage, OS commands, debugger, prompt."""
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import STATUS_PATTERNS, ControlBit, State, StatusBit
@@ -27,7 +28,6 @@ from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
 PROFILE: Final = 402
 """Low word of a drive's device type."""
 
-_DEVICE_TYPE: Final = 0x1000
 _AXIS: Final = 0x800
 _AXES: Final = 8
 
@@ -101,7 +101,7 @@ def names_in_mode(names: Iterable[str], mode: int | None) -> tuple[str, ...]:
 
 def is_drive(dictionary: ObjectDictionary) -> bool:
     """Return whether a dictionary is that of a drive; see this module's text."""
-    device_type = dictionary.get(_DEVICE_TYPE)
+    device_type = dictionary.get(indices.DEVICE_TYPE)
     value = device_type.initial_of(0) if device_type is not None else 0
     profile = value & 0xFFFF if isinstance(value, int) else 0
     words = objects.CONTROLWORD, objects.STATUSWORD

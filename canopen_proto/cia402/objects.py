@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.multiplexer import mux
 
-VENDOR_ID: Final = mux(0x1018, 1)
+VENDOR_ID: Final = mux(indices.IDENTITY_OBJECT, 1)
 ABORT_CONNECTION_OPTION_CODE: Final = mux(0x6007)
 ERROR_CODE: Final = mux(0x603F)
 CONTROLWORD: Final = mux(0x6040)

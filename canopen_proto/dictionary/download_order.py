@@ -30,6 +30,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
+from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_INVALID
@@ -42,7 +43,7 @@ CONSUMES: Final = 1 << 31
 NO_DOWNLOAD: Final = 1
 """ObjFlags, bit 0: refuses to be written by a download. CiA 306-1."""
 
-_RPDO, _TPDO = 0x1400, 0x1800  # first communication parameters
+_RPDO, _TPDO = indices.RPDO1_COMMUNICATION_PARAMETER, indices.TPDO1_COMMUNICATION_PARAMETER  # first communication parameters
 _PDO_RECORDS: Final = range(0x1400, 0x1C00)
 _TO_MAPPING: Final = 0x200
 _RESERVED_SUBINDEX: Final = 4
@@ -51,18 +52,18 @@ MPDO_COUNTS: Final = (0xFE, 0xFF)
 _COMMUNICATION: Final = range(0x1000, 0x2000)
 
 NOT_SETTINGS: Final = {
-    0x1003: "a history",
-    0x1010: "a command: store",
-    0x1011: "a command: restore",
-    0x1023: "a command to the device's operating system",
-    0x1024: "a command to the device's operating system",
-    0x1025: "a command to the device's operating system",
-    0x1026: "a dialogue with the device's operating system",
-    0x1200: "the SDO channel of this very download",
-    0x1F50: "a program, which is downloaded on purpose only",
-    0x1F51: "a command: program control",
-    0x1F82: "a command: request NMT",
-    0x1F83: "a command: request guarding",
+    indices.PREDEFINED_ERROR_FIELD: "a history",
+    indices.STORE_PARAMETERS: "a command: store",
+    indices.RESTORE_DEFAULT_PARAMETERS: "a command: restore",
+    indices.OS_COMMAND: "a command to the device's operating system",
+    indices.OS_COMMAND_MODE: "a command to the device's operating system",
+    indices.OS_DEBUGGER_INTERFACE: "a command to the device's operating system",
+    indices.OS_PROMPT: "a dialogue with the device's operating system",
+    indices.SDO_SERVER_PARAMETER: "the SDO channel of this very download",
+    indices.PROGRAM_DATA: "a program, which is downloaded on purpose only",
+    indices.PROGRAM_CONTROL: "a command: program control",
+    indices.REQUEST_NMT: "a command: request NMT",
+    indices.REQUEST_GUARDING: "a command: request guarding",
     **{0x6040 + 0x800 * axis: "a command: control word" for axis in range(8)},
 }
 """Writable objects that are no settings; the control word would move a drive. CiA 301 v4.2.0, 7.5.2; CiA 302; CiA 402-2."""
@@ -282,8 +283,8 @@ def switches_of(key: Mux) -> tuple[Mux, ...]:
     index, subindex = split_mux(key)
     if index in _PDO_RECORDS:
         return (mux(index & ~_TO_MAPPING, 1),)
-    if index == 0x1019:
-        return (mux(0x1006),)
+    if index == indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
+        return (mux(indices.COMMUNICATION_CYCLE_PERIOD),)
     if 0x1201 <= index < 0x1300 and subindex == 3:  # the node-ID at the other end
         return (mux(index, 1), mux(index, 2))
     return ()

@@ -25,6 +25,7 @@ from collections.abc import Collection, Mapping
 from enum import StrEnum
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.download_order import reason_to_leave_out
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
@@ -35,7 +36,7 @@ IO_PROFILE: Final = 401
 DRIVE_PROFILE: Final = 402
 _PROFILE_MASK: Final = 0xFFFF
 _COMMUNICATION: Final = range(0x1000, 0x2000)
-_ERROR_STATE: Final = (0x1001, 0x1002, 0x1003)
+_ERROR_STATE: Final = (indices.ERROR_REGISTER, 0x1002, indices.PREDEFINED_ERROR_FIELD)
 """Error register, manufacturer status register, history: they tell what is, whether a PDO may carry them or not."""
 _AXES: Final = range(0x6000, 0xA000)
 _PER_AXIS: Final = 0x800
@@ -62,7 +63,7 @@ _OUTPUTS: Final = (
 )
 """Of CiA 401."""
 
-_RPDO, _RPDO_MAPPING, _RPDOS = 0x1400, 0x1600, 512
+_RPDO, _RPDO_MAPPING, _RPDOS = indices.RPDO1_COMMUNICATION_PARAMETER, indices.RPDO1_MAPPING_PARAMETER, 512
 
 
 class Role(StrEnum):
@@ -117,7 +118,7 @@ def roles_in(dictionary: ObjectDictionary, values: Mapping[Mux, Value]) -> dict[
 
 def profile_in(values: Mapping[Mux, Value]) -> int | None:
     """The number of the device profile, by the device type (0x1000) among a device's values; None where it tells none."""
-    device_type = values.get(mux(0x1000))
+    device_type = values.get(mux(indices.DEVICE_TYPE))
     return (device_type & _PROFILE_MASK) or None if isinstance(device_type, int) else None
 
 

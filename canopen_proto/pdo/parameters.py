@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import Value
@@ -48,8 +49,6 @@ from canopen_proto.pdo.settings import (
 )
 
 INHIBIT_UNIT: Final = 100 * MICROSECOND
-SYNC_WINDOW: Final = 0x1007
-"""Index of the synchronous window length, in us; 0 is none. CiA 301 v4.2.0, 7.5.2.7"""
 
 MAX_TIME: Final = 0xFFFF_FFFF
 """Most that a time counts for, in its own unit: more than UNSIGNED32 is a file's mistake, and must not reach NEVER."""
@@ -116,7 +115,12 @@ class DevicePdos(Owner):
     @staticmethod
     def owns(index: int) -> bool:
         """Whether an object is a PDO parameter, whose writes are to be asked and told here."""
-        return index == SYNC_WINDOW or place_of(index) is not None or index in SCANNER_LISTS or index in DISPATCHER_LISTS
+        return (
+            index == indices.SYNCHRONOUS_WINDOW_LENGTH
+            or place_of(index) is not None
+            or index in SCANNER_LISTS
+            or index in DISPATCHER_LISTS
+        )
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
         """Whether the device is in NMT state Operational, in which alone PDOs live.
@@ -171,7 +175,7 @@ class DevicePdos(Owner):
         if place is not None and place.number in (self.consumers if place.direction == Direction.RPDO else self.producers):
             self._configure(place.direction, place.number, now)
             self._sort()
-        elif index == SYNC_WINDOW:
+        elif index == indices.SYNCHRONOUS_WINDOW_LENGTH:
             self._set_window()
         elif index in SCANNER_LISTS:
             self.mpdo_producer.reload_lists()
@@ -228,7 +232,7 @@ class DevicePdos(Owner):
                 self._triggers.setdefault(each, []).append(producer)
 
     def _set_window(self) -> None:
-        window = min(number_at(self._values.store, mux(SYNC_WINDOW)), MAX_TIME) * MICROSECOND
+        window = min(number_at(self._values.store, mux(indices.SYNCHRONOUS_WINDOW_LENGTH)), MAX_TIME) * MICROSECOND  # 0: none
         for consumer in self.consumers.values():
             consumer.set_window(window)
 

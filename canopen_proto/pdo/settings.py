@@ -21,6 +21,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, encode
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR
@@ -39,7 +40,7 @@ EVENT_TIMER: Final = 5
 SYNC_START: Final = 6
 """Of TPDOs only."""
 
-_FIRST: Final = {Direction.RPDO: 0x1400, Direction.TPDO: 0x1800}
+_FIRST: Final = {Direction.RPDO: indices.RPDO1_COMMUNICATION_PARAMETER, Direction.TPDO: indices.TPDO1_COMMUNICATION_PARAMETER}
 _MAPPING: Final = 0x200  # from the communication to the mapping parameter
 
 

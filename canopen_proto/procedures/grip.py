@@ -31,6 +31,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.guarding import MAX_LIFE_TIME_FACTOR, GuardingAnswered
@@ -38,16 +39,12 @@ from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time, check_n
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, act, download, upload
 from canopen_proto.remote_node import RemoteNode
 
-CONSUMER_HEARTBEAT: Final = 0x1016
-PRODUCER_HEARTBEAT: Final = 0x1017
-GUARD_TIME: Final = 0x100C
-LIFE_TIME_FACTOR: Final = 0x100D
 ABORT_CONNECTION: Final = 0x6007
 _NAMES: Final = {
-    CONSUMER_HEARTBEAT: "consumer heartbeat time",
-    PRODUCER_HEARTBEAT: "producer heartbeat time",
-    GUARD_TIME: "guard time",
-    LIFE_TIME_FACTOR: "life time factor",
+    indices.CONSUMER_HEARTBEAT_TIME: "consumer heartbeat time",
+    indices.PRODUCER_HEARTBEAT_TIME: "producer heartbeat time",
+    indices.GUARD_TIME: "guard time",
+    indices.LIFE_TIME_FACTOR: "life time factor",
     ABORT_CONNECTION: "abort connection option code",
 }
 
@@ -175,23 +172,23 @@ def _watch_master(hold: Hold, grip: Grip) -> Procedure[None]:
 
 
 def _consume_heartbeat(hold: Hold, grip: Grip) -> Procedure[None]:
-    count = yield from _read(hold, CONSUMER_HEARTBEAT, 0)
+    count = yield from _read(hold, indices.CONSUMER_HEARTBEAT_TIME, 0)
     place, others = 0, []
     for subindex in range(1, (count & 0xFF) + 1):
-        entry = yield from _read(hold, CONSUMER_HEARTBEAT, subindex)
+        entry = yield from _read(hold, indices.CONSUMER_HEARTBEAT_TIME, subindex)
         node_id = entry >> 16 & 0xFF
         if not entry & 0xFFFF or not 1 <= node_id <= MAX_NODE_ID:
             place = place or subindex
         elif node_id == grip.node_id:
             place = subindex
             if entry == grip.entry:  # left by a master that died
-                hold.before.setdefault((CONSUMER_HEARTBEAT, subindex), bytes(4))
+                hold.before.setdefault((indices.CONSUMER_HEARTBEAT_TIME, subindex), bytes(4))
             break
         else:
             others.append(str(node_id))
     if not place:
         raise _Gap(f"all entries of 0x1016 are in use (node {', '.join(others)})" if others else "0x1016 has no entries")
-    yield from _set(hold, CONSUMER_HEARTBEAT, place, grip.entry, 4)
+    yield from _set(hold, indices.CONSUMER_HEARTBEAT_TIME, place, grip.entry, 4)
 
 
 def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
@@ -203,11 +200,12 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
     if is_guarded:  # guarding was started elsewhere
         guard_time, factor = -(-node.guarding.guard_time // MILLISECOND), MIN_LIFE_TIME_FACTOR
     try:
-        yield from _read(hold, LIFE_TIME_FACTOR, 0)
-        if (yield from _read_if_present(hold, PRODUCER_HEARTBEAT, 0)):  # else it has no heartbeat, or does not send it
-            yield from _set(hold, PRODUCER_HEARTBEAT, 0, 0, 2)
-        yield from _set(hold, GUARD_TIME, 0, guard_time, 2)
-        yield from _set(hold, LIFE_TIME_FACTOR, 0, factor, 1)
+        yield from _read(hold, indices.LIFE_TIME_FACTOR, 0)
+        period = yield from _read_if_present(hold, indices.PRODUCER_HEARTBEAT_TIME, 0)
+        if period:  # else it has no heartbeat, or does not send it
+            yield from _set(hold, indices.PRODUCER_HEARTBEAT_TIME, 0, 0, 2)
+        yield from _set(hold, indices.GUARD_TIME, 0, guard_time, 2)
+        yield from _set(hold, indices.LIFE_TIME_FACTOR, 0, factor, 1)
         if not (hold.guards or is_guarded):
             yield from act(lambda now: node.start_guarding(guard_time * MILLISECOND, factor, now))
             hold.guards = True

@@ -35,6 +35,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary.download_order import download_order, switches_of
@@ -71,8 +72,13 @@ MAX_HEARTBEAT_WAIT: Final = 10 * SECOND
 """For one heartbeat; 0x1017 allows 65 s, which nobody uses."""
 
 _Match: TypeAlias = Callable[[HeartbeatReceived], bool]
-_HEARTBEAT: Final = 0x1017
-_PDO_COB_IDS: Final = frozenset(mux(index, 1) for index in (*range(0x1400, 0x1600), *range(0x1800, 0x1A00)))
+_PDO_COB_IDS: Final = frozenset(
+    mux(index, 1)
+    for index in (
+        *range(indices.RPDO1_COMMUNICATION_PARAMETER, indices.RPDO1_MAPPING_PARAMETER),
+        *range(indices.TPDO1_COMMUNICATION_PARAMETER, indices.TPDO1_MAPPING_PARAMETER),
+    )
+)
 _PDO_RECORDS: Final = range(0x1400, 0x1C00)
 _TO_MAPPING: Final = 0x200
 NOT_READ: Final = "could not be read"
@@ -399,7 +405,8 @@ def _is_of(node: RemoteNode, state: NmtState | None = None) -> _Match:
 def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
     """Return after how many ns a heartbeat counts as missing; 0 if the node sends none."""
     try:
-        period = int.from_bytes((yield from upload_again(node, _HEARTBEAT, 0, False)), "little") * MILLISECOND
+        data = yield from upload_again(node, indices.PRODUCER_HEARTBEAT_TIME, 0, False)
+        period = int.from_bytes(data, "little") * MILLISECOND
     except SdoFailed as failed:
         if failed.origin is not AbortOrigin.PEER:
             raise

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, text_for_people
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey, routing_key
@@ -45,9 +46,6 @@ PACE: Final = 5 * MILLISECOND
 MAX_NAME: Final = 256
 """The longest device name that is accepted, in bytes."""
 
-DEVICE_TYPE: Final = 0x1000
-DEVICE_NAME: Final = 0x1008
-IDENTITY: Final = 0x1018
 _IDENTITY_FIELDS: Final = 4
 
 
@@ -187,7 +185,7 @@ def _ask(scanner: Scanner, client: SdoClient, answer_timeout: Time) -> Procedure
     node_id, remark = client.node_id, ""
     device_type: int | None = None
     try:
-        device_type = int.from_bytes((yield from upload(client, DEVICE_TYPE)), "little")
+        device_type = int.from_bytes((yield from upload(client, indices.DEVICE_TYPE)), "little")
     except SdoFailed as failed:
         if failed.origin is not AbortOrigin.PEER:
             return None
@@ -195,9 +193,9 @@ def _ask(scanner: Scanner, client: SdoClient, answer_timeout: Time) -> Procedure
     client.timeout = answer_timeout
     fields: list[int | None] = []
     while len(fields) < _IDENTITY_FIELDS:
-        data = yield from _optional(client, IDENTITY, len(fields) + 1)
+        data = yield from _optional(client, indices.IDENTITY_OBJECT, len(fields) + 1)
         fields.append(None if data is None else int.from_bytes(data, "little"))
-    name = yield from _optional(client, DEVICE_NAME, 0)
+    name = yield from _optional(client, indices.MANUFACTURER_DEVICE_NAME, 0)
     return NodeFound(
         node_id,
         scanner.heard.get(node_id),

@@ -30,6 +30,7 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import check_cob_id, is_valid
 from canopen_proto.datatypes import Value
@@ -51,10 +52,8 @@ from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.transfer import Transfer
 
-FIRST_SERVER: Final = 0x1200
-FIRST_CLIENT: Final = 0x1280
-FURTHER_SERVERS: Final = range(FIRST_SERVER + 1, FIRST_CLIENT)
-CLIENTS: Final = range(FIRST_CLIENT, 0x1300)
+FURTHER_SERVERS: Final = range(indices.SDO_SERVER_PARAMETER + 1, indices.SDO_CLIENT_1_PARAMETER)
+CLIENTS: Final = range(indices.SDO_CLIENT_1_PARAMETER, 0x1300)
 
 # subindices of a record
 TO_SERVER: Final = 1
@@ -175,10 +174,10 @@ class SdoChannels(Owner):
         self.clients: dict[int, ChannelClient] = {}
         for index in sorted(values.dictionary.objects):
             if index in FURTHER_SERVERS:
-                server = self.servers[index - FIRST_SERVER + 1] = SdoServer(out, node_id, store)
+                server = self.servers[index - indices.SDO_SERVER_PARAMETER + 1] = SdoServer(out, node_id, store)
                 server.set_channel(None)
             elif index in CLIENTS:
-                self.clients[index - FIRST_CLIENT + 1] = ChannelClient(out, node_id, index)
+                self.clients[index - indices.SDO_CLIENT_1_PARAMETER + 1] = ChannelClient(out, node_id, index)
         for each in self.servers.values():
             each.disable()
         for machine in (*self.servers.values(), *self.clients.values()):
@@ -203,9 +202,9 @@ class SdoChannels(Owner):
         """Go by the values: at the start, and when a reset has put the defaults back."""
         for number in self.servers:
             if number > 1:
-                self.apply(FIRST_SERVER + number - 1, 0, now)
+                self.apply(indices.SDO_SERVER_PARAMETER + number - 1, 0, now)
         for number in self.clients:
-            self.apply(FIRST_CLIENT + number - 1, 0, now)
+            self.apply(indices.SDO_CLIENT_1_PARAMETER + number - 1, 0, now)
 
     def client(self, number: int) -> ChannelClient:
         """The client of record 0x1280 + number - 1 (number: 1..128). It is the same one for ever.
@@ -240,9 +239,9 @@ class SdoChannels(Owner):
         """
         channel = channel_of(self._values, index)
         if index in FURTHER_SERVERS:
-            self.servers[index - FIRST_SERVER + 1].set_channel(channel)
+            self.servers[index - indices.SDO_SERVER_PARAMETER + 1].set_channel(channel)
             return
-        client = self.clients[index - FIRST_CLIENT + 1]
+        client = self.clients[index - indices.SDO_CLIENT_1_PARAMETER + 1]
         client.set_channel(channel, now)
         server_id = _number(self._values, index, OTHER_NODE)
         if 1 <= server_id <= MAX_NODE_ID:

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Final
 
 from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
+from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.objects import Object, Variable
@@ -23,7 +24,6 @@ from canopen_proto.machine import LocalProtocolError, check_node_id
 from canopen_proto.multiplexer import Mux, split_mux
 
 _CAN_ID: Final = 0x7FF
-_EMCY_COB_ID: Final = 0x1014
 _PDO_RECORDS: Final = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _PDO_BASES: Final = (TPDO1, RPDO1, TPDO2, RPDO2, TPDO3, RPDO3, TPDO4, RPDO4)
 _OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
@@ -96,7 +96,7 @@ def moved_to(dictionary: ObjectDictionary, old: int, new: int) -> ObjectDictiona
 
 def _own_bases(variable: Variable) -> tuple[int, ...]:
     """Return the base CAN-IDs that the predefined connection set allows this object; none if it is not a COB-ID of a node."""
-    if variable.index == _EMCY_COB_ID and variable.subindex == 0:
+    if variable.index == indices.COB_ID_EMERGENCY and variable.subindex == 0:
         return (EMCY,)
     is_pdo = variable.subindex == 1 and any(variable.index in each for each in _PDO_RECORDS)
     return _PDO_BASES if is_pdo else ()

@@ -13,14 +13,14 @@ from types import MappingProxyType
 from typing import Final
 
 from canopen_data.description import DeviceDescription, DeviceInfo, FileInfo, FileKind
+from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import ObjectDictionary
 
 EDS_VERSION: Final = "4.0"
 """EDSVersion of the files that are written, as CiA 306 names it."""
-MANDATORY: Final = (0x1000, 0x1001, 0x1018)
+MANDATORY: Final = (indices.DEVICE_TYPE, indices.ERROR_REGISTER, indices.IDENTITY_OBJECT)
 """The objects that every device has. CiA 301 v4.2.0, 7.5.1."""
-IDENTITY: Final = 0x1018
 MANUFACTURER: Final = range(0x2000, 0x6000)
 _RPDOS: Final = range(0x1400, 0x1600)
 _TPDOS: Final = range(0x1800, 0x1A00)
@@ -66,7 +66,7 @@ def identified(description: DeviceDescription) -> ObjectDictionary:
     """Return the dictionary with the identity (0x1018:01 to 03) from the file's device information, if the object itself has
     none. Many files leave it out there, and a device made of them would have no identity."""
     dictionary, info = description.dictionary, description.device_info
-    identity = dictionary.objects.get(IDENTITY)
+    identity = dictionary.objects.get(indices.IDENTITY_OBJECT)
     if identity is None:
         return dictionary
     variables = dict(identity.variables)
@@ -79,6 +79,6 @@ def identified(description: DeviceDescription) -> ObjectDictionary:
 
 def _identity(dictionary: ObjectDictionary, subindex: int) -> int | None:
     """Return a number of the identity object (0x1018), where the dictionary says it."""
-    variable = dictionary.get(IDENTITY, subindex)
+    variable = dictionary.get(indices.IDENTITY_OBJECT, subindex)
     value: Value | None = None if variable is None else variable.default
     return value if isinstance(value, int) else None

@@ -14,6 +14,7 @@ from typing import Final
 from canopen_data import DataError, content_of, expanded, load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.reading import read_description
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import ObjectDictionary
 
@@ -86,7 +87,7 @@ def with_names(description: DeviceDescription, names: ObjectDictionary) -> Devic
 
 def _is_drive(dictionary: ObjectDictionary) -> bool:
     """Return whether this is a drive: by its device type, or by controlword and statusword if the file has no device type."""
-    device_type = dictionary.get(0x1000)
+    device_type = dictionary.get(indices.DEVICE_TYPE)
     value = None if device_type is None else device_type.default if device_type.configured is None else device_type.configured
     if isinstance(value, int):
         return value & 0xFFFF == DRIVE_PROFILE

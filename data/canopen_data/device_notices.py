@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.cob_id import check_can_id, is_valid
 from canopen_proto.datatypes import DataType, Value, is_integer, is_signed, size_of
 from canopen_proto.dictionary import Direction, Values, Variable
@@ -45,14 +46,17 @@ MAX_NOTICES: Final = 100
 """More than anybody reads. A file that is not an EDS at all could have one for each of its thousands of objects."""
 
 _EFFECTIVE: Final = frozenset({
-    0x1001, 0x1003, 0x1005, 0x1006, 0x1007, 0x100C, 0x100D, 0x1010, 0x1011, 0x1012, 0x1014, 0x1015, 0x1016, 0x1017, 0x1019,
-    0x1028, 0x1029,
+    indices.ERROR_REGISTER, indices.PREDEFINED_ERROR_FIELD, indices.COB_ID_SYNC, indices.COMMUNICATION_CYCLE_PERIOD,
+    indices.SYNCHRONOUS_WINDOW_LENGTH, indices.GUARD_TIME, indices.LIFE_TIME_FACTOR, indices.STORE_PARAMETERS,
+    indices.RESTORE_DEFAULT_PARAMETERS, indices.COB_ID_TIME_STAMP, indices.COB_ID_EMERGENCY,
+    indices.INHIBIT_TIME_EMERGENCY, indices.CONSUMER_HEARTBEAT_TIME, indices.PRODUCER_HEARTBEAT_TIME,
+    indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE, indices.EMERGENCY_CONSUMER, indices.ERROR_BEHAVIOR,
 })  # fmt: skip
 """The communication objects that a LocalNode obeys, besides those of PDOs and SDO channels."""
 
-_COB_ID_SYNC: Final = mux(0x1005)
-_COB_ID_TIME: Final = mux(0x1012)
-_COB_ID_EMCY: Final = mux(0x1014)
+_COB_ID_SYNC: Final = mux(indices.COB_ID_SYNC)
+_COB_ID_TIME: Final = mux(indices.COB_ID_TIME_STAMP)
+_COB_ID_EMCY: Final = mux(indices.COB_ID_EMERGENCY)
 _TIME_IN_USE: Final = 0xC000_0000
 
 
@@ -134,9 +138,9 @@ def _cob_ids(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]
     if _COB_ID_TIME in store:
         time = number_at(store, _COB_ID_TIME)
     for index, name, cob_id, fallback, in_use in (
-        (0x1005, "SYNC", sync, SYNC, True),
-        (0x1012, "TIME", time, None, bool(time & _TIME_IN_USE)),
-        (0x1014, "EMCY", emcy, EMCY + node_id, not emcy & COB_ID_INVALID),
+        (indices.COB_ID_SYNC, "SYNC", sync, SYNC, True),
+        (indices.COB_ID_TIME_STAMP, "TIME", time, None, bool(time & _TIME_IN_USE)),
+        (indices.COB_ID_EMERGENCY, "EMCY", emcy, EMCY + node_id, not emcy & COB_ID_INVALID),
     ):
         if not in_use:
             continue
@@ -188,7 +192,7 @@ def _channels(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice
 
 
 def _storage(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]:
-    for index, deed in ((0x1010, "stored"), (0x1011, "restored")):
+    for index, deed in ((indices.STORE_PARAMETERS, "stored"), (indices.RESTORE_DEFAULT_PARAMETERS, "restored")):
         described = values.dictionary.objects.get(index)
         if described is not None and not any(described.variables.keys() - {0}):
             yield Notice(index, None, f"it has no subindex 1: nothing can be {deed}")

@@ -18,6 +18,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.servo import FALLBACKS, Shape
@@ -41,7 +42,7 @@ SHOWN: Final = (
 )
 """The objects that the drive writes."""
 
-_DEVICE_TYPE: Final = mux(0x1000)
+_DEVICE_TYPE: Final = mux(indices.DEVICE_TYPE)
 
 NEEDED: Final = (objects.CONTROLWORD, objects.STATUSWORD)
 

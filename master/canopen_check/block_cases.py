@@ -17,6 +17,7 @@ from canopen_check.raw_block import (
 )
 from canopen_check.raw_sdo import abort_code_in, ask
 from canopen_check.sdo_cases import ANY_TIME, DEVICE_TYPE, TIME_SIZE, holds, long_object
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.block import ACKNOWLEDGE, ACKNOWLEDGEMENT, MAX_BLOCK_SIZE, START_UPLOAD
@@ -24,8 +25,8 @@ from canopen_proto.sdo.block import ACKNOWLEDGE, ACKNOWLEDGEMENT, MAX_BLOCK_SIZE
 BAD_BLOCK_SIZE: Final = (AbortCode.INVALID_COMMAND, AbortCode.INVALID_BLOCK_SIZE, AbortCode.GENERAL_ERROR)
 BAD_SEQUENCE: Final = (AbortCode.INVALID_COMMAND, AbortCode.INVALID_SEQUENCE_NUMBER, AbortCode.GENERAL_ERROR)
 
-GUARD_TIME: Final = 0x100C
-HEARTBEAT: Final = 0x1017
+GUARD_TIME: Final = indices.GUARD_TIME
+HEARTBEAT: Final = indices.PRODUCER_HEARTBEAT_TIME
 
 
 def _remark(asked: bool, with_crc: bool) -> str:

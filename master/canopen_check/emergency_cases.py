@@ -12,6 +12,7 @@ from canopen_check.emergencies import code_of, errors_told, next_error
 from canopen_check.expectations import expect, expect_equal, expect_refusal
 from canopen_check.pdo_cases import PROFILE_EVENTS
 from canopen_check.pdo_tools import key_of, length_of, set_up, usable
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import COB_ID_INVALID, EMCY
@@ -19,9 +20,9 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED
 from canopen_proto.procedures.steps import Procedure
 
-ERROR_REGISTER: Final = 0x1001
-HISTORY: Final = 0x1003
-COB_ID_EMCY: Final = 0x1014
+ERROR_REGISTER: Final = indices.ERROR_REGISTER
+HISTORY: Final = indices.PREDEFINED_ERROR_FIELD
+COB_ID_EMCY: Final = indices.COB_ID_EMERGENCY
 
 GENERIC_ERROR: Final = 0x01
 

@@ -14,14 +14,15 @@ from canopen_check.emergencies import code_of, errors_told, expect_no_error, nex
 from canopen_check.expectations import LateOrEarly, does_not_apply, expect, expect_equal
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
+from canopen_proto import indices
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
 from canopen_proto.guarding import TOGGLE
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
 
-GUARD_TIME: Final = 0x100C
-LIFE_TIME_FACTOR: Final = 0x100D
+GUARD_TIME: Final = indices.GUARD_TIME
+LIFE_TIME_FACTOR: Final = indices.LIFE_TIME_FACTOR
 
 PERIOD: Final = 100 * MILLISECOND
 FACTOR: Final = 3

@@ -9,14 +9,15 @@ from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
 from canopen_check.expectations import LateOrEarly, Violation, does_not_apply, expect_equal, expect_refusal
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
 
-CONSUMER: Final = 0x1016
-PRODUCER: Final = 0x1017
+CONSUMER: Final = indices.CONSUMER_HEARTBEAT_TIME
+PRODUCER: Final = indices.PRODUCER_HEARTBEAT_TIME
 
 PERIOD: Final = 100 * MILLISECOND
 COUNTED: Final = 10 * SECOND

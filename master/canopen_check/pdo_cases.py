@@ -29,6 +29,7 @@ from canopen_check.pdo_tools import (
 )
 from canopen_check.probe import FrameHeard
 from canopen_check.sdo_cases import NO_OBJECT
+from canopen_proto import indices
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR
@@ -37,7 +38,7 @@ from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
 from canopen_proto.procedures.steps import Procedure
 
-SYNC_OVERFLOW: Final = 0x1019
+SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
 ACYCLIC: Final = 0
 ON_REQUEST: Final = 253

@@ -24,6 +24,7 @@ from canopen_check.raw_sdo import (
     segmented_upload,
     upload_segments,
 )
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, range_of
 from canopen_proto.dictionary import Variable
@@ -43,11 +44,11 @@ TOO_LOW: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_LOW, AbortCode.GE
 NOT_NOW: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.DEVICE_STATE, AbortCode.GENERAL_ERROR)
 BAD_TOGGLE: Final = (AbortCode.TOGGLE_NOT_ALTERNATED, AbortCode.GENERAL_ERROR)
 
-DEVICE_TYPE: Final = 0x1000
-SDO_SERVER: Final = 0x1200
-ERROR_HISTORY: Final = 0x1003
-HEARTBEAT: Final = 0x1017
-SYNC_OVERFLOW: Final = 0x1019
+DEVICE_TYPE: Final = indices.DEVICE_TYPE
+SDO_SERVER: Final = indices.SDO_SERVER_PARAMETER
+ERROR_HISTORY: Final = indices.PREDEFINED_ERROR_FIELD
+HEARTBEAT: Final = indices.PRODUCER_HEARTBEAT_TIME
+SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
 NEVER_WRITTEN: Final = (0x1003, 0x1010, 0x1011)
 """Objects that act when they are written, and do not hold the value."""

@@ -15,6 +15,7 @@ from canopen_check.bench import Bench
 from canopen_check.case import Body, Case, for_each
 from canopen_check.expectations import Violation, does_not_apply, expect_equal, expect_refusal
 from canopen_check.sdo_cases import ANY_TIME, settings, takes_any_time
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.datatypes import DataType
@@ -26,7 +27,7 @@ from canopen_proto.pdo.settings import COB_ID, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 
-VERIFY: Final = 0x1020
+VERIFY: Final = indices.VERIFY_CONFIGURATION
 
 ALL: Final = 1
 COMMUNICATION: Final = 2

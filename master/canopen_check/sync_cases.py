@@ -16,6 +16,7 @@ from canopen_check.pdo_cases import expect_data
 from canopen_check.pdo_tools import Pdo, key_of, set_up, usable
 from canopen_check.sdo_cases import TOO_HIGH, TOO_LOW
 from canopen_check.storing_cases import keep, save
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import SYNC, key_of_cob_id
@@ -24,9 +25,9 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
 
-COB_ID_SYNC: Final = 0x1005
-CYCLE_PERIOD: Final = 0x1006
-OVERFLOW: Final = 0x1019
+COB_ID_SYNC: Final = indices.COB_ID_SYNC
+CYCLE_PERIOD: Final = indices.COMMUNICATION_CYCLE_PERIOD
+OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
 PERIOD: Final = 100 * MILLISECOND
 COUNTED: Final = 10 * SECOND

@@ -26,6 +26,7 @@ from canopen_cli.running import run
 from canopen_cli.screen import Screen, escape, node_text
 from canopen_cli.session import Session, open_session, read_dictionary
 from canopen_master.errors import MasterError, SdoRefused
+from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import Outbox
 from canopen_proto.network import Network
@@ -222,7 +223,7 @@ async def _find(session: Session, bench: Bench) -> None:
         await session.master.run(bench.reset())
     except ProcedureError:  # no boot-up: a case will report that
         with suppress(SdoRefused):
-            await session.node(bench.node_id).read_bytes(0x1000)
+            await session.node(bench.node_id).read_bytes(indices.DEVICE_TYPE)
 
 
 @contextmanager

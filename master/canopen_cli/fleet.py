@@ -17,6 +17,7 @@ import trio
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.simulation import DeviceMaker, Host
+from canopen_proto import indices
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
@@ -50,7 +51,7 @@ def drive_maker(
     by default that of the shape.
     """
     if dictionary is None:
-        dictionary = drive_dictionary(shape).with_objects([standard_object(0x1017, HEARTBEAT_MS)])
+        dictionary = drive_dictionary(shape).with_objects([standard_object(indices.PRODUCER_HEARTBEAT_TIME, HEARTBEAT_MS)])
     else:
         dictionary, _ = drive_dictionary_of(dictionary, shape)
     settings = DriveSettings(shape=shape, position=_POSITIONS[number % len(_POSITIONS)], track=_TRACK)

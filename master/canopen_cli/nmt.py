@@ -17,6 +17,7 @@ from canopen_master.errors import SdoError
 from canopen_master.node import Node
 from canopen_master.plain_text import clean
 from canopen_master.silence import missing_frame
+from canopen_proto import indices
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
@@ -86,7 +87,7 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
 async def _has_no_heartbeat(node: Node) -> bool:
     """Whether the node says that it sends no heartbeat. A node that does not answer, such as a Stopped one, may send one."""
     try:
-        return not any(await node.read_bytes(0x1017))
+        return not any(await node.read_bytes(indices.PRODUCER_HEARTBEAT_TIME))
     except SdoError:
         return False
 

@@ -17,6 +17,7 @@ from canopen_cli.running import run
 from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import Session, open_session
 from canopen_data.configured import moved_to
+from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
@@ -157,12 +158,12 @@ async def _check_identity(session: Session, wanted: Wanted) -> None:
     """Return a Problem if the device is not of the type that the file describes. A number that either lacks is no difference."""
     node = session.node(wanted.node_id)
     for subindex, name in IDENTITY:
-        variable = wanted.dictionary.get(0x1018, subindex)
+        variable = wanted.dictionary.get(indices.IDENTITY_OBJECT, subindex)
         expected = 0 if variable is None else variable.initial_of(wanted.node_id)
         if not isinstance(expected, int) or not expected:
             continue
         try:
-            data = await session.master.run(upload_again(node.remote, 0x1018, subindex, False))
+            data = await session.master.run(upload_again(node.remote, indices.IDENTITY_OBJECT, subindex, False))
         except SdoFailed as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise
@@ -176,6 +177,6 @@ async def _check_identity(session: Session, wanted: Wanted) -> None:
                 seen=f"{name} 0x{found:08X}, in the file 0x{expected:08X}",
                 tries=(f"canopen info {wanted.node_id}", "--any-device, if that is what you want"),
                 node=wanted.node_id,
-                index=0x1018,
+                index=indices.IDENTITY_OBJECT,
                 subindex=subindex,
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, ObjectDictionary, ObjectNotFound, ObjectType
 from canopen_proto.dictionary.standard import STANDARD, find_standard, standard_object, standard_variable
@@ -135,3 +136,9 @@ def test_a_dictionary_of_all_of_it() -> None:
     dictionary = ObjectDictionary(standard_object(index) for index in sorted({index for index, _ in STANDARD}))
     assert dictionary.variable("statusword").data_type is DataType.UNSIGNED16
     assert dictionary.variable("ip_time_index").subindex == 2
+
+
+def test_the_indices_are_called_as_the_standard_calls_them() -> None:
+    named = {name: index for name, index in vars(indices).items() if name.isupper() and index < indices.CONCISE_DCF}
+    assert len(named) > 30
+    assert {name.lower(): index for name, index in named.items()} == {standard_object(each).name: each for each in named.values()}

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 from canopen_data.checks.subject import ERROR, WARNING, Number, Rule, Subject
 from canopen_data.description import FileKind
 from canopen_data.findings import Finding
+from canopen_proto import indices
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary.model import Variable
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID
@@ -21,13 +22,12 @@ from canopen_proto.pdo.settings import COB_ID, place_of
 
 SDO_SERVERS: Final = range(0x1200, 0x1280)
 SDO_CLIENTS: Final = range(0x1280, 0x1300)
-DEFAULT_SDO: Final = 0x1200
 DEFAULT_REQUESTS: Final = range(0x601, 0x680)
 DEFAULT_RESPONSES: Final = range(0x581, 0x600)
 """The default SDO channel of each node; a client for it uses these CAN-IDs."""
 
 PREDEFINED: Final = {
-    0x1014: 0x080,
+    indices.COB_ID_EMERGENCY: 0x080,
     **{0x1400 + number: 0x200 + 0x100 * number for number in range(4)},
     **{0x1800 + number: 0x180 + 0x100 * number for number in range(4)},
 }
@@ -72,7 +72,11 @@ def check_cob_ids(subject: Subject) -> Iterator[Finding]:
 
 def _uses(subject: Subject) -> Iterator[_Use]:
     """Yield every COB-ID in use, beginning with the services that a device has once."""
-    for index, service, bits in ((0x1005, "SYNC", 0), (0x1012, "TIME", 0), (0x1014, "EMCY", COB_ID_INVALID)):
+    for index, service, bits in (
+        (indices.COB_ID_SYNC, "SYNC", 0),
+        (indices.COB_ID_TIME_STAMP, "TIME", 0),
+        (indices.COB_ID_EMERGENCY, "EMCY", COB_ID_INVALID),
+    ):
         yield from _use(subject, index, 0, service, bits)
     for index in subject.dictionary.objects:
         place = place_of(index)
@@ -80,7 +84,9 @@ def _uses(subject: Subject) -> Iterator[_Use]:
             side = "SDO server" if index in SDO_SERVERS else "SDO client"
             for subindex, default in ((1, DEFAULT_REQUESTS), (2, DEFAULT_RESPONSES)):
                 also = default if index in SDO_CLIENTS else range(0)
-                for use in _use(subject, index, subindex, f"{side} 0x{index:04X}", COB_ID_INVALID, index != DEFAULT_SDO):
+                for use in _use(
+                    subject, index, subindex, f"{side} 0x{index:04X}", COB_ID_INVALID, index != indices.SDO_SERVER_PARAMETER
+                ):
                     yield use._replace(also=also)
         elif place is not None and not place.is_mapping:
             yield from _use(subject, index, COB_ID, f"{place.direction}{place.number}", COB_ID_INVALID)

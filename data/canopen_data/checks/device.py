@@ -12,9 +12,9 @@ from typing import Final
 from canopen_data.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
 from canopen_data.description import FileKind
 from canopen_data.findings import Finding
+from canopen_proto import indices
 from canopen_proto.frame import MAX_NODE_ID
 
-IDENTITY: Final = 0x1018
 MAX_GRANULARITY: Final = 64
 """Bits: of the mapping of PDOs."""
 
@@ -41,17 +41,17 @@ _VERSION: Final = re.compile(r"[0-9]\.[0-9]", re.ASCII)
 def check_identity(subject: Subject) -> Iterator[Finding]:
     """Check 0x1018 against [DeviceInfo]."""
     info = subject.description.device_info
-    if IDENTITY in subject.dictionary.objects and subject.dictionary.get(IDENTITY, 1) is None:
-        yield subject.of_object("identity-missing", IDENTITY, "it has no sub 1 (vendor-ID)")
+    if indices.IDENTITY_OBJECT in subject.dictionary.objects and subject.dictionary.get(indices.IDENTITY_OBJECT, 1) is None:
+        yield subject.of_object("identity-missing", indices.IDENTITY_OBJECT, "it has no sub 1 (vendor-ID)")
     for subindex, entry, told in (
         (1, "VendorNumber", info.vendor_number),
         (2, "ProductNumber", info.product_number),
         (3, "RevisionNumber", info.revision_number),
     ):
-        held = subject.number(IDENTITY, subindex)
+        held = subject.number(indices.IDENTITY_OBJECT, subindex)
         if told is not None and held is not None and held.value and told and held.value != told:
             text = f"it is 0x{held.value:X} here and 0x{told:X} in [DeviceInfo] ({entry})"
-            yield subject.of_value("identity-differs", subject.dictionary.variable((IDENTITY, subindex)), text)
+            yield subject.of_value("identity-differs", subject.dictionary.variable((indices.IDENTITY_OBJECT, subindex)), text)
     if not info.vendor_name and not info.vendor_number:
         yield subject.of_entry("vendor-missing", "DeviceInfo", "VendorName", "there is neither VendorName nor VendorNumber")
     if not info.product_name and not info.product_number:

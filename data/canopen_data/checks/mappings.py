@@ -13,6 +13,7 @@ from typing import Final
 
 from canopen_data.checks.subject import ERROR, WARNING, Number, Rule, Subject
 from canopen_data.findings import Finding
+from canopen_proto import indices
 from canopen_proto.dictionary.model import Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
@@ -20,8 +21,6 @@ from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX, MAX_BITS, M
 from canopen_proto.pdo.multiplexed import MpdoMode
 from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, SYNCHRONOUS_ON_REQUEST
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, PdoPlace, communication_index, mapping_index, place_of
-
-COB_ID_SYNC: Final = 0x1005
 
 RULES: Final = (
     Rule("pdo-no-mapping", WARNING, "a PDO with a communication parameter, but no mapping parameter"),
@@ -74,7 +73,7 @@ def _check_transmission_type(subject: Subject, place: PdoPlace, index: int) -> I
     if LAST_SYNCHRONOUS < number.value < first:
         text = f"transmission type {number.value} is reserved for {place.direction}s"
         yield subject.of_value("transmission-type", variable, text)
-    elif number.value <= LAST_SYNCHRONOUS and COB_ID_SYNC not in subject.dictionary.objects and is_valid(subject, index):
+    elif number.value <= LAST_SYNCHRONOUS and indices.COB_ID_SYNC not in subject.dictionary.objects and is_valid(subject, index):
         yield subject.of_value("sync-missing", variable, "the PDO goes by SYNC, but there is no COB-ID SYNC (0x1005)")
 
 

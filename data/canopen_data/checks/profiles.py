@@ -12,6 +12,7 @@ from typing import Final
 from canopen_data.checks.structure import COMMUNICATION_AREA
 from canopen_data.checks.subject import ERROR, NOTICE, PROFILE_AREA, WARNING, Rule, Subject
 from canopen_data.findings import Finding
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Access, ObjectType, Variable
 from canopen_proto.dictionary.standard import find_standard
@@ -19,7 +20,7 @@ from canopen_proto.dictionary.standard import find_standard
 DRIVE_PROFILE: Final = 402
 CONTROLWORD: Final = 0x6040
 STATUSWORD: Final = 0x6041
-ERROR_CONTROL: Final = (0x1017, 0x100C)
+ERROR_CONTROL: Final = (indices.PRODUCER_HEARTBEAT_TIME, indices.GUARD_TIME)
 
 _BYTES: Final = {DataType.DOMAIN, DataType.OCTET_STRING}
 """The same thing by SDO: in most places CiA 301 lets a device choose."""
@@ -27,11 +28,14 @@ _BYTES: Final = {DataType.DOMAIN, DataType.OCTET_STRING}
 _TO_WRITE: Final[dict[int, Access | None]] = {0x1003_00: None, 0x1017_00: Access.CONST}
 """Objects that must be writable, with the other access allowed: writing 0 clears the history, and switches the heartbeat off. CiA
 301 v4.2.0, 7.5.2.4 and 7.5.2.20."""
-_RESERVED_BITS: Final = {0x1014: 0x4000_0000, 0x1016: 0xFF00_0000, 0x1028: 0x4000_0000}
+_RESERVED_BITS: Final = {
+    indices.COB_ID_EMERGENCY: 0x4000_0000,
+    indices.CONSUMER_HEARTBEAT_TIME: 0xFF00_0000,
+    indices.EMERGENCY_CONSUMER: 0x4000_0000,
+}
 """By index: COB-ID EMCY, heartbeat and EMCY consumers (CiA 301 v4.2.0, 7.5.2.17, 7.5.2.19, 7.5.2.31)."""
 _TPDOS: Final = range(0x1800, 0x1A00)
 _RESERVED_SUBINDEX: Final = 4
-_CONSUMER: Final = 0x1016
 _CONSUMER_RANGE: Final = (0, 0x007F_FFFF)
 """The range that an entry must take: "not in use" up to node 127 with the longest time."""
 
@@ -99,11 +103,15 @@ def check_reserved(subject: Subject) -> Iterator[Finding]:
         if index in _TPDOS and subindex == _RESERVED_SUBINDEX:
             text = "the sub-index is reserved, and no device is to have it (CiA 301, 7.5.2.37)"
             yield subject.of_variable("reserved-sub", variable, text)
-        number = subject.number(index, subindex) if index in _RESERVED_BITS and (subindex or index == 0x1014) else None
+        number = (
+            subject.number(index, subindex)
+            if index in _RESERVED_BITS and (subindex or index == indices.COB_ID_EMERGENCY)
+            else None
+        )
         if number is not None and number.value & _RESERVED_BITS[index]:
             text = f"{number} has bits of 0x{_RESERVED_BITS[index]:08X}, which are reserved"
             yield subject.of_value("reserved-bits", variable, text)
-        if index == _CONSUMER and subindex:
+        if index == indices.CONSUMER_HEARTBEAT_TIME and subindex:
             yield from _check_consumer_limits(subject, variable)
 
 
@@ -134,18 +142,20 @@ def check_error_control(subject: Subject) -> Iterator[Finding]:
     if not any(index in objects for index in ERROR_CONTROL):
         text = "there is neither a producer heartbeat time (0x1017) nor a guard time (0x100C)"
         yield subject.of_entry("error-control-missing", "OptionalObjects", "", text)
-    heartbeat, guard_time, factor = (subject.number(index) for index in (0x1017, 0x100C, 0x100D))
+    heartbeat, guard_time, factor = (
+        subject.number(index) for index in (indices.PRODUCER_HEARTBEAT_TIME, indices.GUARD_TIME, indices.LIFE_TIME_FACTOR)
+    )
     if heartbeat and guard_time and factor and heartbeat.value and guard_time.value and factor.value:
         text = f"a heartbeat every {heartbeat.value} ms by default, and node guarding (0x100C, 0x100D) too"
-        yield subject.of_value("error-control-twice", subject.dictionary.variable(0x1017), text)
+        yield subject.of_value("error-control-twice", subject.dictionary.variable(indices.PRODUCER_HEARTBEAT_TIME), text)
     watched: dict[int, int] = {}
-    consumers = objects.get(0x1016)
+    consumers = objects.get(indices.CONSUMER_HEARTBEAT_TIME)
     for subindex in sorted(consumers.variables) if consumers is not None else ():
-        number = subject.number(0x1016, subindex)
+        number = subject.number(indices.CONSUMER_HEARTBEAT_TIME, subindex)
         if not subindex or number is None or not number.value & 0xFFFF:
             continue  # not in use
         node_id = number.value >> 16 & 0xFF
-        variable = subject.dictionary.variable((0x1016, subindex))
+        variable = subject.dictionary.variable((indices.CONSUMER_HEARTBEAT_TIME, subindex))
         if not 1 <= node_id <= 127 and not number.adds_node_id:
             yield subject.of_value("heartbeat-consumer", variable, f"node-ID {node_id} is outside 1..127")
         elif watched.setdefault(node_id, subindex) != subindex:

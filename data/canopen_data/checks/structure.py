@@ -10,10 +10,15 @@ from typing import Final
 
 from canopen_data.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
 from canopen_data.findings import Finding
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Object, ObjectType, Variable
 
-MANDATORY: Final = {0x1000: "device type", 0x1001: "error register", 0x1018: "identity object"}
+MANDATORY: Final = {
+    indices.DEVICE_TYPE: "device type",
+    indices.ERROR_REGISTER: "error register",
+    indices.IDENTITY_OBJECT: "identity object",
+}
 """The objects that every CANopen device has (CiA 301 v4.2.0, 7.5.2)."""
 
 MAX_NAME: Final = 241

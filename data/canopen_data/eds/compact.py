@@ -26,6 +26,7 @@ from canopen_data.description import DeviceInfo
 from canopen_data.eds.ini import EdsDocument, Findings, Section
 from canopen_data.eds.variables import Variables
 from canopen_data.findings import Severity
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
 
@@ -103,7 +104,10 @@ class Compact:
         """Yield the PDO parameters that CompactPDO stands for, without those that the file has."""
         if not info.compact_pdo:
             return
-        bases = ((0x1400, 0x200, info.rpdo_count, "RPDO"), (0x1800, 0x180, info.tpdo_count, "TPDO"))
+        bases = (
+            (indices.RPDO1_COMMUNICATION_PARAMETER, 0x200, info.rpdo_count, "RPDO"),
+            (indices.TPDO1_COMMUNICATION_PARAMETER, 0x180, info.tpdo_count, "TPDO"),
+        )
         for index, cob_base, count, what in bases:
             for number in range(min(count or 0, MAX_PDOS)):
                 if index + number not in known and self._may_make(2 + len(_COMMUNICATION), 0):
@@ -129,7 +133,7 @@ def _communication(index: int, name: str, cob_id: int, adds_node_id: bool, mask:
     variables += [
         Variable(index, subindex, field, data_type, default=default)
         for subindex, field, data_type, default in _COMMUNICATION
-        if mask >> subindex - 1 & 1 and (subindex != 6 or index >= 0x1800)
+        if mask >> subindex - 1 & 1 and (subindex != 6 or index >= indices.TPDO1_COMMUNICATION_PARAMETER)
     ]
     return _record(index, name, variables, variables[-1].subindex, Access.RO)
 

@@ -21,6 +21,7 @@ import math
 import re
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, text_for_people
 from canopen_proto.dictionary.objects import Variable
 
@@ -32,7 +33,7 @@ NOT_READ_KEY: Final = "_NotRead"
 _PLAIN_TEXT: Final = re.compile(r"[!-~](?:[ -~]*[!-~])?")
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 _COMMUNICATION: Final = range(0x1000, 0x2000)
-_TIMES: Final = (0x1006, 0x1007, 0x1013)
+_TIMES: Final = (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_WINDOW_LENGTH, 0x1013)
 """UNSIGNED32 of the communication profile area that are microseconds."""
 
 

@@ -36,6 +36,7 @@ from canopen_data.xdd.document import XddDocument
 from canopen_data.xdd.elements import Element, XddFindings, parse
 from canopen_data.xdd.parameters import ACCESS, ApplicationProcess, Parameter
 from canopen_data.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number_of, value_of
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
@@ -46,7 +47,7 @@ PROFILES: Final = 0x2000
 """Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); above, the meaning depends on the profile."""
 SUB_OBJECT: Final = "CANopenSubObject"
 ROOT: Final = "ISO15745ProfileContainer"
-MANDATORY: Final = (0x1000, 0x1001, 0x1018)
+MANDATORY: Final = (indices.DEVICE_TYPE, indices.ERROR_REGISTER, indices.IDENTITY_OBJECT)
 """The objects that each device has (CiA 301 v4.2.0, 7.5.1); an XDD has no list of them."""
 MAX_OBJECTS: Final = 20_000
 """Of one file, with MAX_VARIABLES in all. The largest devices have 3000 objects."""
