@@ -25,24 +25,24 @@ COMMANDS: Final = {
     "demo": ("demo", "A six-joint arm boots, homes itself and moves."),
     "doctor": ("doctor", "Check adapters, drivers and permissions; with -b also what is heard on a bus."),
     "scan": ("scan", "Find the nodes of a bus."),
-    "info": ("info", "Show what a node is, and how it is."),
+    "info": ("info", "Show a node's identity, state, errors and PDOs."),
     "read": ("objects", "Read objects of a node."),
     "write": ("objects", "Write an object of a node, and show its value before and after."),
     "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
     "home": ("home", "Home drives (CiA 402), all at the same time."),
-    "backup": ("backup", "Read all that a node holds into a DCF, which `canopen restore` writes back."),
-    "restore": ("restore", "Write the settings of a DCF or XDC to a node: what differs from what it has."),
+    "backup": ("backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
+    "restore": ("restore", "Write those settings of a DCF or XDC to a node that differ from its own."),
     "compare": ("compare", "Compare the values of a node, or of a file, with those of another file."),
     "dump": ("dump", "Read all objects of a node, and show them."),
     "check": ("check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),
-    "bus": ("bus", "A bus of our own: for several terminals, or for several programs."),
+    "bus": ("bus", "Run a bus in software, for several terminals or programs."),
     "log": ("log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc."),
     "sim": ("sim", "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own."),
     "plan": ("plan", "Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits."),
     "eds": ("eds", "Device descriptions: EDS, DCF, XDD and XDC files."),
     "data": ("data", "The object dictionary and the chain files."),
 }
-"""The first thing to try comes first."""
+"""Listed in the order to try them."""
 
 
 @click.group(cls=LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     except BrokenPipeError:
         _put_to_rest(sys.stdout)
         return CLOSED_PIPE
-    except SystemExit:  # click met a closed pipe, and has put stdout to rest
+    except SystemExit:  # click met a closed pipe, and has silenced stdout
         return CLOSED_PIPE
     except (click.Abort, KeyboardInterrupt):
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
@@ -115,7 +115,7 @@ def _show(settings: Settings, problem: Problem) -> int:
         problem.more.append(f"{settings.late.failed}: {settings.late.seen}")
     try:
         settings.screen().problem(problem.on_bus(settings.bus))
-    except BrokenPipeError:  # perhaps that was the problem
+    except BrokenPipeError:  # it may have been the problem itself
         _put_to_rest(sys.stderr)
         return CLOSED_PIPE
     return problem.exit_code

@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 @common
 @click.pass_obj
 def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
-    """Read all that a node holds into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
+    """Read all values of a node into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
-    those of the data files are read; with --walk, what answers at its indices. Exit status 7: an object could not be read, or
-    the file cannot hold its exact bytes.
+    those of the data files are read; with --walk, all objects that answer at its indices. Exit status 7: an object could not be
+    read, or the file cannot hold its exact bytes.
 
     \b
     canopen backup 5 -o before.dcf -e drive.eds
@@ -79,7 +79,7 @@ async def _backup(
 
 
 def bit_rate_of(settings: Settings) -> int | None:
-    """kbit/s, where the bus of the options says it, and a DCF can."""
+    """Return the bit rate in kbit/s if the bus of the options gives it and a DCF can hold it, else None."""
     from canopen_data.description import BIT_RATES
 
     with suppress(TransportError):
@@ -92,8 +92,8 @@ def bit_rate_of(settings: Settings) -> int | None:
 def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> tuple[Reading, ...]:
     """Write what was read as a DCF. Return what the file could not hold as it was read.
 
-    description: by which it was read; None: by the data files, or by a walk. Raises Problem, also where the file would be the one
-    that describes the device.
+    description: the one used for reading; None: the data files, or a walk. Raises Problem, also if the file is the one that
+    describes the device.
     """
     from canopen_data.backup_file import backup_file
     from canopen_data.description import FileInfo

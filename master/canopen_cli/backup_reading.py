@@ -30,7 +30,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 REDRAW: Final = 0.1
 """Seconds between two updates of the progress."""
 MAX_LISTED: Final = 10
-"""Objects that could not be read, line by line; the rest is counted, and told with -v."""
+"""Unread objects that are listed; the rest is counted, and listed with -v."""
 
 _RANGE: Final = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,4})\s*(?:-\s*(?:0[xX])?([0-9A-Fa-f]{1,4})\s*)?")
 
@@ -83,7 +83,7 @@ async def read_all(session: Session, screen: Screen, node_id: int, indices: tupl
 
 
 async def shown(session: Session, screen: Screen, label: str, procedure: Procedure[T], *kinds: type[Event]) -> T:
-    """Run a procedure, with a bar on a terminal. kinds: of the events of its progress, which have `done` and `total`."""
+    """Run a procedure, with a bar on a terminal. kinds: its progress events, which have `done` and `total`."""
     if not screen.draws:
         return await session.master.run(procedure)
     results: list[T] = []
@@ -93,7 +93,7 @@ async def shown(session: Session, screen: Screen, label: str, procedure: Procedu
             nursery.start_soon(_draw, screen, label, news)
             try:
                 results.append(await session.master.run(procedure))
-            except Exception as error:  # noqa: BLE001 - raised below: out of the nursery it would come in a group
+            except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
                 failure = error
         nursery.cancel_scope.cancel()
     if failure is not None:
@@ -112,11 +112,11 @@ async def _draw(screen: Screen, label: str, news: Subscription[Any]) -> None:
             await trio.sleep(REDRAW)
 
 
-# ---- what was read, for people and programs ----
+# ---- readings, for people and programs ----
 
 
 def counts_text(backup: Backup) -> str:
-    """ "112 objects read; 3 write-only, 1 refused"."""
+    """Return a text such as "112 objects read; 3 write-only, 1 refused"."""
     counts = backup.counts
     read = counts.pop(ReadResult.READ, 0)
     rest = ", ".join(f"{number} {_WORDS.get(result, str(result))}" for result, number in counts.items())
@@ -133,7 +133,7 @@ _WORDS: Final = {
 
 
 def tell_unread(screen: Screen, backup: Backup, lost: Sequence[Reading] = ()) -> None:
-    """Say what is missing, and with -v everything that was not read. lost: what a file could not keep as it was read."""
+    """List the missing objects, and with -v everything that was not read. lost: readings that a file could not hold exactly."""
     for each in lost:
         data = (each.data or b"")[:16].hex(" ")
         screen.say(
@@ -150,7 +150,7 @@ def tell_unread(screen: Screen, backup: Backup, lost: Sequence[Reading] = ()) ->
 
 
 def reason_text(reading: Reading) -> str:
-    """Why an object has no value."""
+    """Return why an object has no value."""
     why = _WORDS.get(reading.result, str(reading.result))
     if reading.result is ReadResult.WRONG_LENGTH and reading.data is not None:
         why = f"{len(reading.data)} bytes ({reading.data[:16].hex(' ')}) are no {reading.variable.data_type.name}"
@@ -160,7 +160,7 @@ def reason_text(reading: Reading) -> str:
 
 
 def reading_as_json(reading: Reading) -> dict[str, Any]:
-    """One object, for --json and for files."""
+    """Return one object, for --json and for files."""
     variable = reading.variable
     return {
         "index": variable.index,
@@ -176,7 +176,7 @@ def reading_as_json(reading: Reading) -> dict[str, Any]:
 
 
 def both_notations(variable: Variable, value: Value | None) -> str:
-    """ "517 (0x00000205)"; "?" where the value is not known."""
+    """Return a text such as "517 (0x00000205)"; "?" if the value is not known."""
     if value is None:
         return "?"
     number = hex_text(variable, value)
@@ -184,6 +184,6 @@ def both_notations(variable: Variable, value: Value | None) -> str:
 
 
 def check_indices(indices: tuple[range, ...] | None, files: tuple[str, ...]) -> None:
-    """A walk does not look into a file."""
+    """Raise a Problem for a walk together with a file: a walk does not use it."""
     if indices is not None and files:
         raise usage("CO001", "--walk is for a device without a file, and -e names one", tries=("one of the two",))

@@ -22,7 +22,7 @@ from canopen_transports.tracing import current_trace
 
 @click.group()
 def bus() -> None:
-    """A bus of our own: for several terminals, or for several programs."""
+    """Run a bus in software, for several terminals or programs."""
 
 
 @bus.command()
@@ -35,10 +35,10 @@ def bus() -> None:
 @common
 @click.pass_obj
 def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:
-    """Be a CAN bus until Ctrl-C: what one program says, all others hear.
+    """Be a CAN bus until Ctrl-C: all other programs hear what one sends.
 
-    Only programs of this computer can join, unless --bind says otherwise. There is no password: whoever can reach the port
-    hears all, and can move the drives.
+    Only programs of this computer can join, unless --bind says otherwise. There is no password: anybody who can reach the port
+    hears everything, and can move the drives.
 
     \b
     canopen bus serve                  the first terminal
@@ -48,7 +48,7 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
     \b
     canopen bus serve --bind 0.0.0.0 --yes      other computers join by -b tcp:THIS-COMPUTER
 
-    What travels is text: after the line "canopen-bus 1", `nc localhost 20301` shows each frame as candump would.
+    The protocol is text: after the line "canopen-bus 1", `nc localhost 20301` shows each frame as candump would.
     """
     screen = settings.screen()
     local = is_loopback(bind)

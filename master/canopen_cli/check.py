@@ -65,11 +65,12 @@ def check(
     """Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone.
 
     The node is reset, started and stopped, all of its objects are written (outputs and set-points too), and some commands go to
-    all nodes: it should be alone on its bus, with nothing at its outputs that could move. At the end it is reset. What it stores
-    is left alone without --storing. It is compared with the defaults of its EDS, or with what its DCF has configured.
+    all nodes: it should be alone on its bus, with nothing at its outputs that could move. At the end it is reset. Its stored
+    parameters are not changed without --storing. Its values are compared with the defaults of its EDS, or with those that its DCF
+    configures.
 
-    A case fails where the node does what the standard forbids. What the standard leaves open, and what CiA's own conformance
-    tool does not look at, is a remark; --strict makes failures of the latter, and asks for more.
+    A case fails if the node does what the standard forbids. Points that the standard leaves open, or that CiA's own conformance
+    tool does not check, are remarks; --strict turns the latter into failures, and checks more.
 
     Exit status: 0 no case failed (remarks do not count), 1 some did, 5 the node does not answer.
 
@@ -94,7 +95,7 @@ def check(
         report = Report(node_id_of(target), len(cases), tuple(left_out))
         try:
             _check_node(settings, screen, report, cases, strict, yes)
-        except Exception as error:  # noqa: BLE001 - raised below, behind what was found until then
+        except Exception as error:  # noqa: BLE001 - raised below, after the report so far
             failure = error
     if report.runs or failure is None:
         report.show(screen)
@@ -127,7 +128,7 @@ def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Cas
 def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> Report:
     """Run the cases that need a file and no device."""
     if settings.eds:
-        raise usage("CO001", "there are two files: the one that is named, and that of -e", tries=(f"canopen check {path}",))
+        raise usage("CO001", "there are two files: the argument, and that of -e", tries=(f"canopen check {path}",))
     alone = [case for case in cases if not case.uses_device]
     if not alone:
         raise usage("CO133", "these cases are for a node", tries=(f"canopen check NODE -e {path}", f"canopen check {path}"))

@@ -1,7 +1,8 @@
 """The report of `canopen check`: a table for people, JSON and JUnit's XML for programs.
 
-JUnit: a test suite for each chapter of the cases, a test case for each case; what failed is a failure, what does not apply or was
-left out is skipped; remarks are its output. Times are those of the bus: seconds from the reset before a case to its verdict.
+JUnit: a test suite for each chapter of the cases, a test case for each case. A failed case is a failure; one that does not apply
+or was left out is skipped; remarks are its output. Times are those of the bus: seconds from the reset before a case to its
+verdict.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _STYLES: Final = {Result.PASSED: "green", Result.REMARK: "yellow", Result.FAILED
 
 @dataclass(frozen=True)
 class CaseRun:
-    """A case that was run. seconds: how long."""
+    """A case that was run. seconds: its duration."""
 
     case: Case
     verdict: Verdict
@@ -37,8 +38,8 @@ class CaseRun:
 
 @dataclass
 class Report:
-    """What came of the cases. node_id: None of a file alone. total: how many are to be run; left_out: which are not, as they
-    store. file: by which they go, "" for none; begun: those that were begun."""
+    """The results of the cases. node_id: None for a file alone. total: number of cases to run; left_out: cases not run, because
+    they store. file: the device's file, "" for none; begun: cases begun."""
 
     node_id: int | None
     total: int
@@ -63,7 +64,7 @@ class Report:
         return node_text(self.node_id) if self.node_id is not None else self.file
 
     def show(self, screen: Screen) -> None:
-        """A row for each case that was run, all offenders of those that have several, and a line about all; or JSON."""
+        """Print a row for each case that was run, all offenders of cases with several, and a summary; or JSON."""
         if screen.json_output:
             screen.json(self._as_json())
             return
@@ -80,7 +81,7 @@ class Report:
             numbers = ", ".join(case.number for case in self.left_out)
             screen.say(f"left out, as they change what the device stores: {numbers}. --storing runs them too")
         if self.file and any(each.case.number == "1.0" and each.verdict.result is Result.FAILED for each in self.runs):
-            screen.say(f"all that is wrong with the file: canopen eds lint {escape(self.file)}")
+            screen.say(f"all faults of the file: canopen eds lint {escape(self.file)}")
 
     def _counted(self) -> Iterator[str]:
         for result in Result:
@@ -119,7 +120,7 @@ def _row(each: CaseRun) -> tuple[str, ...]:
 
 
 def _list_offenders(screen: Screen, each: CaseRun) -> None:
-    """All of them, unless the table has the only one."""
+    """List all offenders, unless the table has the only one."""
     for what, lines in (("failures", each.verdict.failures), ("remarks", each.verdict.remarks)):
         if len(lines) > 1 or (lines and lines[0] != each.verdict.reason):
             screen.out.print(f"\n{each.case.number}, {what}:")
@@ -153,7 +154,7 @@ def write_junit(path: str, report: Report) -> None:
 
 
 def _order(case: Case) -> tuple[int, ...]:
-    # by number: 2.10 behind 2.9
+    # by number: 2.10 after 2.9
     return tuple(map(int, case.number.split(".")))
 
 

@@ -1,6 +1,6 @@
 """`canopen compare`: compare the values of a node and of a file, or of two files.
 
-`canopen eds diff` compares what two files say of a type of device; this compares the values of two devices.
+`canopen eds diff` compares two files about a type of device; this compares the values of two devices.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far two numbers may be apart: `absolute`, or `relative` to the larger one."""
+    """How far apart two equal numbers may be: `absolute`, or `relative` to the larger one."""
 
     absolute: float = 0.0
     relative: float = 0.0

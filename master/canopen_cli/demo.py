@@ -1,4 +1,4 @@
-"""`canopen demo`: a six-joint arm boots, homes itself and follows a smooth path. See demonstration.py for what happens."""
+"""`canopen demo`: a six-joint arm boots, homes itself and follows a smooth path. demonstration.py does it."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from rich.text import Text
 from canopen_cli.screen import Screen, escape, node_text
 
 TRACK_WIDTH: Final = 41
-"""Characters of the line on which a joint's position is shown; odd, so that it has a middle."""
+"""Characters of the line that shows a joint's position; odd, so that it has a middle."""
 
 
 class Mark(enum.Enum):
@@ -30,7 +30,7 @@ class Mark(enum.Enum):
 
 @dataclass
 class Step:
-    """One step: boot, home, move. progress: 0 to 1, None where it is not known."""
+    """One step: boot, home, move. progress: 0 to 1, None if it is not known."""
 
     name: str
     text: str
@@ -51,7 +51,7 @@ class JointView:
 
 @dataclass
 class DemoView:
-    """Use it as a context manager around what it shows. `range`: degrees that the position line spans to each side."""
+    """The view of a run; use it as a context manager around the run. range: degrees that the position line spans to each side."""
 
     screen: Screen
     title: str
@@ -94,7 +94,7 @@ class DemoView:
         step.mark = mark
         line = f"{mark.value} {step.name:<6} {escape(step.text)}"
         if self._live is not None:
-            self._live.console.print(line)  # above what is drawn
+            self._live.console.print(line)  # above the picture
             self.refresh()
         else:
             self.screen.say(line)

@@ -1,8 +1,8 @@
 """The work of `canopen demo`: boot, home, move, shut down; and what it tells about that.
 
-The drives are those of a chain file. Without a bus each bus name in that file becomes a virtual one, on which simulated drives
-stand at the node-IDs of the file; with a bus all names mean that one. Everything else is the same code: a simulated drive is a
-device on a CAN bus like any other.
+The drives are those of a chain file. Without a bus, each bus name in that file becomes a virtual bus with simulated drives at the
+node-IDs of the file; with a bus, all names mean that one. The rest is the same code: a simulated drive is a device on a CAN bus
+like any other.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 REFRESH: Final = 0.08
-"""Seconds between two pictures on a terminal."""
+"""Seconds between two redraws on a terminal."""
 HARDWARE_DELAY: Final = 3
 """Seconds before real drives begin to move: time to take one's hands away, or to press Ctrl-C."""
 
 SETTLING_TIME: Final = 0.1
 """Seconds during which the last set-point is held."""
 MAX_LATE_SHARE: Final = 0.05
-"""Of all periods. A computer that does other things besides loses single ones, well below this. Beyond it the joints stood still
-in every twentieth period, and the motion took that much longer: the cycle is too short for this computer."""
+"""The greatest share of late periods. A computer with other work loses single ones, well below this. Beyond it the joints stand
+still in every twentieth period, and the motion takes that much longer: the cycle is too short for this computer."""
 DEMO_FAULT: Final = 0x2310
 """Continuous over-current: the error code of a joint that hits something."""
 NEXT: Final = """Try next:
@@ -62,7 +62,7 @@ class Plan:
     """The options of the command. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds.
     scale: of real drives, counts per radian; None: as their vendor-ID says.
 
-    files: what the drives are, by node-ID (None: all others); without any they are Powerball joints with the PDOs of PDOs.csv.
+    files: the drives' files, by node-ID (None: all others); without a file they are Powerball joints with the PDOs of PDOs.csv.
     """
 
     bus: str | None
@@ -94,7 +94,7 @@ class JointResult:
     round_trips: int
 
     def row(self) -> tuple[str, ...]:
-        """For the table."""
+        """Return the cells for the table."""
         homed = "[green]yes[/]" if self.homed else "[red]no[/]"
         node, error = f"{self.node_id} (0x{self.node_id:02X})", f"{self.error:.3f}°"
         return escape(self.name), node, escape(self.state), homed, error, str(self.round_trips)
@@ -123,12 +123,12 @@ class CycleCounts:
         return self.late_share <= MAX_LATE_SHARE
 
     def row(self) -> tuple[str, ...]:
-        """For the table."""
+        """Return the cells for the table."""
         return str(self.sent), str(self.missed), str(self.skipped), _percent(self.late_share)
 
 
 class Demonstration:
-    """One run. recording: what was commanded, and what the joints did; it is filled while they move."""
+    """One run. recording: commanded and actual positions; it is filled while the joints move."""
 
     def __init__(self, screen: Screen, plan: Plan) -> None:
         self.screen = screen
@@ -172,7 +172,7 @@ class Demonstration:
             )
 
     def _locators(self) -> dict[str, str]:
-        """Bus by its name in the chain file."""
+        """Return the locator of each bus by its name in the chain file."""
         if self.plan.bus is not None:
             return dict.fromkeys(self.description.buses, self.plan.bus)
         return {name: f"virtual:demo{number or ''}" for number, name in enumerate(self.description.buses)}
@@ -307,7 +307,7 @@ class Demonstration:
             arm.set_positions(path.at(cycle.time))
             if cycle.time > plan.seconds + SETTLING_TIME:
                 break
-            if cycle.number % refresh == 0:  # right behind a SYNC: drawing takes 3 ms, and must not delay the next one
+            if cycle.number % refresh == 0:  # right after a SYNC: drawing takes 3 ms, and must not delay the next one
                 self._redraw(view)
         counts = CycleCounts(arm.sync_cycles, arm.missed_cycles, arm.skipped_cycles)
         missed = "none missed or skipped"
@@ -357,7 +357,7 @@ class Demonstration:
             joint.position = None if device.position is None else math.degrees(device.position)
         view.refresh()
 
-    # ---- what is told of it ----
+    # ---- the report ----
 
     def titles(self) -> tuple[str, str]:
         """Return title and subtitle of the picture."""

@@ -1,7 +1,7 @@
 """The option -e: the devices' own files (EDS, DCF, XDD, XDC), which name and type their objects in place of the data files.
 
-`-e FILE` is for all nodes, `-e 5=FILE` for node 5 only. Several files without a node-ID are told apart by the node-ID in them, as
-a DCF and an XDC have it. The names of the data files are laid over each, so that `statusword` works with every drive.
+`-e FILE` is for all nodes, `-e 5=FILE` for node 5 only. Several files given without a node-ID must contain one, as a DCF or an
+XDC does. The names of the data files are laid over each, so that `statusword` works with every drive.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`canopen doctor`: find out which buses this computer can reach, what is missing, and what is heard on a bus.
 
-Without -b nothing is opened. With -b the bus is opened, to listen only where the adapter can, and nothing is sent.
+Without -b nothing is opened. With -b the bus is opened, listen-only if the adapter can, and nothing is sent.
 """
 
 from __future__ import annotations

@@ -32,10 +32,10 @@ class DriveFile:
 
 
 def drive_files(texts: Sequence[str], defaults: bool, screen: Screen, encoding: str = "") -> dict[int | None, DriveFile]:
-    """The files that `-e` names, by node-ID (None: of all others). defaults: leave out what a DCF configures. encoding: of
-    the files, "" = to be found out.
+    """Return the files of `-e`, by node-ID (None: all others). defaults: drop the values that a DCF configures. encoding: of the
+    files, "" = guess it.
 
-    Raises DataError, and a Problem for a file that describes no drive.
+    Raises DataError, and Problem for a file that does not describe a drive.
     """
     if not texts:
         return {}

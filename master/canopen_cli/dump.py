@@ -36,8 +36,8 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
     """Read all objects of a node, and show them.
 
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
-    those of the data files are read; --walk looks for others. Exit status: 0 complete, 7 something that should be there could not
-    be read.
+    those of the data files are read; --walk looks for others. Exit status: 0 complete, 7 an object that should exist could not be
+    read.
 
     \b
     canopen dump 3 -b demo

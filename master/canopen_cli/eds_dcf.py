@@ -93,7 +93,7 @@ def to_dcf(
 def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tuple[str, ...], output: str) -> None:
     """Make a concise DCF: the bytes that object 0x1F22 of a configuration manager takes.
 
-    It holds what the DCF has configured, and what --set adds, in the order in which it may be written to the device.
+    It holds the values that the DCF configures and those of --set, in an order in which the device can take them.
 
     \b
     canopen eds to-cdcf axis5.dcf -o axis5.cdcf

@@ -1,4 +1,4 @@
-"""`canopen eds doc`: a device description as one readable page."""
+"""`canopen eds doc`: make one readable page of a device description."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from canopen_data.reading import read_description
 from canopen_master.plain_text import clean
 
 MAX_SHOWN: Final = 120
-"""Characters of a line that are shown around a finding: an XML file may be one single line."""
+"""Characters of a line shown around a finding: an XML file may be one single line."""
 
 _STYLES: Final = {Severity.ERROR: "bold red", Severity.WARNING: "bold yellow", Severity.NOTICE: "bold cyan"}
 
@@ -31,12 +31,12 @@ class DescriptionFile:
 
     @property
     def lines(self) -> list[str]:
-        """The file's text; lines end as the findings count them."""
+        """The file's text, in lines as the findings count them."""
         return lines_of(self.data.decode(self.description.encoding, errors="replace"))
 
 
 def lines_of(text: str) -> list[str]:
-    """The lines of a text as files have them, and findings count them; str.splitlines knows more ends of lines."""
+    """Return the lines of a text as findings count them; str.splitlines knows more line ends."""
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
@@ -74,7 +74,7 @@ def tell_faults(screen: Screen, file: DescriptionFile) -> None:
 
 
 def counted(number: int, what: str) -> str:
-    """ "1 error", "2 errors"."""
+    """Return a text such as "1 error", "2 errors"."""
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
@@ -103,7 +103,7 @@ def _window(line: str, column: int) -> tuple[str, int]:
 
 
 def finding_as_json(finding: Finding) -> dict[str, Any]:
-    """For --json."""
+    """Return a finding for --json."""
     return {
         "file": finding.source,
         "line": finding.line,
@@ -123,6 +123,6 @@ def counts_of(findings: Iterable[Finding]) -> dict[Severity, int]:
 
 
 def counts_text(counts: Mapping[Severity, int]) -> str:
-    """ "2 errors, 1 warning"."""
+    """Return a text such as "2 errors, 1 warning"."""
     parts = [counted(number, str(severity)) for severity, number in counts.items() if number]
     return ", ".join(parts) or "nothing found"

@@ -1,4 +1,4 @@
-"""A device description as one HTML page that needs nothing else: no script, no font, no file beside it.
+"""Write a device description as one HTML page that needs nothing else: no script, no font, no other file.
 
 Every text of the file is escaped on its way into the page (`_e`): a description may come from anybody.
 """
@@ -44,7 +44,7 @@ _COLUMNS: Final = ("object", "name", "type", "access", "PDO", "default", "limits
 
 
 def html_of(page: Page) -> str:
-    """The whole page."""
+    """Return the whole page."""
     return "\n".join(_lines(page)) + "\n"
 
 

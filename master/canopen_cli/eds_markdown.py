@@ -1,6 +1,6 @@
-"""A device description as one page of Markdown, with tables as GitHub and others have them.
+"""Write a device description as one page of Markdown, with GitHub's form of tables.
 
-Every text of the file is escaped on its way into the page (`_e`): what is Markdown or HTML in it is shown and does nothing.
+Every text of the file is escaped on its way into the page (`_e`): Markdown or HTML in it is shown as text.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _COLUMNS: Final = ("object", "name", "type", "access", "PDO", "default", "limits
 
 
 def markdown_of(page: Page) -> str:
-    """The whole page."""
+    """Return the whole page."""
     return "\n".join(_lines(page)) + "\n"
 
 

@@ -34,7 +34,7 @@ MAX_TEXT: Final = 60
 
 @dataclass(frozen=True)
 class PdoEntry:
-    """One entry of a PDO. place: "6041:00"; name: of the object, "" where the file does not have it; bits: in the PDO."""
+    """One entry of a PDO. place: "6041:00"; name: of the object, "" if the file does not have it; bits: in the PDO."""
 
     place: str
     name: str
@@ -136,7 +136,7 @@ def kind_text(each: Object) -> str:
 
 
 def is_one(each: Object) -> bool:
-    """Whether an object is one variable at subindex 0."""
+    """Return whether an object is one variable at subindex 0."""
     return list(each.variables) == [0] and each.object_type not in (ObjectType.ARRAY, ObjectType.RECORD)
 
 
@@ -152,7 +152,7 @@ def full_name(each: Object, variable: Variable) -> str:
 
 
 def limits_text(variable: Variable) -> str:
-    """ "0..100", "" where the type alone limits it."""
+    """Return a text such as "0..100"; "" if only the type limits it."""
     if variable.low_limit is None and variable.high_limit is None:
         return ""
     low, high = (number_text(variable, each) for each in (variable.low_limit, variable.high_limit))

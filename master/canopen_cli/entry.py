@@ -1,4 +1,4 @@
-"""The `canopen` command, also of an install that lacks the libraries of the command line: it says which extra to install."""
+"""The `canopen` command. If the libraries of the command line are not installed, it names the extra to install."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CANNOT_OPEN = 3
 
 
 def main() -> int:
-    """Run the command line and return its exit status: 3, after two lines of advice, where a library is not installed."""
+    """Run the command line and return its exit status: 3, after two lines of advice, if a library is missing."""
     try:
         with importing():
             from canopen_cli.app import main as run

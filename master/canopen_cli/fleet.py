@@ -1,7 +1,7 @@
-"""Simulated drives for the command line: those of `canopen demo`, of `-b demo`, and of `canopen sim`.
+"""Serve simulated drives for `canopen demo`, `-b demo` and `canopen sim`.
 
-A fleet runs shielded until its block is left: on a Ctrl-C the master still has to halt the drives, and simulated ones must live
-as long as that takes, as real ones would.
+A fleet runs shielded until its block is left: on a Ctrl-C the master still has to halt the drives, and simulated ones must stay
+alive meanwhile, as real ones would.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ DEMO_NODES: Final = tuple(range(3, 9))
 HEARTBEAT_MS: Final = 500
 """Simulated drives send a heartbeat, so that a scan hears them and their NMT state is known."""
 BOOT_TIME: Final = 0.05
-"""Seconds from power-on until the boot-up frames are out: a request that a boot-up overtakes is lost, as it would be in life."""
+"""Seconds from power-on until the boot-up frames are sent: an earlier request would be lost, as with a real drive."""
 
 # Where the joints stand at power-on, in counts (millidegrees). They differ, so that homing is worth watching.
 _POSITIONS: Final = (-14_000, 9_000, 21_000, -7_000, 16_000, -22_000)
 _TRACK: Final = Track(home_switch=(0.0, math.inf))
-"""The home switch is active from the middle to the positive end, as homing by method 19 takes it."""
+"""The home switch is active from the middle to the positive end, as homing method 19 expects."""
 
 
 def drive_maker(
@@ -59,7 +59,7 @@ def drive_maker(
 
 
 class Fleet:
-    """Simulated drives, each in its place: hosts has one for each bus."""
+    """A set of simulated drives. hosts: one for each bus."""
 
     def __init__(self, hosts: Sequence[Host]) -> None:
         self._hosts = tuple(hosts)
@@ -139,7 +139,7 @@ async def simulated_devices(
         try:
             await trio.sleep(BOOT_TIME)
             yield Fleet(hosts)
-        except Exception as error:  # noqa: BLE001 - raised again below: through the nursery it would come out in a group
+        except Exception as error:  # noqa: BLE001 - raised again below: the nursery would wrap it in a group
             failure = error
         finally:
             serving.cancel()

@@ -1,4 +1,4 @@
-"""`canopen home`: home drives side by side, and take their power off again."""
+"""`canopen home`: home drives at the same time, and disable them afterwards."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
 
     try:
         axes = run(settings, screen, command, story=_story)
-    except Exception as error:  # noqa: BLE001 - raised again, with what was done
+    except Exception as error:  # noqa: BLE001 - raised again, with a note of what was done
         problem = problem_of(error)
         if isinstance(problem.__cause__, StepTimeout):
             problem.more += _story(all_stand(error))
@@ -123,7 +123,7 @@ def _home(
 
 
 async def _watch(view: DemoView, axes: dict[int, Axis]) -> None:
-    """Bring the picture up to date."""
+    """Keep the picture up to date."""
     while True:
         for joint in view.joints:
             axis = axes.get(joint.node_id)

@@ -1,8 +1,7 @@
 """Import the parts of the command line: end quietly on a Ctrl-C meanwhile, and say which library is missing.
 
-Importing all that a command needs takes a third of a second, in which no drive is touched. A Ctrl-C in that time simply ends the
-process (a shell calls that 130, as ever): Python's KeyboardInterrupt would show where in an import it struck, or be swallowed
-there.
+The imports of a command take a third of a second, and no drive is touched meanwhile. A Ctrl-C in that time simply ends the
+process (a shell reports 130, as always): Python's KeyboardInterrupt would show the place in the import, or be swallowed there.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ LIBRARIES: Final = frozenset({"click", "rich", "trio", "can"})
 
 
 class LibraryMissing(Exception):
-    """One of LIBRARIES is not installed."""
+    """Raised if one of LIBRARIES is not installed."""
 
     def __init__(self, library: str) -> None:
         super().__init__(f"the command line needs {library}, which is not installed.\nTry: pip install 'canopen-proto[master]'")
@@ -27,7 +26,7 @@ class LibraryMissing(Exception):
 @contextmanager
 def importing() -> Iterator[None]:
     """Import within this block. Raises LibraryMissing in place of the ModuleNotFoundError of one of LIBRARIES."""
-    # Another handler stays: SIG_IGN is a shell's background job. And only the main thread may set one.
+    # Keep another handler: a shell sets SIG_IGN for background jobs. And only the main thread may set one.
     raises = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     ends = raises and threading.current_thread() is threading.main_thread()
     if ends:

@@ -42,7 +42,7 @@ Facts = dict[str, tuple[Any, str]]
 @common
 @click.pass_obj
 def info(settings: Settings, node_id: int) -> None:
-    """Show what a node is, and how it is.
+    """Show a node's identity, state, errors and PDOs.
 
     With -e FILE, also tell whether it is the device that the file describes.
     """
@@ -88,7 +88,7 @@ def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tup
     ]
     raw = {"name": description.source, "matches": not different if compared else None, "different": different}
     if not compared:
-        return raw, f"{description.source}: it says nothing of the device's identity"
+        return raw, f"{description.source}: it gives no identity of the device"
     if not different:
         return raw, f"{description.source}: MATCH"
     fields = ", ".join(f"{each['field']} 0x{each['node']:08X} (file: 0x{each['file']:08X})" for each in different)

@@ -1,7 +1,7 @@
-"""A group of commands that imports the module of a command when that command is called, and not before.
+"""A group of commands that imports a command's module only when the command is called.
 
-Its list of commands, in `--help` and in the completion of a shell, comes from a table with one line for each. A test compares
-these lines with what the commands say of themselves.
+Its list of commands, in `--help` and in a shell's completion, comes from a table with one line for each. A test compares these
+lines with the commands' own help.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
 @common
 @click.pass_obj
 def stats(settings: Settings, source: Path, bitrate: str) -> None:
-    """Count what is in a file: frames, rates, and the load of the bus, of each CAN-ID."""
+    """Count the frames of a file: number, rate and bus load of each CAN-ID."""
     screen = settings.screen()
     try:
         rate = parse_bitrate(bitrate)
@@ -189,7 +189,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
 def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, services: tuple[str, ...]) -> None:
     """Say what each frame in a file means; - is standard input.
 
-    PDOs are read as the recording shows them set up, else as the devices' own files say, else as PDOs.csv does.
+    PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv.
 
     \b
     canopen log decode trace.log

@@ -22,8 +22,8 @@ from canopen_master.whole_file import whole_file
 
 
 def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
-    """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it is there already and the user does
-    not want it overwritten.
+    """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it exists and the user does not want
+    it overwritten.
 
     Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). If the path is not a
     regular file (/dev/null, a pipe), nothing is asked: nothing is overwritten there.

@@ -23,9 +23,9 @@ from canopen_proto.dictionary import Variable
 from canopen_proto.sdo.client import Block
 
 PIECE: Final = 4096
-"""Bytes that are read from a file at once."""
+"""Bytes read from a file at once."""
 PATIENCE: Final = 1.0
-"""Seconds without progress on the screen: most transfers take less."""
+"""Seconds before progress is shown: most transfers take less."""
 REDRAW: Final = 0.1
 """Seconds between two updates of the progress."""
 
@@ -45,7 +45,7 @@ class FileTransfer:
         return f"{self.size} bytes in {self.seconds:.2f} s{rate}"
 
     def as_json(self) -> dict[str, Any]:
-        """For --json."""
+        """Return the transfer for --json."""
         return {
             "node": self.node_id,
             "index": self.variable.index,
@@ -60,7 +60,7 @@ class FileTransfer:
 async def read_into_file(
     screen: Screen, node: Node, variable: Variable, path: str, file: IO[bytes], block: Block
 ) -> FileTransfer:
-    """Read an object into a file that is open. path: its name. Raises OSError, and what Node.read_stream raises."""
+    """Read an object into an open file. path: its name. Raises OSError, and what Node.read_stream raises."""
     started = trio.current_time()
     with progress(screen, node, variable, None) as show:
         async with node.read_stream(variable.index, variable.subindex, block=block) as stream:

@@ -49,7 +49,7 @@ class Reading:
     constants: tuple[str, ...]
 
     def row(self) -> tuple[str, str, str, str, str]:
-        """For a table."""
+        """Return the cells for a table."""
         place, name = place_text(self.variable), escape(self.variable.name)
         words = escape(", ".join(self.constants))
         meaning = physical_text(self.variable, self.value)
@@ -57,7 +57,7 @@ class Reading:
         return place, name, escape(value), hex_text(self.variable, self.value), words
 
     def as_json(self) -> dict[str, Any]:
-        """For --json."""
+        """Return the value for --json."""
         return {
             "node": self.node_id,
             "index": self.variable.index,

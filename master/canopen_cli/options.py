@@ -1,4 +1,4 @@
-"""The options and the kinds of argument that all commands share.
+"""The options and kinds of argument that all commands share.
 
 `common` adds -b, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They may
 also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus if no
@@ -67,7 +67,7 @@ class Settings:
         return DEFAULT_GRIP if self.master_id is None else Grip(node_id=self.master_id)
 
     def screen(self) -> Screen:
-        """Where the command writes."""
+        """The screen that the command writes to."""
         with importing():
             from canopen_cli.screen import Screen
         return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color)
@@ -159,7 +159,7 @@ class Encoding(Kind):
 
 
 class Fault(Kind):
-    """Which simulated drive breaks down when: "5@2.0"."""
+    """The simulated drive that breaks down, and when: "5@2.0"."""
 
     name = "node@seconds"
 
@@ -264,7 +264,7 @@ def common(command: F) -> F:
             "--trace",
             type=click.Path(dir_okay=False, path_type=Path),
             metavar="FILE",
-            help="Record all that is said on the bus meanwhile: .log (candump's), .asc, .blf, .trc.",
+            help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc.",
         ),
         _option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
         _option("--json", "json_output", is_flag=True, help="Results and errors as JSON."),

@@ -14,9 +14,9 @@ from typing import Final
 SLOWEST: Final = 0.20
 """Swings per second of the first joint."""
 STEP: Final = 0.03
-"""How much faster each further joint swings."""
+"""Swings per second that each further joint adds."""
 MAX_RAMP: Final = 1.5
-"""Seconds in which the window rises and falls; a third of a short motion."""
+"""Seconds in which the window rises, and falls; a third of the time in a short motion."""
 MAX_SPEED: Final = math.radians(60)
 """Per second. A drive that brakes with 100°/s² stands within 0.6 s."""
 MAX_ACCELERATION: Final = math.radians(300)
@@ -26,9 +26,9 @@ _CURVATURE: Final = 5.774  # the strongest curvature of _smooth
 
 
 class Path:
-    """Positions over time, in radians. start: where the joints stand; swing: how far they go; duration: seconds.
+    """Positions over time, in radians. start: the joints' present positions; swing: how far they go; duration: seconds.
 
-    limits: how fast each joint may go, if that is less than MAX_SPEED.
+    limits: the speed limit of each joint, if that is less than MAX_SPEED.
     """
 
     def __init__(self, start: list[float], swing: float, duration: float, limits: Sequence[float] = ()) -> None:

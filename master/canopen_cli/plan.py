@@ -29,7 +29,7 @@ COLUMNS = ("what", "CAN-ID", "bytes", "each", "worst", "simulated", "margin")
 GROUPED = ("heartbeat", "EMCY")
 """Streams that share one line for all devices: the worst of them is shown."""
 SYNCHRONOUS = 240
-"""The highest transmission type of a TPDO that a SYNC asks for."""
+"""The highest transmission type of a TPDO that is sent at a SYNC."""
 
 
 @click.command()
@@ -70,10 +70,10 @@ def plan(
 ) -> int:
     """Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits.
 
-    No bus is opened. "worst" is the bound of the worst-case analysis for CAN, "simulated" what a simulated bus showed at worst.
-    "margin" is what is left of the time until the next SYNC (PDOs), of 100 ms (each frame of an SDO), or until it comes again.
-    PDOs are those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle,
-    synchronous TPDOs at each SYNC, the others once per inhibit time or event timer.
+    No bus is opened. "worst" is the bound of the worst-case analysis for CAN, "simulated" the worst on a simulated bus. "margin"
+    is the time left before the next SYNC (PDOs), of 100 ms (each frame of an SDO), or before the same frame comes again. PDOs are
+    those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle, synchronous
+    TPDOs at each SYNC, the others once per inhibit time or event timer.
 
     Exit status: 0 it fits, 1 it does not.
 

@@ -1,4 +1,4 @@
-"""The picture of a demonstration: commanded and actual position of each joint. Needs matplotlib, the extra `plot`."""
+"""Draw a demonstration: commanded and actual position of each joint. Needs matplotlib, the extra `plot`."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class Problem(Exception):
         return self
 
     def as_json(self) -> dict[str, Any]:
-        """For --json."""
+        """Return the error for --json."""
         return {
             "code": self.code,
             "kind": KINDS.get(self.exit_code, "other"),

@@ -75,7 +75,7 @@ def restore(
     any_device: bool,
     yes: bool,
 ) -> int:
-    """Write the settings of a DCF or XDC to a node: what differs from what it has.
+    """Write those settings of a DCF or XDC to a node that differ from its own.
 
     The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
     is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
@@ -100,7 +100,7 @@ def restore(
     failure: Exception | None = None
     try:
         run(settings, screen, lambda: _restore(settings, screen, wanted, so_far), story=lambda confirmed: story(so_far))
-    except Exception as error:  # noqa: BLE001 - raised below, behind what was written until then
+    except Exception as error:  # noqa: BLE001 - raised below, after the list of what was written
         failure = error
     if so_far:
         show(screen, so_far[0], path, dry_run=dry_run)

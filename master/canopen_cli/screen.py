@@ -48,7 +48,7 @@ def node_text(node_id: int) -> str:
 
 
 class Screen:
-    """out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv)."""
+    """The screen of a command. out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv)."""
 
     def __init__(self, *, json_output: bool = False, verbosity: int = 0, color: bool = True) -> None:
         self.json_output = json_output
@@ -130,20 +130,20 @@ class Screen:
             if any(signs & select.POLLERR for _, signs in poll.poll(0)):
                 raise BrokenPipeError(errno.EPIPE, "the reader of the output has gone")
 
-    # ---- talk ----
+    # ---- messages ----
 
     def say(self, text: str) -> None:
-        """Tell what is done, unless --quiet. Markup is interpreted."""
+        """Print a message, unless --quiet. Markup is interpreted."""
         if self.verbosity >= 0:
             self.err.print(text, highlight=False, soft_wrap=not self.err.is_terminal)
 
     def detail(self, text: str) -> None:
-        """Tell more, with -v."""
+        """Print a message, only with -v."""
         if self.verbosity >= 1:
             self.err.print(Text(clean(text), style="dim"), soft_wrap=True)
 
     def problem(self, problem: Problem) -> None:
-        """Show what went wrong; with -vv also where."""
+        """Show an error; with -vv also the traceback."""
         if self.verbosity >= 2 and problem.__cause__ is not None:
             self.err.out("".join(traceback.format_exception(problem.__cause__)).rstrip(), highlight=False)
         if self.json_output:

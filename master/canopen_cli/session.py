@@ -36,7 +36,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed
 
 LISTEN_ON: Final = 1.5
-"""Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may only be late."""
+"""Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may just be late."""
 LOOK_AGAIN: Final = 0.05
 """Seconds between two checks of what was heard."""
 

@@ -129,7 +129,7 @@ def _node_ids(entry: DeviceEntry, description: DeviceDescription) -> tuple[int, 
     commissioning = description.commissioning
     node_id = None if commissioning is None else commissioning.node_id
     if node_id is None or not 1 <= node_id <= MAX_NODE_ID:
-        seen = "the file names none" if node_id is None else f"the file names {node_id}, which is none"
+        seen = "the file names none" if node_id is None else f"the file names {node_id}, which is not valid"
         tries = (f"canopen sim {entry.file} --id 5", f"canopen sim 5={entry.file}")
         raise usage("CO127", f"which node-ID is {entry.file} to have?", seen=seen, tries=tries)
     return (node_id,)

@@ -149,7 +149,7 @@ def test_what_cannot_be_run(run: Run) -> None:
         (["5", "--case", "11"], "there is no case '11'"),
         (["5", "--case", "2.99"], "canopen check --list"),
         (["5", "--case", "8.2"], "the same with --storing"),
-        (["5", "-b", "can0"], "no file of it was named"),
+        (["5", "-b", "can0"], "no file was given for it"),
         (["5", "-e", SAMPLE], "no bus was named"),
         (["200", "-b", "demo"], "outside 1..127"),
         ([*NODE], "This must be confirmed"),
@@ -249,7 +249,7 @@ def test_a_remark_is_no_failure_unless_strict(run: Run, world: World) -> None:
 def test_a_file_of_another_node_is_none(run: Run) -> None:
     outcome = run("check", "5", "-b", "virtual:check", "-e", f"6={SAMPLE}", "--yes")
     assert outcome.status == ExitCode.USAGE
-    assert "no file of it was named" in outcome.err
+    assert "no file was given for it" in outcome.err
 
 
 def test_the_device_is_reset_at_the_end(run: Run, world: World) -> None:

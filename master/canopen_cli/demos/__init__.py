@@ -6,5 +6,5 @@
     python -m canopen_cli.demos.canopenmaster_single_device
 
 Without --bus they open the manual's /dev/pcan32, and THE DRIVES MOVE. `--bus virtual` needs no hardware: it starts simulated
-drives in the same process. Ctrl-C halts what moves.
+drives in the same process. Ctrl-C halts the drives.
 """

@@ -40,7 +40,7 @@ def move(options: Options) -> None:
         send(positions, STEP, options.steps + 1)
         send(positions, -STEP, options.steps)
         print(f"cycle {cycle}: sent to {', '.join(map(str, positions.values()))} mdeg")
-    send(positions, 0, 3)  # a set-point is reached one interval after the SYNC at which the device took it
+    send(positions, 0, 3)  # the device reaches a set-point one interval after the SYNC that it took it at
     for device in devices:
         print(f"device {device} ends at {canopen.get_pos(device)} mdeg")
 

@@ -28,7 +28,7 @@ class Options:
 
 
 class Failed(Exception):
-    """A step of a demo did not succeed; the reason is its __cause__."""
+    """A step of a demo that did not succeed; __cause__ is the reason."""
 
 
 def check(succeeded: bool, otherwise: str) -> None:
@@ -87,14 +87,14 @@ def run(demo: Callable[[Options], None], read_options: Callable[[], Options | No
         if options is None:
             return ExitCode.USAGE
         with contextlib.ExitStack() as stack:
-            stack.callback(canopen.close_connection)  # halts what moves
+            stack.callback(canopen.close_connection)  # halts the drives
             if options.bus.partition(":")[0] == "virtual":
                 stack.enter_context(canopen.simulated(options.node_ids, bus=options.bus))
             demo(options)
     except KeyboardInterrupt:
         print("interrupted; the drives are halted", file=sys.stderr)
         return ExitCode.INTERRUPTED
-    except Exception as error:  # noqa: BLE001 - whatever it is becomes one screen
+    except Exception as error:  # noqa: BLE001 - any error becomes one screen
         reason = error.__cause__ if isinstance(error, Failed) and error.__cause__ is not None else error
         if isinstance(error, Failed):
             print(clean_lines(str(error)), file=sys.stderr)

@@ -39,7 +39,7 @@ def move(options: Options) -> None:
                 canopen.send_pos(device, position)
                 canopen.send_sync(INTERVAL)
             print(f"cycle {cycle}: sent to {position} mdeg")
-    for _ in range(3):  # a set-point is reached one interval after the SYNC at which the device took it
+    for _ in range(3):  # the device reaches a set-point one interval after the SYNC that it took it at
         canopen.send_pos(device, position)
         canopen.send_sync(INTERVAL)
     print(f"device {device} ends at {canopen.get_pos(device)} mdeg")
