@@ -1,4 +1,4 @@
-"""`canopen backup`: write all that a node holds into a DCF."""
+"""`canopen backup`: write all values of a node into a DCF."""
 
 from __future__ import annotations
 

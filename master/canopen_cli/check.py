@@ -173,8 +173,8 @@ def _check_node(settings: Settings, screen: Screen, report: Report, cases: Seque
 def _without_file(node_id: int) -> Exception:
     return usage(
         "CO134",
-        f"which device is {node_text(node_id)} to be?",
-        seen="no file of it was named",
+        f"the file of {node_text(node_id)} is needed",
+        seen="no file was given for it",
         cause="the cases compare the device with its file",
         tries=(f"canopen check {node_id} -e FILE.eds", "canopen check 3 -b demo    (a simulated drive)"),
     )

@@ -55,7 +55,7 @@ class Report:
 
     @property
     def seconds(self) -> float:
-        """Return the seconds that all cases took."""
+        """Seconds that all cases took."""
         return sum(each.seconds for each in self.runs)
 
     @property

@@ -65,7 +65,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far apart two equal numbers may be: `absolute`, or `relative` to the larger one."""
+    """How far apart two numbers may be and still count as equal: `absolute`, or `relative` to the larger one."""
 
     absolute: float = 0.0
     relative: float = 0.0

@@ -119,7 +119,7 @@ class CycleCounts:
 
     @property
     def was_kept(self) -> bool:
-        """Whether no more cycles were late than on an ordinary computer."""
+        """Whether the share of late cycles is that of an ordinary computer, or less."""
         return self.late_share <= MAX_LATE_SHARE
 
     def row(self) -> tuple[str, ...]:
@@ -432,7 +432,7 @@ class Demonstration:
 
 
 def _nobody_reads(error: Exception) -> bool:
-    """Whether it ended only because its reader went away (`canopen demo | head`), and all drives stand."""
+    """Return whether the run ended only because its reader went away (`canopen demo | head`), and all drives stand."""
     rest = error.split(BrokenPipeError)[1] if isinstance(error, ExceptionGroup) else error
     return (rest is None or isinstance(rest, BrokenPipeError)) and all_stand(error)
 

@@ -27,7 +27,7 @@ class DriveFile:
 
     @property
     def axis(self) -> AxisSettings:
-        """Return how the master has to treat this drive."""
+        """The master's settings for this drive."""
         return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
 
 

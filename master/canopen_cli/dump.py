@@ -1,4 +1,4 @@
-"""`canopen dump`: show all that a node holds, or write it into a file for other programs."""
+"""`canopen dump`: show all values of a node, or write them into a file for other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`canopen eds fix`: repair an EDS or DCF as far as possible without guessing."""
+"""`canopen eds fix`: repair an EDS or DCF where no guessing is needed."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ HEARTBEAT_MS: Final = 500
 BOOT_TIME: Final = 0.05
 """Seconds from power-on until the boot-up frames are sent: an earlier request would be lost, as with a real drive."""
 
-# Where the joints stand at power-on, in counts (millidegrees). They differ, so that homing is worth watching.
+# The joints' positions at power-on, in counts (millidegrees). They differ, so that homing is worth watching.
 _POSITIONS: Final = (-14_000, 9_000, 21_000, -7_000, 16_000, -22_000)
 _TRACK: Final = Track(home_switch=(0.0, math.inf))
 """The home switch is active from the middle to the positive end, as homing method 19 expects."""

@@ -85,7 +85,8 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
 
 
 async def _has_no_heartbeat(node: Node) -> bool:
-    """Whether the node says that it sends no heartbeat. A node that does not answer, such as a Stopped one, may send one."""
+    """Return whether the node says that it sends no heartbeat. A node that does not answer, such as a Stopped one, may send
+    one."""
     try:
         return not any(await node.read_bytes(indices.PRODUCER_HEARTBEAT_TIME))
     except SdoError:

@@ -101,7 +101,7 @@ def _missing(path: Path, trace: Trace) -> Problem | None:
 
 
 def same_file(one: Path, other: Path) -> bool:
-    """Whether two paths lead to the same existing file."""
+    """Return whether two paths lead to the same existing file."""
     try:
         return one.samefile(other)
     except OSError:
@@ -153,7 +153,7 @@ def _interrupted(number: int, story: Story, failure: BaseException | None) -> Pr
 
 
 def all_stand(error: BaseException | None) -> bool:
-    """Whether all drives confirmed that they stand: no exception is HaltNotConfirmed, and none has a note about it."""
+    """Return whether all drives confirmed that they stand: no exception is HaltNotConfirmed, and none has a note about it."""
     if isinstance(error, BaseExceptionGroup):
         return all(all_stand(each) for each in error.exceptions)
     is_halt = isinstance(error, HaltNotConfirmed) or (error is not None and isinstance(error.__cause__, HaltNotConfirmed))

@@ -129,5 +129,5 @@ async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed
 
 
 def _is_explained(node: Node, network: Network) -> bool:
-    """Whether further listening could not change the message."""
+    """Return whether further listening could not change the message."""
     return node.nmt_state is NmtState.STOPPED or network.heard(node.node_id).late_answer is not None

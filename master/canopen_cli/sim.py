@@ -147,5 +147,5 @@ def _keeper(path: str) -> ParameterKeeper:
     try:
         return ParameterKeeper(Path(path) if path else None)
     except StateFileError as error:
-        tries = ("another --state; it is written anew when a device stores",)
+        tries = ("another --state; a new one is written when a device stores",)
         raise Problem(ExitCode.BAD_FILE, "CO333", f"{error.path} is not a state file", seen=error.seen, tries=tries) from None

@@ -76,7 +76,7 @@ def plain_json(value: Value) -> Any:
 def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:
     """Return the value that a user typed for an object: a constant's name, a number, a text, or bytes in hexadecimal.
 
-    Raises ConstantNotFound for a name that is no constant, else Problem. Range and limits are not checked here.
+    Raises ConstantNotFound for an unknown name, else Problem. Range and limits are not checked here.
     """
     if any(constant.name == text for constant in dictionary.constants_of(variable)):
         return dictionary.value_from(variable, text)
