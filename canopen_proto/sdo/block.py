@@ -148,13 +148,3 @@ def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool) -> 
 def chosen_block_size(block_size: int) -> int:
     """What a receiver asks for: 2..127; see "Copies"."""
     return max(2, min(block_size, MAX_BLOCK_SIZE))
-
-
-def least_frames(size: int) -> tuple[int, int]:
-    """The frames that a block download and a block upload of `size` bytes take at least, with sub-blocks of 127 segments.
-
-    Initiate (2), segments, one acknowledgement per sub-block, end (2); an upload has a start besides.
-    """
-    segments = max(1, -(-size // SEGMENT_SIZE))
-    download = 4 + segments + -(-segments // MAX_BLOCK_SIZE)
-    return download, download + 1

@@ -38,7 +38,7 @@ from canopen_proto.sdo.block_sender import BlockSender
 from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, BLOCK_UPLOAD, INITIATE_UPLOAD_RESPONSE, SIZE, SPECIFIER
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.segmented_client import Download, Upload, impossible
-from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd, Transfer
+from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd
 
 MAX_FED: Final = 1 << 16
 """Bytes of a download stream that may be held: half a second of a bus at 1 Mbit/s."""
@@ -60,7 +60,7 @@ def lacks_blocks(aborted: SdoAborted) -> bool:
 class BlockDownload(BlockSender):
     """Write an object by block transfer, all at once or as a stream."""
 
-    __slots__ = ("_asked_at", "_fed", "_plain", "_size")
+    __slots__ = ("_asked_at", "_fed", "_size")
 
     def __init__(
         self, end: ChannelEnd, index: int, subindex: int, content: bytes | None, size: int | None, plain: Download | None = None
@@ -78,13 +78,9 @@ class BlockDownload(BlockSender):
         is_whole = content is not None or size == 0
         super().__init__(end, index, subindex, first, bytearray() if content is None else content, is_whole, end.crc)
         self._size = size
-        self._plain = plain
+        self.plain = plain
         self._fed = 0
         self._asked_at = -1  # what had been fed when we last asked for more
-
-    @property
-    def plain(self) -> Transfer | None:
-        return self._plain
 
     @property
     def room(self) -> int:
@@ -136,7 +132,7 @@ class BlockDownload(BlockSender):
 class BlockUpload(BlockReceiver):
     """Read an object by block transfer, all at once or as a stream."""
 
-    __slots__ = ("_crc_offered", "_most", "_plain")
+    __slots__ = ("_crc_offered", "_most")
 
     def __init__(
         self, end: ChannelEnd, index: int, subindex: int, is_stream: bool, most: int, plain: Upload | None = None
@@ -150,14 +146,7 @@ class BlockUpload(BlockReceiver):
         self._block_size = first[4]
         self._crc_offered = end.crc
         self._most = most
-        self._plain = plain
-
-    @property
-    def plain(self) -> Transfer | None:
-        return self._plain
-
-    def feed(self, piece: Buffer, last: bool, now: Time) -> None:
-        raise LocalProtocolError(f"{self}: nothing can be fed: it is no download stream, or it is complete")
+        self.plain = plain
 
     def _on_answer(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
         if data[1:4] != self.first[1:4]:
@@ -165,7 +154,7 @@ class BlockUpload(BlockReceiver):
         if command & 0xE1 == BLOCK_DOWNLOAD:  # 110 is the server's specifier for uploads
             self._on_initiated(command, data, now)
             return True
-        plain = self._plain
+        plain = self.plain
         if plain is None or command & SPECIFIER != INITIATE_UPLOAD_RESPONSE:
             return False
         plain.request_id, plain.first = self.request_id, self.first

@@ -41,7 +41,7 @@ Source: CiA 301 v4.2.0, 7.2.4.3.9 to 7.2.4.3.11 (download), 7.2.4.3.13 to 7.2.4.
 from __future__ import annotations
 
 from binascii import crc_hqx
-from typing import Final
+from typing import ClassVar, Final
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
@@ -76,6 +76,8 @@ class BlockReceiver(Transfer):
         "_received", "_silence", "_size", "_stalls", "_was_silent", "_with_crc", "offset",
     )  # fmt: skip
 
+    in_blocks: ClassVar[bool] = True
+
     _silence: Time  # from `_start` on: how long no segment may come, in ns
 
     def __init__(self, end: ChannelEnd, index: int, subindex: int, first: bytes, is_stream: bool) -> None:
@@ -96,11 +98,6 @@ class BlockReceiver(Transfer):
         self._was_silent = False  # for as long as _silence, since the last segment in order
         self._stalls = 0  # acknowledgements of nothing, one behind the other
         self._last_said = b""  # what to repeat if it may have been lost
-
-    @property
-    def patience(self) -> Time:
-        """A silence, and another one after we have asked again."""
-        return 2 * silence_limit(self.end.timeout) if self.has_begun else self.end.timeout
 
     @property
     def straggler(self) -> int:

@@ -19,8 +19,7 @@ Source: CiA 301 v4.2.0, 7.2.4.3.9 to 7.2.4.3.11 (download), 7.2.4.3.13 to 7.2.4.
 from __future__ import annotations
 
 from binascii import crc_hqx
-from collections.abc import Callable
-from typing import Final, TypeAlias
+from typing import ClassVar, Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
@@ -36,9 +35,8 @@ from canopen_proto.sdo.block import (
     MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
-    silence_limit,
 )
-from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, OVER, SEGMENTS, SENT, Buffer, ChannelEnd, State, Transfer
+from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, OVER, SEGMENTS, SENT, Buffer, ChannelEnd, Transfer
 
 
 class BlockSender(Transfer):
@@ -48,6 +46,8 @@ class BlockSender(Transfer):
         "_base", "_block_size", "_content", "_count", "_crc", "_is_final", "_is_whole", "_sent", "_stalls", "_unused",
         "_with_crc",
     )  # fmt: skip
+
+    in_blocks: ClassVar[bool] = True
 
     def __init__(
         self, end: ChannelEnd, index: int, subindex: int, first: bytes, content: bytes | bytearray, is_whole: bool, with_crc: bool
@@ -70,11 +70,6 @@ class BlockSender(Transfer):
     def is_all_sent(self) -> bool:
         """Whether all segments have been sent, as far as we know: the receiver may have everything."""
         return self._is_final and self._sent == self._count
-
-    @property
-    def patience(self) -> Time:
-        """A receiver asks again after one silence."""
-        return 2 * silence_limit(self.end.timeout) if self.has_begun else self.end.timeout
 
     # ---- inputs ----
 
@@ -207,9 +202,7 @@ class BlockSender(Transfer):
         """The receiver has confirmed the whole transfer."""
 
 
-_Handler: TypeAlias = Callable[[BlockSender, bytes, Frame, Time], None]
-
-_HANDLERS: Final[dict[tuple[State, int], _Handler]] = {
+_HANDLERS: Final = {
     (SEGMENTS, ACKNOWLEDGEMENT): BlockSender._on_acknowledgement,
     (SENT, ACKNOWLEDGEMENT): BlockSender._on_acknowledgement,
     (HELD, ACKNOWLEDGEMENT): BlockSender._on_acknowledgement,

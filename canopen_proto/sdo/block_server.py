@@ -18,7 +18,6 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
 from canopen_proto.sdo.block import (
     ACKNOWLEDGEMENT,
-    BLOCK_SIZE_BIT,
     COPY_TIME,
     CRC_BIT,
     END_RESPONSE,
@@ -32,7 +31,7 @@ from canopen_proto.sdo.block import (
 )
 from canopen_proto.sdo.block_receiver import BlockReceiver
 from canopen_proto.sdo.block_sender import BlockSender
-from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, SIZE
+from canopen_proto.sdo.codec import BLOCK_DOWNLOAD
 from canopen_proto.sdo.host import Door
 from canopen_proto.sdo.transfer import OVER, ChannelEnd
 
@@ -104,14 +103,3 @@ class ServerBlockDownload(BlockReceiver):
         if has_heard or is_copy or not is_initiate(command):
             return super()._on_gap(command, sequence, data, frame, now)
         return False
-
-
-def announced_size(request: bytes) -> int | None:
-    """Return the size that a block download's initiate request announces; None if it announces none."""
-    size: int = SIZE.unpack_from(request, 4)[0]
-    return size if request[0] & BLOCK_SIZE_BIT else None
-
-
-def may_switch(request: bytes, size: int) -> bool:
-    """Return whether a block upload's initiate request allows a normal upload of so many bytes."""
-    return 0 < request[5] >= size

@@ -106,34 +106,26 @@ class ChannelClient(SdoClient):
     index: of the record. While `is_open` is False, requests raise LocalProtocolError.
     """
 
-    __slots__ = ("_channel", "_lives", "index")
+    __slots__ = ("_lives", "index")
 
     def __init__(self, out: Outbox, node_id: int, index: int) -> None:
         """node_id: of the device itself, until the record names the server."""
         super().__init__(out, node_id)
         self.index = index
-        self._channel: tuple[RoutingKey, RoutingKey] | None = None
+        self.channel = None
         self._lives = False
-
-    @property
-    def channel(self) -> tuple[RoutingKey, RoutingKey] | None:
-        """Client to server, server to client, as `Frame.key`; None if it has none."""
-        return self._channel
 
     @property
     def is_open(self) -> bool:
         """Whether it takes requests: it has a channel, and SDO lives in the NMT state of the device."""
-        return self._lives and self._channel is not None
+        return self._lives and self.channel is not None
 
     def set_channel(self, channel: tuple[RoutingKey, RoutingKey] | None, now: Time) -> None:
         """Be the client of another channel, or of none. Does nothing if it is the same; else open requests end."""
-        if channel == self._channel:
-            return
-        self.abort_all(AbortCode.DEVICE_STATE, now)
-        self._channel = channel
-        if channel is not None:
-            self._use(*channel)
-        self._reroute()
+        if channel != self.channel:
+            self.abort_all(AbortCode.DEVICE_STATE, now)
+            self._use(channel)
+            self._reroute()
 
     def set_enabled(self, lives: bool, now: Time) -> None:
         """Whether SDO lives in the NMT state of the device. If not, open requests end without a frame."""
@@ -147,7 +139,7 @@ class ChannelClient(SdoClient):
         return super().can_ids() if self.is_open else ()
 
     def _submit(self, transfer: Transfer, urgent: bool, now: Time) -> RequestId:
-        if self._channel is None:
+        if self.channel is None:
             raise LocalProtocolError(f"{transfer}: 0x{self.index:04X} holds no channel: not both of its COB-IDs are valid")
         if not self._lives:
             raise LocalProtocolError(f"{transfer}: SDO does not live in the NMT state of this device")

@@ -47,22 +47,20 @@ from __future__ import annotations
 from typing import Final, Literal, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, STREAM_TIMEOUT
 from canopen_proto.sdo.block_client import NO_BLOCKS, BlockDownload, BlockUpload
 from canopen_proto.sdo.codec import (
     ABORT,
-    BLOCK_UPLOAD,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
     LEAST_RESPONSE,
     NO_MULTIPLEXER,
     SIZE,
     SPECIFIER,
-    TOGGLE,
-    UPLOAD_SEGMENT,
     complete,
 )
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
@@ -101,9 +99,7 @@ class SdoClient(ChannelEnd):
     then.
     """
 
-    __slots__ = (
-        "_nameless_abort", "_queue", "_transfer", "late_guard", "max_queue", "max_upload", "serves_blocks",
-    )  # fmt: skip
+    __slots__ = ("_nameless_abort", "_queue", "_transfer", "late_guard", "max_queue", "max_upload", "serves_blocks")
 
     def __init__(
         self,
@@ -131,7 +127,8 @@ class SdoClient(ChannelEnd):
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; stream_timeout: ns that the caller
         of a stream may take for each piece. All may be changed later, and then count for the requests that are made from then on.
         """
-        super().__init__(out, node_id, UPLOAD_SEGMENT | TOGGLE, timeout)
+        super().__init__(out, node_id, False, request_key, response_key)
+        self.timeout = timeout
         self.stream_timeout = stream_timeout
         self.copy_guard = copy_guard
         self.crc = crc
@@ -145,10 +142,6 @@ class SdoClient(ChannelEnd):
         self._queue = RequestQueue()
         self._transfer: Transfer | None = None
         self._nameless_abort = b""  # one that came while a block transfer was initiated
-        self._use(
-            routing_key(SDO_CLIENT_TO_SERVER + node_id) if request_key is None else request_key,
-            routing_key(SDO_SERVER_TO_CLIENT + node_id) if response_key is None else response_key,
-        )
 
     # ---- commands ----
 
@@ -313,7 +306,8 @@ class SdoClient(ChannelEnd):
         if self._nameless_abort and transfer.state is INITIATED:
             self._take_for_refusal(transfer, self._nameless_abort)
         else:
-            if transfer.is_answer_ambiguous:
+            if transfer.state is INITIATED and (transfer.first[0] == INITIATE_UPLOAD or transfer.is_all_sent):
+                # A late answer may be a whole one, and would look like that to the next such request
                 self._queue.expect_late(transfer.first[1:4], now + self.late_guard)
             transfer.handle_timeout(now)
         self._follow(transfer, now)
@@ -364,7 +358,7 @@ class SdoClient(ChannelEnd):
             is_refusal = is_named and not finds_a_copy
             self._end_by_abort(transfer, data, not is_refusal and transfer.is_all_sent)
             return
-        if is_nameless and transfer.first[0] >= BLOCK_UPLOAD:
+        if is_nameless and transfer.in_blocks:
             self._nameless_abort = data
         self.ignore(frame, "abort of another object's transfer")
 
@@ -372,7 +366,7 @@ class SdoClient(ChannelEnd):
         """The server has aborted the transfer; if it is blocks that it refuses, a plain one may take its place."""
         abort_code: int = SIZE.unpack_from(data, 4)[0]
         self.last = data
-        if transfer.state is INITIATED and transfer.first[0] >= BLOCK_UPLOAD:
+        if transfer.state is INITIATED and transfer.in_blocks:
             if abort_code == AbortCode.INVALID_COMMAND and data[1:4] == transfer.first[1:4]:  # else it is a guess
                 self.serves_blocks = False
             plain = transfer.plain

@@ -2,9 +2,7 @@
 
 The order is first come, first served, whoever asks: any number of tasks, each waiting for its outcome, take turns. Urgent
 requests go before the others, among themselves in their order; after MAX_URGENT_RUN of them one of the others has its turn.
-
-A transfer that ended without its last response may still be answered, and so may one that timed out. What such answers could be
-mistaken for waits: see `copy_guard` and `late_guard` in client.py.
+What a late answer could be mistaken for waits: see `copy_guard` and `late_guard` in client.py.
 """
 
 from __future__ import annotations

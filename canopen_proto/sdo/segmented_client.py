@@ -76,10 +76,6 @@ class Upload(SegmentReceiver):
         end.out.events.append(SdoUploaded(end.node_id, self.request_id, self.index, self.subindex, content))
         self.state = OVER
 
-    @property
-    def is_answer_ambiguous(self) -> bool:
-        return self.state is INITIATED
-
 
 class Download(SegmentedTransfer):
     """Write an object: expedited if it has 1 to 4 bytes, else in segments (no bytes at all have no expedited form)."""
@@ -139,10 +135,6 @@ class Download(SegmentedTransfer):
         if self.state is INITIATED:
             return bool(self.first[0] & EXPEDITED_BIT)
         return self._offset >= len(self._content)
-
-    @property
-    def is_answer_ambiguous(self) -> bool:
-        return self.state is INITIATED and self.is_all_sent
 
 
 def own(content: Buffer, index: int, subindex: int) -> bytes:

@@ -18,7 +18,7 @@ from typing import ClassVar
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
 from canopen_proto.sdo.block import MAX_SIZE, SUB_BLOCK_SIZE
-from canopen_proto.sdo.block_server import ServerBlockUpload, may_switch
+from canopen_proto.sdo.block_server import ServerBlockUpload
 from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT,
@@ -43,10 +43,11 @@ def answer_upload(
 ) -> Transfer | None:
     """Answer an upload's initiate request, `first`; return the transfer that goes on, or None if nothing has to follow.
 
-    more: content is the first piece that the host gives. 7.2.4.3.6 and, if blocks were asked for, 7.2.4.3.13
+    more: content is the first piece that the host gives. 7.2.4.3.6 and, if blocks were asked for, 7.2.4.3.13; the client's pst
+    (byte 5) may allow a normal upload of a small object instead.
     """
     size = len(content)
-    if first[0] >= BLOCK_UPLOAD and (more or not may_switch(first, size)):
+    if first[0] >= BLOCK_UPLOAD and (more or not 0 < first[5] >= size):
         return ServerBlockUpload(end, index, subindex, first, door, content, more, now)
     if 0 < size <= MAX_EXPEDITED and not more:
         payload = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
@@ -141,10 +142,8 @@ class ServerDownload(SegmentReceiver):
         self._door = door
         answer = Frame(end.can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), end.flags, 8)
         announced = UNKNOWN_SIZE if size is None else size
-        if door.takes_pieces:
-            self._start(DOWNLOAD_SEGMENT, announced, MAX_SIZE, SUB_BLOCK_SIZE, answer, now)
-        else:
-            self._start(DOWNLOAD_SEGMENT, announced, most, MAX_SIZE, answer, now)
+        limit, piece_size = (MAX_SIZE, SUB_BLOCK_SIZE) if door.takes_pieces else (most, MAX_SIZE)
+        self._start(DOWNLOAD_SEGMENT, announced, limit, piece_size, answer, now)
 
     def _complete(self, content: bytes, reply: Frame, now: Time) -> None:
         self._door.write(self, content, self._door.handed, reply, now)

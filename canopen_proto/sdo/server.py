@@ -35,19 +35,17 @@ SDO lives in the NMT states pre-operational and operational only (CiA 301 v4.2.0
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, TypeAlias
+from typing import Final
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_initiate, is_next, next_number
-from canopen_proto.sdo.block_server import ServerBlockDownload, announced_size
+from canopen_proto.sdo.block import BLOCK_SIZE_BIT, MAX_BLOCK_SIZE, MAX_BURST, is_initiate, is_next, next_number
+from canopen_proto.sdo.block_server import ServerBlockDownload
 from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
-    DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED_BIT,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
@@ -79,7 +77,7 @@ MAX_DOWNLOAD: Final = 16 << 20
 class SdoServer(ChannelEnd):
     """The server of one SDO channel; see this module's text."""
 
-    __slots__ = ("_channel", "_door", "_straggler", "_transfer", "enabled", "max_download")
+    __slots__ = ("_door", "_straggler", "_transfer", "enabled", "max_download")
 
     def __init__(
         self,
@@ -106,7 +104,8 @@ class SdoServer(ChannelEnd):
         acknowledgement and the next sub-block (see block.py). All may be changed later (access_timeout as
         `stream_timeout`), and count for the transfers that begin from then on.
         """
-        super().__init__(out, node_id, DOWNLOAD_SEGMENT_RESPONSE, timeout)
+        super().__init__(out, node_id, True, request_key, response_key)
+        self.timeout = timeout
         self.stream_timeout = access_timeout
         self.copy_guard = copy_guard
         self.crc = crc
@@ -118,10 +117,6 @@ class SdoServer(ChannelEnd):
         self._door = Door(store)
         self._transfer: Transfer | None = None
         self._straggler = 0  # the number of a segment that may come though its block download has ended; 0: none
-        from_client = routing_key(SDO_CLIENT_TO_SERVER + node_id) if request_key is None else request_key
-        to_client = routing_key(SDO_SERVER_TO_CLIENT + node_id) if response_key is None else response_key
-        self._channel: tuple[RoutingKey, RoutingKey] | None = (from_client, to_client)
-        self._use(to_client, from_client)
 
     # ---- commands ----
 
@@ -179,21 +174,14 @@ class SdoServer(ChannelEnd):
         Does nothing if it is the same one. Else a running transfer ends, still on the old channel, with an abort (0x08000022), so
         that its client need not wait in vain.
         """
-        if channel != self._channel:
+        if channel != self.channel:
             if self._transfer is not None:
                 self._transfer.abort(AbortCode.DEVICE_STATE)
                 self._become_idle()
-            self._channel = channel
-            if channel is not None:
-                self._use(channel[1], channel[0])
+            self._use(channel)
             self._reroute()
 
     # ---- getters ----
-
-    @property
-    def channel(self) -> tuple[RoutingKey, RoutingKey] | None:
-        """Client to server, server to client, as `Frame.key`; None if it has none."""
-        return self._channel
 
     @property
     def object_for_host(self) -> Mux | None:
@@ -209,7 +197,7 @@ class SdoServer(ChannelEnd):
         return self._transfer is not None
 
     def can_ids(self) -> tuple[RoutingKey, ...]:
-        return (self._hears,) if self._channel is not None and self.enabled else ()
+        return (self._hears,) if self.channel is not None and self.enabled else ()
 
     # ---- inputs ----
 
@@ -266,12 +254,13 @@ class SdoServer(ChannelEnd):
             Transfer(self, index, subindex, data).abort(content)
 
     def _on_initiate_download(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
-        """CiA 301 v4.2.0, 7.2.4.3.3"""
+        """CiA 301 v4.2.0, 7.2.4.3.3; and of a block download: 7.2.4.3.9"""
         if self._transfer is not None and not self._make_way(data, frame):
             return
         _, index, subindex, announced = INITIATE.unpack(data)
         self.last = data
-        if command & EXPEDITED_BIT:
+        is_block = command >= BLOCK_UPLOAD
+        if command & EXPEDITED_BIT and not is_block:
             unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
             content = data[4 : 8 - unused]
             answer = Frame(self.can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), self.flags, 8)
@@ -284,18 +273,10 @@ class SdoServer(ChannelEnd):
             self._door.defer(transfer, result, content, 0, answer, now)
             self._follow(transfer)
             return
-        size = announced if command & SIZE_BIT else None
-        transfer = Transfer(self, index, subindex, data)
-        if self._door.may_download(transfer, size, self.max_download):
-            self._follow(ServerDownload(self, index, subindex, data, self._door, size, self.max_download, now))
-
-    def _on_initiate_block_download(self, data: bytes, now: Time) -> None:
-        """CiA 301 v4.2.0, 7.2.4.3.9"""
-        index, subindex = MULTIPLEXER.unpack(data)
-        self.last = data
-        size = announced_size(data)
+        size = announced if command & (BLOCK_SIZE_BIT if is_block else SIZE_BIT) else None
         if self._door.may_download(Transfer(self, index, subindex, data), size, self.max_download):
-            self._follow(ServerBlockDownload(self, index, subindex, data, self._door, size, self.max_download, now))
+            kind = ServerBlockDownload if is_block else ServerDownload
+            self._follow(kind(self, index, subindex, data, self._door, size, self.max_download, now))
 
     def _surplus(self, index: int, subindex: int) -> int:
         """Return how many of four bytes of unspecified size are too many for the object."""
@@ -344,8 +325,8 @@ class SdoServer(ChannelEnd):
                 self._on_unknown(command, data, frame, now)
         elif command & SPECIFIER == BLOCK_UPLOAD:
             self._on_initiate_upload(command, data, frame, now)
-        elif self._transfer is None or self._make_way(data, frame):
-            self._on_initiate_block_download(data, now)
+        else:
+            self._on_initiate_download(command, data, frame, now)
 
     def _on_unknown(self, command: int, data: bytes, frame: Frame, now: Time) -> None:
         transfer = self._transfer or Transfer(self, 0, 0, data)  # without a transfer there is none to name
@@ -387,9 +368,7 @@ class SdoServer(ChannelEnd):
         self.deadline = NEVER
 
 
-_Handler: TypeAlias = Callable[[SdoServer, int, bytes, Frame, Time], None]
-
-_HANDLERS: Final[tuple[_Handler, ...]] = (
+_HANDLERS: Final = (
     SdoServer._on_other_segment,  # download segment
     SdoServer._on_initiate_download,
     SdoServer._on_initiate_upload,

@@ -34,12 +34,23 @@ from enum import Enum
 from typing import ClassVar, Final, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.frame import Frame, RoutingKey
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
 from canopen_proto.machine import FrameIgnored, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT
-from canopen_proto.sdo.codec import ABORT, BLOCK_UPLOAD, INITIATE, INITIATE_UPLOAD, SPECIFIER, TOGGLE
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT, silence_limit
+from canopen_proto.sdo.codec import (
+    ABORT,
+    BLOCK_UPLOAD,
+    DOWNLOAD_SEGMENT_RESPONSE,
+    INITIATE,
+    INITIATE_UPLOAD,
+    SPECIFIER,
+    TOGGLE,
+    UPLOAD_SEGMENT,
+)
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
+Channel: TypeAlias = tuple[RoutingKey, RoutingKey]
+"""Client to server, server to client."""
 
 UNKNOWN_SIZE: Final = -1
 """The other side has not announced how many bytes it sends."""
@@ -67,20 +78,23 @@ OVER: Final = State.OVER
 class ChannelEnd(Machine):
     """One end of an SDO channel; see this module's text. Limits are in ns, segments and bytes, and may be changed at any time.
 
-    last: the last frame that was accepted from the other side; empty once its second copy was seen. replies: by the toggle of
-    a segment that came, what is sent for it: the request of the next one, or the acknowledgement.
+    channel: client to server, server to client; None if there is none. last: the last frame that was accepted from the other
+    side; empty once its second copy was seen. replies: by the toggle of a segment that came, what is sent for it: the request of
+    the next one, or the acknowledgement. All four are read-only outside.
     """
 
     __slots__ = (
-        "_hears", "_reply", "block_size", "burst_interval", "can_id", "copy_guard", "crc", "flags", "last", "max_burst",
-        "node_id", "replies", "stream_timeout", "timeout",
+        "_hears", "_is_server", "block_size", "burst_interval", "can_id", "channel", "copy_guard", "crc", "flags", "last",
+        "max_burst", "node_id", "replies", "stream_timeout", "timeout",
     )  # fmt: skip
 
-    def __init__(self, out: Outbox, node_id: int, reply: int, timeout: Time) -> None:
-        """reply: the command byte that is sent for a segment whose toggle is 0."""
+    def __init__(
+        self, out: Outbox, node_id: int, is_server: bool, request_key: RoutingKey | None, response_key: RoutingKey | None
+    ) -> None:
+        """request_key, response_key: the first channel of the server node_id if None."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
-        self.timeout = timeout
+        self.timeout: Time = 0
         self.stream_timeout = STREAM_TIMEOUT
         self.copy_guard: Time = 0
         self.crc = True
@@ -88,7 +102,10 @@ class ChannelEnd(Machine):
         self.max_burst = MAX_BURST
         self.burst_interval: Time = 0
         self.last = b""
-        self._reply = reply
+        self._is_server = is_server
+        to_server = routing_key(SDO_CLIENT_TO_SERVER + node_id) if request_key is None else request_key
+        to_client = routing_key(SDO_SERVER_TO_CLIENT + node_id) if response_key is None else response_key
+        self._use((to_server, to_client))
 
     def send(self, payload: bytes) -> None:
         """Send eight bytes to the other end."""
@@ -102,12 +119,16 @@ class ChannelEnd(Machine):
         """Report that a transfer ended by an abort. not_confirmed: a download that may have been executed nevertheless."""
         raise NotImplementedError
 
-    def _use(self, sends: RoutingKey, hears: RoutingKey) -> None:
-        """Use this channel from now on; both as `Frame.key`."""
-        self._hears = hears
+    def _use(self, channel: Channel | None) -> None:
+        """Use this channel from now on, or none."""
+        self.channel = channel
+        if channel is None:
+            return
+        self._hears, sends = channel if self._is_server else channel[::-1]
         self.can_id = can_id = sends & 0x1FFF_FFFF
         self.flags = flags = sends >> 29
-        self.replies = {toggle: Frame(can_id, bytes((self._reply ^ toggle,)).ljust(8, b"\x00"), flags) for toggle in (0, TOGGLE)}
+        reply = DOWNLOAD_SEGMENT_RESPONSE if self._is_server else UPLOAD_SEGMENT | TOGGLE
+        self.replies = {toggle: Frame(can_id, bytes((reply ^ toggle,)).ljust(8, b"\x00"), flags) for toggle in (0, TOGGLE)}
 
 
 class Transfer:
@@ -116,12 +137,17 @@ class Transfer:
     first: the data of the initiate request. request_id: that of a client's request. deadline: once it is under way, until it is
     over. is_answered: the other side has answered the initiate frame, so it has nothing more to say about transfers before.
     is_given_up: it ended, and an answer may still come. instead: the transfer that goes on when this one is over, if one does.
+    plain: what a client falls back on if the server refuses block transfer, if it may.
     """
 
-    __slots__ = ("deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "request_id", "state", "subindex")
+    __slots__ = (
+        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "plain", "request_id", "state", "subindex",
+    )  # fmt: skip
 
     is_with_host: ClassVar[bool] = False
     """Whether the host has the whole request, and our answer depends on it alone."""
+    in_blocks: ClassVar[bool] = False
+    """Whether it is a block transfer."""
 
     request_id: RequestId
     deadline: Time
@@ -135,6 +161,7 @@ class Transfer:
         self.is_answered = False
         self.is_given_up = False
         self.instead: Transfer | None = None
+        self.plain: Transfer | None = None
 
     def __str__(self) -> str:
         is_upload = self.first[0] & SPECIFIER in (INITIATE_UPLOAD, BLOCK_UPLOAD)
@@ -158,7 +185,7 @@ class Transfer:
 
     def feed(self, piece: Buffer, last: bool, now: Time) -> None:
         """Send these bytes too; last: no more follow."""
-        raise LocalProtocolError(f"{self}: it is no stream")
+        raise LocalProtocolError(f"{self}: nothing can be fed: it is no download stream, or it is complete")
 
     @property
     def room(self) -> int:
@@ -190,19 +217,9 @@ class Transfer:
         return False
 
     @property
-    def is_answer_ambiguous(self) -> bool:
-        """Whether the answer that is due may be a whole one: if it comes late, it looks like that to the next such request."""
-        return False
-
-    @property
     def patience(self) -> Time:
-        """How long the other side may be silent, in ns."""
-        return self.end.timeout
-
-    @property
-    def plain(self) -> Transfer | None:
-        """What a client falls back on if the server refuses block transfer; None if on nothing."""
-        return None
+        """How long the other side may be silent, in ns; inside a block transfer two silences: it may ask again after one."""
+        return 2 * silence_limit(self.end.timeout) if self.in_blocks and self.has_begun else self.end.timeout
 
     @property
     def straggler(self) -> int:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
-from canopen_proto.sdo.block import MAX_BURST, STREAM_TIMEOUT, least_frames
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, SEGMENT_SIZE, STREAM_TIMEOUT
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from tests.examples import examples
@@ -20,6 +20,16 @@ from tests.proto.bus import Bus
 
 MEBIBYTE = pattern(1 << 20)
 LIMITS = {"max_upload": 1 << 21}, {"max_download": 1 << 21}
+
+
+def least_frames(size: int) -> tuple[int, int]:
+    """The frames that a block download and a block upload of `size` bytes take at least, with sub-blocks of 127 segments.
+
+    Initiate (2), segments, one acknowledgement per sub-block, end (2); an upload has a start besides.
+    """
+    segments = max(1, -(-size // SEGMENT_SIZE))
+    download = 4 + segments + -(-segments // MAX_BLOCK_SIZE)
+    return download, download + 1
 
 
 def big_pair(content: bytes = b"") -> BlockPair:
