@@ -1,4 +1,4 @@
-"""Several machines behind one: who gets which frame, who is woken next, and what follows from what they report.
+"""Several machines behind one: routes for frames, the next deadline, and reactions to what the machines report.
 
 A `Group` is a `Machine` made of machines. `LocalNode` and `RemoteNode` are groups, and `Network` is the outermost one, so that a
 node can be embedded alone just like a single client. A group
@@ -25,7 +25,7 @@ from canopen_proto.machine import NEVER, Event, LocalProtocolError, Machine, Out
 Reaction: TypeAlias = Callable[[Any, Time], None]
 
 SPARE_WAKES: Final = 64
-"""Superseded entries that the heap may hold besides two for each member, before it is built anew (bounded memory)."""
+"""Superseded entries that the heap may hold besides two for each member, before it is built again (bounded memory)."""
 
 
 class Members:
@@ -49,7 +49,10 @@ class Members:
         return iter(self._keys)
 
     def attach(self, machine: Machine) -> None:
-        """Route to the machine what it asks for, and hold its deadline. Its outbox must be ours; twice is once."""
+        """Route the frames that the machine asks for to it, and hold its deadline. Does nothing if it is attached already.
+
+        Raises LocalProtocolError unless it was made with our outbox.
+        """
         if machine.out is not self._out:
             raise LocalProtocolError(f"{type(machine).__name__} was made with another Outbox than that of what it is attached to")
         if machine in self._keys:
@@ -61,7 +64,7 @@ class Members:
         machine._arm(machine.deadline)
 
     def detach(self, machine: Machine) -> None:
-        """Forget the machine: no frame and no wake reaches it any more. Unknown machines are ignored."""
+        """Stop routing frames to the machine and waking it. Does nothing if it is not attached."""
         if machine not in self._keys:
             return
         self._unroute(machine)
@@ -74,7 +77,7 @@ class Members:
         machine._in_armed = machine._in_rerouted = False
 
     def _announce(self) -> None:
-        """The CAN-IDs of our members changed, and with them those of the group around them."""
+        """Announce that the CAN-IDs of the group around these members changed."""
         if self._out.owner is not None:
             self._out.owner._reroute()
 
@@ -98,7 +101,7 @@ class Members:
             del self.routes[key], self.receivers[key]
 
     def refresh(self) -> None:
-        """Take up what the members announced: changed CAN-IDs and nearer deadlines."""
+        """Apply what the members announced: changed CAN-IDs and nearer deadlines."""
         out = self._out
         while out.rerouted:
             machine = out.rerouted.pop()
@@ -124,7 +127,7 @@ class Members:
         heapify(self.heap)
 
     def next_deadline(self) -> Time:
-        """The nearest wake that is held: never late, perhaps early."""
+        """Return the nearest wake that is held: never late, perhaps early."""
         if self._out.armed or self._out.rerouted:
             self.refresh()
         return self.heap[0][0] if self.heap else NEVER

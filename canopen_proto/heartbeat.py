@@ -5,22 +5,22 @@ Theory of operation
 The producer sends one byte, its NMT state, on 0x700 + node-ID once per producer heartbeat time (0x1017, 0: never). The same
 CAN-ID carries the boot-up frame, the one byte 0, which the producer's NmtSlave sends.
 
-`HeartbeatProducer` follows 7.2.8.3.2.2 to the letter about the beginning. A time that is set while the node runs begins at once,
-with a frame. A time that is already there when the node boots begins with the boot-up frame, which counts as the first heartbeat;
-so the first real one comes a period later. A change of state sends nothing by itself: the next heartbeat bears it.
+`HeartbeatProducer` begins as 7.2.8.3.2.2 says. A time that is set while the node runs begins at once, with a frame. If the time
+is not 0 when the node boots, the boot-up frame counts as the first heartbeat, and the next one follows a period later. A change
+of state sends nothing by itself: the next heartbeat carries it.
 
-`HeartbeatConsumer` listens to one node. With a consumer heartbeat time (0x1016) it also watches: from the first heartbeat on
-(7.5.2.19; a boot-up frame is none, so a node that has no heartbeat can't be lost), each one must follow within that time.
+`HeartbeatConsumer` listens to one node. With a consumer heartbeat time (0x1016) it also watches: from the first heartbeat on,
+each one must follow within that time (7.5.2.19). A boot-up frame is not a heartbeat, so a node without a heartbeat can't be lost.
 
     not begun --heartbeat--> watching --time over: HeartbeatLost--> lost --heartbeat: HeartbeatRecovered--> watching
 
-A boot-up frame does not move between these, and gives a watched node its full time anew: it lives, and its heartbeat time may
+A boot-up frame does not change this state, but a watched node gets its full time again: it is alive, and its heartbeat time may
 begin only now. A node that forgets its heartbeat time in the reset is lost one consumer time after its boot-up.
 
-Every frame becomes an event of its own, in order. So a heartbeat right behind a boot-up hides nothing.
+Every frame becomes an event of its own, in order, so a heartbeat right after a boot-up does not hide it.
 
-A heartbeat that was waiting to be handled when its time ran out counts as in time: a driver that was stalled hands over the
-frames first, then the time, and no node is lost by our own delay.
+A heartbeat that was waiting to be handled when its time ran out is in time: a driver that was stalled hands over the frames
+first, then the time, so our own delay loses no node.
 
 Left out: node guarding, which shares the CAN-ID but is asked for by remote frames (guarding.py). A guarding answer's toggle
 bit is masked out here, so that a node that is guarded by somebody else is still understood. EMCY 0x8130 and the error
@@ -126,8 +126,8 @@ class HeartbeatRecovered(Event):
 
 
 class ForeignHeartbeat(Event):
-    """Another node uses the node-ID under which our own heartbeat is being sent. Whoever watches that ID does not notice when we
-    are gone. Reported once in each run of our heartbeat. state: what the other one shows, None for a boot-up frame."""
+    """Another node uses the node-ID of our own heartbeat. A node that watches this ID will not notice when we are gone. Reported
+    once in each run of our heartbeat. state: what the other one shows, None for a boot-up frame."""
 
     __slots__ = ("state",)
     __match_args__ = ("node_id", "state")
@@ -220,7 +220,7 @@ class OwnHeartbeat(HeartbeatProducer):
             self.set_period(period, now)
 
     def stop(self, now: Time) -> None:
-        """Send no more."""
+        """Stop sending."""
         self.set_period(0, now)
 
     def beat(self, now: Time) -> None:

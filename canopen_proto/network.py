@@ -8,13 +8,13 @@ The driver loop, the only one there is:
     5. wait for a frame, a command, or `network.next_deadline()`
 
 `drain` also feeds the events to running procedures (`run`), whose next requests then leave in the same turn. A driver never
-empties the outbox itself. Who drives several networks with one Runner drains all of them after each mutation, again and again
-until none has anything: a procedure that is fed in one may have mutated any.
+empties the outbox itself. A driver of several networks with one Runner must drain all of them, repeatedly, until nothing comes
+out: a procedure fed by one may have changed another.
 
-What one participant's own machines tell each other, since a bus does not hand our own frames back to us: a SYNC that we sent (or
-heard) releases the synchronous PDOs of every attached `RemoteNode`, and an NMT command that we sent changes what we expect of it.
+A bus does not hand our own frames back to us. So a Network tells every attached `RemoteNode` of a SYNC that we sent (or heard),
+which releases its synchronous PDOs, and of an NMT command that we sent, which changes the state that we expect of it.
 
-Besides, a Network remembers what it last heard from each node (bus_knowledge.py), for errors that say what was seen.
+A Network also remembers what it last heard from each node (bus_knowledge.py), so that errors can say what was seen.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ class EventsDropped(Event):
 
 @runtime_checkable
 class Follower(Protocol):
-    """A machine (a RemoteNode) that is told of what the network's other machines sent or heard."""
+    """A machine (a RemoteNode) that is told what the network's other machines sent or heard."""
 
     node_id: int
 
     def on_sync(self, counter: int | None, now: Time, *, heard: bool = False) -> None:
-        """A SYNC was sent by us, or heard: then it may have been on its way for a while."""
+        """React to a SYNC that we sent, or heard; a heard one may have been on its way for a while."""
 
     def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
-        """An NMT command for this node was sent by us."""
+        """React to an NMT command for this node that we sent."""
 
 
 class Network:
@@ -106,12 +106,12 @@ class Network:
         self._followers.pop(machine, None)
 
     def can_ids(self) -> tuple[RoutingKey, ...]:
-        """The keys of all frames that any machine wants, for a transport that can filter."""
+        """Return the keys of all frames that a machine wants, for a transport that can filter."""
         self._members.refresh()
         return tuple(self._members.routes)
 
     def receive(self, frame: Frame, now: Time, timestamp: int | None = None) -> None:
-        """Hand a received frame to whoever wants it. timestamp: the transport's own, in ns, for information only."""
+        """Hand a received frame to the machines that want it. timestamp: the transport's own, in ns, for information only."""
         if now < self._now:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
@@ -143,13 +143,13 @@ class Network:
 
     @property
     def last_heard(self) -> Time | None:
-        """When the last frame came, whosever it was; None on a bus that has been silent. Not O(1): for errors."""
+        """When the last frame of any node came; None on a bus that has been silent. Not O(1): for errors."""
         return self._knowledge.last_heard
 
     @property
     def hears_all(self) -> bool:
-        """Whether each frame of the bus comes here. A driver whose transport filters (by `can_ids`) sets it to False: what was
-        not heard may have been there then."""
+        """Whether every frame of the bus comes here. A driver whose transport filters (by `can_ids`) sets it to False: then a
+        frame that was not heard may have been on the bus."""
         return self._knowledge.hears_all
 
     @hears_all.setter
@@ -158,8 +158,7 @@ class Network:
 
     @property
     def outage(self) -> str:
-        """Why neither our frames nor others' pass at present, in words, as "can0 is bus-off"; "" while the bus works. Said by the
-        driver."""
+        """Why no frames pass at present, in words such as "can0 is bus-off"; "" while the bus works. The driver sets it."""
         return self._knowledge.outage
 
     @outage.setter
@@ -167,21 +166,21 @@ class Network:
         self._knowledge.outage = outage
 
     def heard(self, node_id: int) -> NodeHeard:
-        """What was last heard of a node (1..127, else LocalProtocolError), wanted or not."""
+        """Return what was last heard of a node (1..127, else LocalProtocolError), whether a machine wanted it or not."""
         return self._knowledge.heard(node_id)
 
     def last_heard_of(self, can_id: int) -> Time | None:
-        """When a frame of an 11-bit CAN-ID last came from somebody else; None if none did, and for 29-bit CAN-IDs."""
+        """Return when a frame with an 11-bit CAN-ID was last received; None if never, and for 29-bit CAN-IDs."""
         return self._knowledge.time_of(can_id)
 
     def heard_nodes(self) -> tuple[int, ...]:
-        """The node-IDs that were heard so far, in order."""
+        """Return the node-IDs that were heard so far, in order."""
         return self._knowledge.nodes()
 
     # ---- time, and what comes out ----
 
     def next_deadline(self) -> Time:
-        """When to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) when nothing changed."""
+        """Return when to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) if nothing changed."""
         if self.out.armed or self.out.rerouted:
             self._members.refresh()
         heap = self._heap
@@ -198,7 +197,7 @@ class Network:
                 self._shed()
 
     def drain(self, now: Time) -> tuple[list[Frame], list[Event]]:
-        """The frames to send and the events to deliver since the last drain, each in order."""
+        """Return the frames to send and the events to deliver since the last drain, each in order."""
         if now < self._now:
             now = self._now
         self._now = now
@@ -223,7 +222,7 @@ class Network:
         return to_send, to_deliver
 
     def _feed(self, now: Time) -> None:
-        """Feed the events to the running procedures; what these report in turn, too."""
+        """Feed the events to the running procedures, and also the events that these cause."""
         fed = 0
         events = self.out.events
         while self.runner.busy and fed < len(events):
@@ -247,7 +246,7 @@ class Network:
         self._settle(now)
 
     def _settle(self, now: Time) -> None:
-        """React to what was reported since the last time, be it by an input or by a command of some machine."""
+        """React to the events since the last time, whether an input or a command of a machine caused them."""
         events, reactions = self.out.events, self._reactions
         while self._settled < len(events):
             report = events[self._settled]

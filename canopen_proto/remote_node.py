@@ -3,20 +3,20 @@
 A group of the machines that concern one node: SDO clients, heartbeat consumer, EMCY consumer, and the PDOs that it exchanges with
 us. It holds
 
-- `values`: what we know of the node's dictionary, the image that PDOs are decoded into and built from. A value gets there by PDO,
-  by an SDO read, and by an SDO write that was confirmed. `heard_at`: when the node itself last said it (a PDO, a read). What we
-  command stays as we set it, whatever is read: the objects of RPDOs that we send, and those in `commanded`. What else of
-  these the device may hold, `may_hold` tells: what was written by bytes, past `write`, and what was not confirmed;
-- `held`: the RPDOs whose data may wait in the device for the next SYNC, and would undo what is written by SDO before it. So a
-  `write` of an object in `commanded` (a controlword) first sends each of these that carries it once more, with the new value:
-  whenever a SYNC comes then, it brings what was commanded last;
-- `nmt_state`: what its heartbeat says, and where it has none, what we commanded. A heartbeat right behind a command may have been
-  sent before it: until NMT_REACTION_TIME is over, the command counts. A node whose heartbeat is lost keeps the state last known.
+- `values`: the values of the node's objects as far as we know them. PDOs are decoded into this image and built from it; an SDO
+  read and a confirmed SDO write also set it. `heard_at`: when the node itself last sent the value (a PDO, a read). Objects that
+  we command keep the value that we set, whatever is read: those of RPDOs that we send, and those in `commanded`. `may_hold`
+  tells which other values of these the device may have: those written as bytes, past `write`, and those not confirmed;
+- `held`: the RPDOs whose data may wait in the device for the next SYNC, which would undo a write by SDO. So a `write` of an
+  object in `commanded` (a controlword) first sends each of these RPDOs that carries it again, with the new value: then the
+  next SYNC brings the last command;
+- `nmt_state`: the state in its heartbeat; without a heartbeat, the state that we commanded. A heartbeat right after a command may
+  have been sent before it: the command counts until NMT_REACTION_TIME is over. A node whose heartbeat is lost keeps its state.
 
-What follows from what (CiA 301 v4.2.0, 7.3.2.2, table 37):
+The reactions (CiA 301 v4.2.0, 7.3.2.2, table 37):
 
     node boots, or is lost          open SDO requests are aborted: their answers will not come
-    node boots                      what it said is old; its RPDOs have to be enabled anew: its mappings are the defaults again
+    node boots                      its values are old; its RPDOs must be enabled again: its mappings are the defaults
     node Operational / not          its PDOs live / don't: RPDOs are not sent to a node that would ignore them
     SYNC sent or heard              synchronous RPDOs go out
     PDO received                    `values` is brought up to date
@@ -147,7 +147,7 @@ class RemoteNode(Group):
     # ---- objects by SDO ----
 
     def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
-        """Ask for an object by SDO. SdoUploaded (see `message_of`) or SdoAborted follows. block: see `Block`.
+        """Ask for an object by SDO. SdoUploaded (see `value_of`) or SdoAborted follows. block: see `Block`.
 
         CiA 301 v4.2.0, 7.2.4.2.5
         """
@@ -185,9 +185,9 @@ class RemoteNode(Group):
     def add_sdo_channel(self, request_key: RoutingKey, response_key: RoutingKey) -> SdoClient:
         """A client for a further SDO server of the node (0x1201 and on): its keys (`Frame.key`) to the server and from it.
 
-        It has a transfer and a queue of its own, so a long one holds nobody else up. Its requests end like those of `sdo` when
-        the node boots or is lost, what it reads and confirms goes into `values`, and `cancel` finds its requests. Raises
-        LocalProtocolError for keys that are none or in use here. CiA 301 v4.2.0, 7.5.2.33
+        It has a transfer and a queue of its own, so a long transfer does not delay the others. Its requests end like those of
+        `sdo` when the node boots or is lost; values that it reads, or confirms, go into `values`; `cancel` finds its requests.
+        Raises LocalProtocolError for an invalid key, or one that this node already uses. CiA 301 v4.2.0, 7.5.2.33
         """
         for key in (request_key, response_key):
             self._check_key("SDO channel", key)
@@ -201,7 +201,7 @@ class RemoteNode(Group):
         return client
 
     def remove_sdo_channel(self, client: SdoClient, now: Time) -> None:
-        """Use a channel that was added no more: its open requests are aborted."""
+        """Remove a channel that `add_sdo_channel` made; its open requests are aborted."""
         mark = len(self.inner.events)
         client.abort_all(AbortCode.GENERAL_ERROR, now)
         self._settle(mark, now)
@@ -213,7 +213,7 @@ class RemoteNode(Group):
         return (self.sdo, *self.sdo_channels)
 
     def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
-        """What a write of `value` (or of a constant's name) to `key` means and sends. Raises as `write` does."""
+        """Return the object, the value and the bytes that `write` would send. Raises as `write` does."""
         variable = self.dictionary.variable(key)
         if not variable.access.writable:
             raise LocalProtocolError(f"{variable.label} of node {self.node_id} is {variable.access}: it can't be written")
@@ -231,7 +231,7 @@ class RemoteNode(Group):
         return self.dictionary.message(self.node_id, variable, variable.decode(uploaded.data), self.out.timestamp)
 
     def fresh(self, mux: Mux, now: Time, max_age: Time = FRESH) -> Value | None:
-        """The image of an object if it was heard no longer than max_age ns ago, else None."""
+        """Return the image of an object if it was heard at most max_age ns ago, else None."""
         heard = self.heard_at.get(mux)
         return self.values.store[mux] if heard is not None and now - heard <= max_age else None
 
@@ -286,7 +286,7 @@ class RemoteNode(Group):
             raise LocalProtocolError(f"{what} of node {self.node_id}: CAN-ID 0x{key:X} has more than 11 bits")
 
     def remove_pdo(self, direction: Direction, number: int) -> None:
-        """Exchange that PDO, or MPDO, no more; one that is not exchanged is ignored."""
+        """Stop exchanging this PDO or MPDO; does nothing if it is not exchanged."""
         machine = (self.tpdos if direction is Direction.TPDO else self.rpdos).pop(number, None)
         if machine is not None:
             self._members.detach(machine)
@@ -299,8 +299,8 @@ class RemoteNode(Group):
             self._mpdo_listener.set_pdo(number, None)
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
-        """Let an RPDO be sent while the node is Operational, or not. `values` should hold what the drive is to do: the next SYNC
-        sends it. It ends when the node boots."""
+        """Let an RPDO be sent while the node is Operational, or stop it. Set `values` first: the next SYNC sends them. A boot of
+        the node stops it too."""
         producer = self.rpdos.get(number)
         if producer is None:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
@@ -308,30 +308,30 @@ class RemoteNode(Group):
         producer.set_enabled(enabled and self.is_operational, now)
 
     def rpdo_of(self, index: int, subindex: int = 0) -> PdoProducer | None:
-        """The live RPDO that carries an object, or None."""
+        """Return the live RPDO that carries an object, or None."""
         for producer in self.rpdos.values():
             if producer.is_live and producer.mapping.find_component((index, subindex)) is not None:
                 return producer
         return None
 
     def send_rpdo(self, producer: PdoProducer, now: Time) -> bool:
-        """Send an RPDO to the node now, by a producer of the caller's own over `values.store`, which is none of `rpdos`.
+        """Send an RPDO to the node now, by the caller's own producer over `values.store`, which is not in `rpdos`.
 
-        For a master that sends its RPDOs by hand, and SYNC behind them. transmission_type of the producer: as the device has it.
-        Raises as `PdoProducer.send`; returns what that returns.
+        For a master that sends its RPDOs by hand, and a SYNC after them. transmission_type of the producer: as the device has it.
+        Returns and raises as `PdoProducer.send` does.
         """
         self.held.sent_by_hand(producer)
         return producer.send(now)
 
     def may_hold(self, mux: Mux) -> set[Value | None]:
-        """What the device may hold in an object of `commanded`, by what was commanded; None: something that is not known."""
+        """Return the values that the device may have in an object of `commanded`; None among them: an unknown value."""
         image = {self.values.store[mux]} if mux in self.values.store else set()
         return image | self._in_doubt.get(mux, set())
 
     def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
-        """Command an object in each RPDO that carries it and that the device may hold for the next SYNC: it is sent once more.
+        """Send each RPDO again that carries an object and that the device may hold for the next SYNC, with a new value.
 
-        False, and nothing is changed, where the device holds none.
+        Returns False, and changes nothing, if the device holds none.
         """
         held = self.held.carrying(mux, self.rpdos.values())
         if held:
@@ -379,10 +379,10 @@ class RemoteNode(Group):
         on_boot: Callable[[], None] | None = None,
         on_sync: Callable[[Time], None] | None = None,
     ) -> None:
-        """For what is built upon this node (an Axis): called with the muxes of the values that were just brought up to date.
+        """Call `listener` with the muxes of values that were just updated. For code built upon this node, such as an Axis.
 
-        on_boot: called when the node boots, which makes everything old that it said before. on_sync: called at each SYNC, ours or
-        another's, when the RPDOs that it releases are built.
+        on_boot: called when the node boots: all values that it sent before are old. on_sync: called at each SYNC, ours or
+        another's, after the RPDOs that it releases were built.
         """
         if listener is not None:
             self._listeners.append(listener)
@@ -394,7 +394,7 @@ class RemoteNode(Group):
     # ---- node guarding ----
 
     def start_guarding(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
-        """Ask the node once per guard time whether it lives: for a node without a heartbeat. See GuardingMaster.start.
+        """Ask the node once per guard time whether it is alive: for a node without a heartbeat. See GuardingMaster.start.
 
         Its answers are heard like heartbeats too (HeartbeatReceived, `nmt_state`). NodeGuardingLost ends open SDO requests.
         """
@@ -402,7 +402,7 @@ class RemoteNode(Group):
         self._members.attach(self.guarding)
 
     def stop_guarding(self) -> None:
-        """Ask no more."""
+        """Stop asking."""
         self.guarding.stop()
         self._members.detach(self.guarding)
 
@@ -469,7 +469,7 @@ class RemoteNode(Group):
         self._heard((variable.mux,), now)
 
     def _is_ours(self, mux: Mux) -> bool:
-        """Whether the image of an object is what we command: what was read of it is older, or somebody else's."""
+        """Whether we command the object: then our image of it is newer than anything that is read."""
         for producer in self.rpdos.values():  # written out: `any` over a generator costs more than the rest of a read's reaction
             if mux in producer.mapping.muxes:
                 return True

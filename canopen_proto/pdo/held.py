@@ -28,7 +28,7 @@ class HeldRpdos:
         self._since: Time = -NEVER  # what was sent before has been taken
 
     def sent_by_hand(self, producer: PdoProducer) -> None:
-        """One was sent that is none of the RPDOs that follow the SYNC."""
+        """Note an RPDO that was sent by hand: it is not among those that follow the SYNC."""
         self._by_hand.add(producer)
 
     def on_sync(self, now: Time, heard: bool) -> None:

@@ -331,7 +331,7 @@ def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
 def entries_of(parameters: Iterable[int], dictionary: ObjectDictionary) -> Iterator[MappedEntry]:
     """The entries that a device's mapping parameter stands for. An object that the dictionary lacks is an unsigned number.
 
-    For whoever reads what a device does, be the dictionary whole or not. Raises MappingError.
+    For code that reads what a device does, even if the dictionary is not complete. Raises MappingError.
     """
     for parameter in parameters:
         index, subindex, bits = parameter >> 16 & 0xFFFF, parameter >> 8 & 0xFF, parameter & 0xFF
@@ -354,7 +354,7 @@ def may_have_width(data_type: DataType, bit_length: int) -> bool:
 
 
 def number_at(store: ReadOnlyDict[Mux, Value], mux: Mux, default: int = 0) -> int:
-    """The number that stands at a mux, as PDO parameters are; `default` where there is none.
+    """Return the number at a mux, as PDO parameters are; `default` if there is no number.
 
     A negative one (a file describes a parameter as INTEGERn) counts as the 32 bits that a client reads.
     """

@@ -35,7 +35,7 @@ class MpdoListener(Machine):
         return tuple(self._keys.values())
 
     def set_pdo(self, number: int, key: RoutingKey | None) -> None:
-        """Receive the node's TPDO `number` by this key; None: no more."""
+        """Receive the node's TPDO `number` by this key; None: stop."""
         self._keys.pop(number, None)
         if key is not None:
             self._keys[number] = key

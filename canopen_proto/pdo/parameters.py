@@ -153,7 +153,7 @@ class DevicePdos(Owner):
             self.mpdo_producer.trigger(mux, now)
 
     def reload(self, now: Time) -> None:
-        """Take up all parameters anew: at the start, and when a reset has put the defaults back."""
+        """Apply all parameters again: at the start, and when a reset has put the defaults back."""
         for number in self.consumers:
             self._configure(Direction.RPDO, number, now)
         for number in self.producers:

@@ -23,7 +23,7 @@ The inhibit time is the least time between two event-driven transmissions. A tri
 the time is over, once, with the values of that moment. A late event timer sends once and reports the periods that it skipped.
 
 `send` sends at once, whatever the type: it is for a master that sends its RPDOs by its own cycle. `sent_at` tells when it
-was last sent, whoever caused that; None: never.
+was last sent, for whatever reason; None: never.
 
 PDOs live in NMT state Operational only. The owner says so by `set_enabled`, which starts the event timer; the first SYNC counted
 is the first one after it. A PDO that is not valid, or whose mapping is empty, is never sent.
@@ -151,7 +151,7 @@ class PdoProducer(Machine):
         *,
         answers_requests: bool = False,
     ) -> None:
-        """Take up other parameters. Triggers are forgotten, SYNCs are counted anew, the event timer starts anew."""
+        """Apply other parameters. Triggers are forgotten; the SYNC count and the event timer start again."""
         key = key if mapping.entries else None
         if (key, answers_requests) != (self.key, self.answers_requests):
             self.key, self.answers_requests = key, answers_requests

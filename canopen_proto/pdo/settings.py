@@ -1,4 +1,4 @@
-"""Where PDO parameters stand in the dictionary, and the order in which a PDO is set up anew.
+"""Where PDO parameters stand in the dictionary, and the order in which a PDO is set up again.
 
 Theory of operation
 -------------------
@@ -11,7 +11,7 @@ A device takes a new mapping in one order only (7.5.2.36): destroy the PDO (bit 
 0), write the entries, enable the mapping (sub 0 is their number), create the PDO. Transmission type and times are written right
 before the last step, since some of them may change only while the PDO does not exist.
 
-`remap_steps` is that order as plain data, for whoever writes it by SDO. `PdoSettings.from_read` is the way back: what a device
+`remap_steps` is that order as plain data, for code that writes it by SDO. `PdoSettings.from_read` is the way back: what a device
 had before, so that a refused step can be undone by the same order.
 """
 
@@ -88,7 +88,7 @@ def remap_steps(
     inhibit_time_100us: int | None = None,
     event_time_ms: int | None = None,
 ) -> list[RemapStep]:
-    """The downloads that set a PDO up anew, in their order.
+    """Return the downloads that set a PDO up again, in their order.
 
     entries: as they stand in the mapping parameter. cob_id: with its flag bits; with bit 31 the PDO stays destroyed.
     current_cob_id: what the device has now; strict devices want the CAN-ID unchanged in the step that destroys the PDO. The two
