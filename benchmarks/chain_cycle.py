@@ -27,7 +27,7 @@ import trio.testing
 from canopen_master import Chain, ChainSettings, open_master, powerballs, simulate
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, TPDO1, Frame
 from canopen_proto.machine import SECOND
-from canopen_transports import Received, VirtualTransport
+from canopen_transports import Received, Report, VirtualTransport
 
 WARM_UP = 0.2  # seconds of the path before the recording takes over: each joint's mode was read by then
 
@@ -47,19 +47,13 @@ class Recorder(VirtualTransport):
         self._is_replaying = is_replaying
 
     def send_nowait(self, frame: Frame) -> bool:
-        """What is replayed goes and comes at once."""
-        if self._is_replaying:
-            self._answer(frame)
-        return self._is_replaying
-
-    async def send(self, frame: Frame) -> None:
         """To the devices, or to the recording."""
         if self._is_replaying:
             self._answer(frame)
-            return
+            return True
         if frame.can_id & 0x780 == SDO_CLIENT_TO_SERVER:
             self._asked[frame.can_id & 0x7F] = frame.data
-        await super().send(frame)
+        return super().send_nowait(frame)
 
     def _answer(self, frame: Frame) -> None:
         """A SYNC brings the TPDOs, a request its answer."""
@@ -69,15 +63,18 @@ class Recorder(VirtualTransport):
         elif frame.can_id & 0x780 == SDO_CLIENT_TO_SERVER:
             self._bring(self._answers[frame.can_id & 0x7F, frame.data])
 
-    async def receive(self) -> Received:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """As the bus brings it, recorded while there are devices."""
-        frame, timestamp = await super().receive()
-        service, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
-        if service == TPDO1:
-            self._tpdos[node_id] = frame
-        elif service == SDO_SERVER_TO_CLIENT:
-            self._answers[node_id, self._asked[node_id]] = frame
-        return frame, timestamp
+        received = await super().receive_many(limit)
+        for item in received:
+            assert isinstance(item, tuple)
+            frame = item[0]
+            service, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
+            if service == TPDO1:
+                self._tpdos[node_id] = frame
+            elif service == SDO_SERVER_TO_CLIENT:
+                self._answers[node_id, self._asked[node_id]] = frame
+        return received
 
     def _bring(self, frame: Frame) -> None:
         self._queue.put((frame, round(trio.current_time() * SECOND)))

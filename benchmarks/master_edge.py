@@ -33,7 +33,7 @@ from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.pdo import mapping
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_transports import Received, open_transport
+from canopen_transports import Received, Report, open_transport
 
 NODE_ID = 12
 NUMBER, VALUE = 0x2000, 0x12345678
@@ -90,7 +90,7 @@ class Source:
         self.bursts = [[(Frame(TPDO1, payload), None) for payload in _payloads(number)] for number in range(KEPT)]
         self.taken = trio.Event()
 
-    async def receive_many(self, limit: int) -> list[Received]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         assert limit >= BURST
         if not self.left:
             self.taken.set()

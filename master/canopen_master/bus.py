@@ -42,6 +42,7 @@ from canopen_transports import (
     FrameNotSent,
     Received,
     ReceiveOverrun,
+    Report,
     Transport,
     TransportError,
 )
@@ -182,19 +183,16 @@ class Bus:
                 self.settle_not_sent()
         return True
 
-    async def receive(self) -> Sequence[Received | TransportError]:
+    async def receive(self) -> Sequence[Received | Report]:
         """Wait until something comes; return the frames and reports that are there, MAX_BATCH at most.
 
         Raises what the transport raises: then it has failed.
         """
         if self._batch is not None:
             return await self._batch.receive_many(MAX_BATCH)
-        try:
-            return (await self.transport.receive(),)
-        except (ReceiveOverrun, BusStateChanged) as report:
-            return (report,)
+        return (await self.transport.receive(),)
 
-    def take_in(self, item: Received | TransportError, now: Time) -> None:
+    def take_in(self, item: Received | Report, now: Time) -> None:
         """Hand a frame to the network, or tell a report. Events: FramesLost, BusChanged, FramesNotSent, and the network's."""
         if isinstance(item, tuple):
             if self.state is BusState.BUS_OFF:

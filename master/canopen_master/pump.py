@@ -39,7 +39,7 @@ from canopen_master.alarm import Alarm, best_alarm
 from canopen_master.bus import Bus
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.sync import SyncReceived
-from canopen_transports import FrameNotSent, Received, TransportError
+from canopen_transports import FrameNotSent, Received, Report, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
 MAX_CATCH_UP: Final = 4096
@@ -178,7 +178,7 @@ class Pump:
                 self._received += len(received)
                 self._take_in(bus, received, self.now())
 
-    def _take_in(self, bus: Bus, received: Sequence[Received | TransportError], now: Time) -> None:
+    def _take_in(self, bus: Bus, received: Sequence[Received | Report], now: Time) -> None:
         """Hand over all that came, and pump once."""
         try:
             for item in received:

@@ -8,7 +8,7 @@ from canopen_master.bus import MAX_SEND_QUEUE
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, VirtualTransport, open_transport
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, Report, VirtualTransport, open_transport
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 
@@ -83,8 +83,8 @@ class Away:
             raise FrameNotSent("CO111", "away", f"cannot send {frame} on away", seen="the plug is down")
         self.sent.append(str(frame))
 
-    async def receive(self) -> Received:
-        raise await self._reports.receive()
+    async def receive(self) -> Received | Report:
+        return await self._reports.receive()
 
     async def aclose(self) -> None:
         await trio.lowlevel.checkpoint()

@@ -11,7 +11,7 @@ from canopen_master import BusChanged, BusError, FramesNotSent, open_master
 from canopen_proto.frame import Frame
 from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, TransportError
+from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, Report, TransportError
 from tests.master.world import virtual_time
 
 
@@ -28,20 +28,18 @@ class Able:
         self.sent: list[str] = []
         self.room = 512
         self.refusal: TransportError | None = None
-        self._feed, self._fed = trio.open_memory_channel[Frame | Exception](100)
+        self._feed, self._fed = trio.open_memory_channel[Frame | Report](100)
 
-    def feed(self, item: Frame | Exception) -> None:
+    def feed(self, item: Frame | Report) -> None:
         self._feed.send_nowait(item)
 
     async def send(self, frame: Frame) -> None:
         await trio.lowlevel.checkpoint()
         self.sent.append(str(frame))
 
-    async def receive(self) -> Received:
+    async def receive(self) -> Received | Report:
         item = await self._fed.receive()
-        if isinstance(item, Exception):
-            raise item
-        return item, None
+        return (item, None) if isinstance(item, Frame) else item
 
     async def aclose(self) -> None:
         await trio.lowlevel.checkpoint()

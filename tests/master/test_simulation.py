@@ -11,7 +11,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectWritten
-from canopen_transports import BusState, BusStateChanged, open_transport
+from canopen_transports import BusState, BusStateChanged, Report, open_transport
 from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time
 from tests.proto.devices import io_device
@@ -55,7 +55,7 @@ async def test_a_failing_bus_ends_the_simulation() -> None:
 
 @pytest.mark.parametrize("ended_by", [BusStateChanged("able", BusState.ACTIVE, "it is back"), Frame.parse("080#")])
 @virtual_time
-async def test_devices_hear_that_their_controller_went_off_the_bus(ended_by: Frame | Exception) -> None:
+async def test_devices_hear_that_their_controller_went_off_the_bus(ended_by: Frame | Report) -> None:
     bus = Able()
     async with trio.open_nursery() as nursery:
         host: Host = await nursery.start(simulate, bus, powerballs(12))

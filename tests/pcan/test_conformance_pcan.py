@@ -34,6 +34,6 @@ SITE = Site(
 
 
 @pytest.mark.usefixtures("peak")
-@pytest.mark.parametrize("case", cases(SITE), ids=str)
+@pytest.mark.parametrize("case", cases(SITE, optional=("many_at_once",)), ids=str)
 def test_conformance(case: Case) -> None:
     case.run(SITE)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Awaitable, Callable
-from typing import ParamSpec
+from typing import ParamSpec, TypeVar
 
-import pytest
 import trio
 import trio.testing
 
-from canopen_transports import BusStateChanged, Transport
+from canopen_transports import BusStateChanged, Report, Transport
 from canopen_transports.conformance import CASES, Case, Site
 from canopen_transports.conformance.catalogue import HEARING, OPTIONAL
 from canopen_transports.conformance.opening_cases import what_cannot_be_opened_says_what_to_do as UNOPENABLE
@@ -19,6 +19,7 @@ LIMIT = 30
 """Seconds. In virtual time a test that hangs gets there at once."""
 
 P = ParamSpec("P")
+R = TypeVar("R", bound=Report)
 
 
 def cases(site: Site, *, hears_only: bool = False, optional: tuple[str, ...] = ()) -> list[Case]:
@@ -53,8 +54,9 @@ def trio_test(real_time: bool = False) -> Callable[[Callable[P, Awaitable[None]]
     return decorate
 
 
-async def reported(transport: Transport) -> BusStateChanged:
-    """What the bus reports next, and no frame before it."""
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
+async def reported(transport: Transport, kind: type[R] = BusStateChanged, match: str = "") -> R:  # type: ignore[assignment]
+    """The report that comes next, and no frame before it."""
+    report = await transport.receive()
+    assert isinstance(report, kind)
+    assert re.search(match, str(report))
+    return report

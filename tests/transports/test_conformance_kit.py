@@ -210,6 +210,18 @@ class Overtakes(Shown):  # type: ignore[misc]
         return held is None
 
 
+class TakesTooMuch(Shown):  # type: ignore[misc]
+    async def receive_many(self, limit: int) -> Any:
+        return [await self.receive(), *self.queue.take_many(limit)]
+
+
+class TakesThoughCancelled(Shown):  # type: ignore[misc]
+    async def receive_many(self, limit: int) -> Any:
+        taken = await self.queue.get_many(limit)
+        await trio.lowlevel.checkpoint()
+        return taken
+
+
 class FiltersByIdentifierOnly(Shown):  # type: ignore[misc]
     filtered = True
     wanted: set[int] | None = None
@@ -270,6 +282,8 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (LeavesADescriptor, "no_echo", "descriptor \\d+ \\(/dev/null\\)"),
         (LeavesAThread, "no_echo", "thread 'left'"),
         (Overtakes, "eager_send", "from place"),
+        (TakesTooMuch, "many_at_once", "receive_many\\(1\\) returned 2 items"),
+        (TakesThoughCancelled, "many_at_once", "missing"),
         (FiltersByIdentifierOnly, "filters", "came instead of"),
         (GoesOnCyclically, "cyclic_frames", "after they were stopped"),
     ],

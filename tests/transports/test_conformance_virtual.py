@@ -89,7 +89,11 @@ SITES = {
 }
 
 
-APPLY = [(name, case) for name, site in SITES.items() for case in cases(site, hears_only=name == "replayed")]
+APPLY = [
+    (name, case)
+    for name, site in SITES.items()
+    for case in cases(site, hears_only=name == "replayed", optional=("eager_send", "many_at_once"))
+]
 
 
 @pytest.mark.parametrize(("name", "case"), APPLY, ids=str)

@@ -23,7 +23,7 @@ from canopen_transports import (
     python_can,
 )
 from tests.transports.fake_bus import ScriptedBus
-from tests.transports.support import run, trio_test
+from tests.transports.support import reported, run, trio_test
 
 SYNC = Frame.parse("080#")
 
@@ -68,9 +68,8 @@ def test_a_driver_that_does_not_come_back_from_sending_is_lost_and_opened_anew()
                 await transport.send(SYNC)
             assert caught.value.seen == "the driver has not come back for 0.02 s"
             for state in (BusState.DOWN, BusState.UP):
-                with pytest.raises(BusStateChanged) as change:
-                    await transport.receive()
-                assert change.value.state is state
+                change = await reported(transport, BusStateChanged)
+                assert change.state is state
             await transport.send(SYNC)
             assert len(fresh.sent) == 1
         stuck.release.set()
@@ -181,8 +180,7 @@ def test_closed_while_the_bus_is_opened_anew(opening: Opening, monkeypatch: pyte
             return await driver_calls.open_bus(opening)
 
         transport = PythonCanTransport(failing, locator=locator, reopen=reopen)
-        with pytest.raises(BusStateChanged, match="down"):
-            await transport.receive()
+        await reported(transport, BusStateChanged, match="down")
 
         async def receive() -> None:
             with pytest.raises(trio.ClosedResourceError):

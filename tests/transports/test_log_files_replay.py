@@ -25,7 +25,7 @@ from canopen_transports.receive_test import listen_on
 from canopen_transports.record import Record
 from canopen_transports.tracing import Trace, TracingTransport, current_trace, for_devices, recording
 from canopen_transports.transport import CyclicTransport, EagerTransport, FilteringTransport
-from tests.transports.support import run, trio_test
+from tests.transports.support import reported, run, trio_test
 
 LOG = "(100.0) can0 601#40\n(100.5) can0 581#43\n(103.0) can0 701#05\n(102.0) can0 701#7F\n"
 TIMES = [0.0, 0.5, 3.0, 3.0]
@@ -63,9 +63,8 @@ def test_frames_come_in_their_time(log: str, speed: str, factor: float) -> None:
             ]
             assert times == pytest.approx([time * factor for time in TIMES])
             assert bus.ended
-            with pytest.raises(BusStateChanged, match="down") as caught:
-                await bus.receive()
-            assert caught.value.state is BusState.DOWN
+            caught = await reported(bus, BusStateChanged, match="down")
+            assert caught.state is BusState.DOWN
             with trio.move_on_after(5) as scope:
                 await bus.receive()
             assert scope.cancelled_caught
@@ -385,8 +384,7 @@ async def test_what_is_lost_on_its_way_to_us_is_counted(tmp_path: Path) -> None:
                 await other.send(numbered(number))
             for _ in range(2):
                 await tap.receive()
-            with pytest.raises(ReceiveOverrun):
-                await tap.receive()
+            await reported(tap, ReceiveOverrun)
     assert (trace.recorded, trace.lost) == (2, 3)
 
 

@@ -72,12 +72,13 @@ def report(number: int) -> BusStateChanged:
 async def _all_of(queue: ReceiveQueue) -> list[str]:
     taken = []
     while not queue.is_empty():
-        try:
-            taken.append(str((await queue.get())[0]))
-        except ReceiveOverrun as overrun:
-            taken.append(f"{overrun.lost} lost")
-        except BusStateChanged as change:
-            taken.append(change.seen)
+        match await queue.get():
+            case ReceiveOverrun(lost=lost):
+                taken.append(f"{lost} lost")
+            case BusStateChanged(seen=seen):
+                taken.append(seen)
+            case frame, _:
+                taken.append(str(frame))
     return taken
 
 

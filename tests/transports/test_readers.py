@@ -71,13 +71,14 @@ def opened(received: Iterable[can.Message | Exception], fd: int | None) -> Pytho
 
 
 async def told(transport: PythonCanTransport) -> object:
-    """What `receive` gives or raises, in short."""
-    try:
-        return (await transport.receive())[0]
-    except BusStateChanged as change:
-        return change.state
-    except ReceiveOverrun as overrun:
-        return overrun.lost
+    """What `receive` returns, in short."""
+    match await transport.receive():
+        case BusStateChanged(state=state):
+            return state
+        case ReceiveOverrun(lost=lost):
+            return lost
+        case received:
+            return received[0]
 
 
 @pytest.mark.parametrize(

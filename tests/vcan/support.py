@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from canopen_transports import BusStateChanged, Transport
 from canopen_transports.locator import parse_locator
 
 if TYPE_CHECKING:
@@ -78,13 +77,6 @@ def joined(name: str, options: str = "") -> SocketCanTransport:
     from canopen_transports.socketcan import open_socketcan  # Linux's alone
 
     return open_socketcan(parse_locator(f"socketcan:{name}{options}"))
-
-
-async def reported(transport: Transport) -> BusStateChanged:
-    """What the transport reports next."""
-    with pytest.raises(BusStateChanged) as caught:
-        await transport.receive()
-    return caught.value
 
 
 def error_frame(kinds: int, data: str = "") -> bytes:

@@ -28,7 +28,11 @@ SITES = {
 }
 
 
-OPTIONS = {"native": ("eager_send",), "filtered": ("eager_send", "filters", "cyclic_frames"), "python-can": ()}
+OPTIONS = {
+    "native": ("eager_send", "many_at_once"),
+    "filtered": ("eager_send", "many_at_once", "filters", "cyclic_frames"),
+    "python-can": ("many_at_once",),
+}
 APPLY = [(name, case) for name, site in SITES.items() for case in cases(site, optional=OPTIONS[name])]
 
 

@@ -10,8 +10,8 @@ import trio
 from canopen_proto.frame import KEY_EXTENDED, KEY_REMOTE, Frame
 from canopen_transports import BusState, BusStateChanged, TransportError, open_transport
 from canopen_transports.conformance.frames import END, numbered
-from tests.transports.support import trio_test
-from tests.vcan.support import interface, ip, joined, needs_vcan, reported, tool
+from tests.transports.support import reported, trio_test
+from tests.vcan.support import interface, ip, joined, needs_vcan, tool
 
 pytestmark = needs_vcan
 
@@ -141,10 +141,9 @@ async def test_cyclic_frames_go_on_when_the_adapter_is_plugged_in_again() -> Non
         states: list[BusState] = []
         with interface(), trio.fail_after(5):
             while BusState.UP not in states:
-                try:
-                    await one.receive()
-                except BusStateChanged as report:
-                    states.append(report.state)
+                received = await one.receive()
+                if isinstance(received, BusStateChanged):
+                    states.append(received.state)
             assert (await one.receive())[0] == END
         assert states == [BusState.DOWN, BusState.UP]
 
@@ -159,14 +158,13 @@ async def test_cyclic_frames_go_on_when_the_interface_is_up_again_and_end_when_i
 
             async def next_end() -> None:
                 while True:
-                    try:
-                        assert (await other.receive())[0] == END
-                    except BusStateChanged as report:
-                        states.append(report.state)
-                        if report.state is BusState.DOWN:
-                            ip("link", "set", name, "up")
-                    else:
+                    received = await other.receive()
+                    if not isinstance(received, BusStateChanged):
+                        assert received[0] == END
                         return
+                    states.append(received.state)
+                    if received.state is BusState.DOWN:
+                        ip("link", "set", name, "up")
 
             while states != [BusState.DOWN, BusState.UP]:
                 await next_end()

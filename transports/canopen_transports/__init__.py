@@ -1,6 +1,6 @@
 """Frames in, frames out: CAN buses for trio. `open_transport("socketcan:can0")`; see `locator` for what else it opens."""
 
-from canopen_transports.errors import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, TransportError
+from canopen_transports.errors import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, Report, TransportError
 from canopen_transports.locator import Locator, parse_bitrate, parse_locator
 from canopen_transports.opening import OpenTransport, open_transport
 from canopen_transports.python_can import PythonCanTransport
@@ -32,6 +32,7 @@ __all__ = [
     "ReceiveOverrun",
     "Received",
     "ReplayTransport",
+    "Report",
     "TcpTransport",
     "Transport",
     "TransportError",

@@ -5,9 +5,11 @@ Three kinds of failure, and no other, leave a transport:
 - `ValueError`: our own caller asked for a frame that classical CAN cannot carry. Nothing was sent.
 - `trio.ClosedResourceError`: our own side closed the transport, before or during the call. (`trio.BusyResourceError`: two tasks
   receive at once.)
-- `TransportError`: the world refused. After three of these the transport works on as before, just call it again: from `receive`
-  come `ReceiveOverrun` (frames were lost here) and `BusStateChanged` (what a bus reports that is no frame), each at its place in
-  the order of frames; from `send` comes `FrameNotSent` (while the bus is away).
+- `TransportError`: the world refused. After a `FrameNotSent`, which `send` raises while the bus is away, the transport goes on
+  working; after any other it has ended.
+
+A `Report` is no error. `receive` returns it in place of a frame, at its place in the order of frames: `ReceiveOverrun` if frames
+were lost there, `BusStateChanged` if the bus told its state.
 
 The codes are those of the command line: CO1xx is the bus itself.
 """
@@ -75,18 +77,45 @@ class TransportError(Exception):
         super().__init__(code, locator, failed)
 
     def __str__(self) -> str:
-        lines = [f"{self.code}: {self.failed}"]
-        if self.seen:
-            lines.append(f"  seen:  {self.seen}")
-        if self.cause:
-            lines.append(f"  cause: {self.cause}")
-        for number, step in enumerate(self.tries):
-            lines.append(f"  {'or:  ' if number else 'try: '}  {step}")
-        return "\n".join(lines)
+        return _screen(self)
 
 
-class ReceiveOverrun(TransportError):
-    """Received frames were lost, at this place in the order of frames. The transport works on: just receive again.
+def _screen(told: TransportError | Report) -> str:
+    lines = [f"{told.code}: {told.failed}"]
+    if told.seen:
+        lines.append(f"  seen:  {told.seen}")
+    if told.cause:
+        lines.append(f"  cause: {told.cause}")
+    for number, step in enumerate(told.tries):
+        lines.append(f"  {'or:  ' if number else 'try: '}  {step}")
+    return "\n".join(lines)
+
+
+class Report:
+    """What `receive` returns in place of a frame when there is something to tell. No error: the transport goes on working.
+
+    A ReceiveOverrun or a BusStateChanged. `str(report)` is the message for people; the fields are those of TransportError.
+    """
+
+    def __init__(
+        self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
+    ) -> None:
+        self.code = code
+        self.locator = locator
+        self.failed = failed
+        self.seen = seen
+        self.cause = cause
+        self.tries = tuple(tries)
+
+    def __str__(self) -> str:
+        return _screen(self)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.failed}>"
+
+
+class ReceiveOverrun(Report):
+    """Received frames were lost, at this place in the order of frames.
 
     lost: how many, at least 1. Only a lower bound where a CAN controller reports that it lost some, but not how many.
     """
@@ -103,8 +132,8 @@ class ReceiveOverrun(TransportError):
         self.lost = lost
 
 
-class BusStateChanged(TransportError):
-    """The bus reports something that is no frame, at this place in the order of frames. The transport works on: receive again.
+class BusStateChanged(Report):
+    """The bus reports its state, at this place in the order of frames.
 
     state: what it is now. seen: what was observed, in words.
     """

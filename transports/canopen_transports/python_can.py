@@ -39,6 +39,7 @@ from canopen_transports.errors import (
     BusStateChanged,
     FrameNotSent,
     ReceiveOverrun,
+    Report,
     TransportError,
 )
 from canopen_transports.leftovers import drop_garbage, has_hung_up, shut_down
@@ -212,21 +213,18 @@ class PythonCanTransport(trio.abc.AsyncResource):
 
     # ---- receiving ----
 
-    async def receive(self) -> Received:
-        """The next frame from the bus. BusStateChanged for what it reports besides."""
+    async def receive(self) -> Received | Report:
+        """The next frame from the bus, or what the bus reports."""
         await trio.lowlevel.checkpoint_if_cancelled()
         while True:
-            if self._reader.is_over and self._queue.is_empty():
-                await self._come_back()
-            elif (received := await self._reader.get()) is not None:
+            over = self._reader.is_over and self._queue.is_empty()
+            received = await (self._come_back() if over else self._reader.get())
+            if received is not None:
                 return received
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """What came from the bus, as soon as there is something."""
-        try:
-            first: Received | TransportError = await self.receive()
-        except (ReceiveOverrun, BusStateChanged) as report:
-            first = report
+        first = await self.receive()
         return [first] if self._queue.is_empty() else [first, *self._queue.take_many(limit - 1)]
 
     def _take(self, timeout: float) -> bool:
@@ -353,8 +351,8 @@ class PythonCanTransport(trio.abc.AsyncResource):
         tries = why.tries if self._locator.interface == "socketcan" else ("plug it in again: it is then opened by itself",)
         return BusStateChanged(self.locator, BusState.DOWN, why.seen, cause=why.cause, tries=tries)
 
-    async def _come_back(self) -> None:
-        """One try, after a pause, to open the bus anew; raises BusStateChanged when it is there."""
+    async def _come_back(self) -> BusStateChanged | None:
+        """After a pause, try once to open the bus again; return what there is to report of it."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if self._reopen is None:
@@ -368,16 +366,14 @@ class PythonCanTransport(trio.abc.AsyncResource):
                     bus = await self._reopen()
                 except TransportError as error:
                     self._lost = can.CanOperationError(error.seen)
-                    if self.state is BusState.DOWN:
-                        return
-                    raise self._down(self._lost) from error
+                    return None if self.state is BusState.DOWN else self._down(self._lost)
                 self.state = BusState.ACTIVE
                 self._attach(bus)
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if was_off:
-            raise BusStateChanged(self.locator, BusState.ACTIVE, "the controller was initialised anew after bus-off")
-        raise BusStateChanged(self.locator, BusState.UP, "the bus could be opened again")
+            return BusStateChanged(self.locator, BusState.ACTIVE, "the controller was initialised again after bus-off")
+        return BusStateChanged(self.locator, BusState.UP, "the bus could be opened again")
 
     async def aclose(self) -> None:
         """Wake who waits with ClosedResourceError, end the reader thread, and shut the bus down if it is ours."""

@@ -24,7 +24,7 @@ import can
 import trio
 
 from canopen_transports.driver_calls import DRIVER_TIME
-from canopen_transports.errors import ReceiveOverrun
+from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.receive_queue import ReceiveQueue
 from canopen_transports.transport import Received
 
@@ -47,8 +47,8 @@ class Reader(ABC):
     is_over = False
 
     @abstractmethod
-    async def get(self) -> Received | None:
-        """The next frame; raises what the bus reports instead. None: look again. Cancelled, it took none."""
+    async def get(self) -> Received | Report | None:
+        """The next frame or report. None: look again. Cancelled, it took none."""
 
     @abstractmethod
     def wake(self) -> None:
@@ -71,7 +71,7 @@ class DescriptorReader(Reader):
         self._dropped = 0
         self._is_woken = False
 
-    async def get(self) -> Received | None:
+    async def get(self) -> Received | Report | None:
         if self.is_over or self._is_woken or not self._queue.is_empty():
             await trio.lowlevel.checkpoint()
         else:
@@ -115,7 +115,7 @@ class ThreadReader(Reader):
         self._thread = threading.Thread(target=self._run, name=f"receive {locator}", daemon=True)
         self._thread.start()
 
-    async def get(self) -> Received | None:
+    async def get(self) -> Received | Report | None:
         await trio.lowlevel.checkpoint()
         while (received := self._queue.take()) is None and not self.is_over:
             await self._queue.woken()

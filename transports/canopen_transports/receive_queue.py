@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 
 import trio
 
-from canopen_transports.errors import ReceiveOverrun, TransportError
+from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.transport import Received
 
 RECEIVE_QUEUE_SIZE: Final = 8192
@@ -40,7 +40,7 @@ class ReceiveQueue:
             raise ValueError(f"a receive queue of {size} frames can hold nothing")
         self._locator = locator
         self._size = size
-        self._items: deque[Received | TransportError | _Lost] = deque()
+        self._items: deque[Received | Report | _Lost] = deque()
         self._lock = threading.Lock()
         self._waiting = trio.lowlevel.ParkingLot()
         self._closed = False
@@ -58,8 +58,8 @@ class ReceiveQueue:
             else:
                 items.append(_Lost())
 
-    def report(self, report: TransportError) -> None:
-        """Add what `get` raises at this place."""
+    def report(self, report: Report) -> None:
+        """Add a report, at this place in the order of frames."""
         with self._lock:
             items = self._items
             last = self._latest(type(report)) if len(items) >= self._size + MAX_EXTRA - 1 else None
@@ -87,14 +87,14 @@ class ReceiveQueue:
         """Whether all that came was taken."""
         return not self._items
 
-    async def get(self) -> Received:
-        """The next frame. Cancelled, it took none."""
+    async def get(self) -> Received | Report:
+        """Wait for the next frame or report and return it. Cancelled, it took none."""
         await self._filled()
         while (received := self.take()) is None:  # another task was quicker
             await self.woken()
         return received
 
-    async def get_many(self, limit: int) -> list[Received | TransportError]:
+    async def get_many(self, limit: int) -> list[Received | Report]:
         """Wait until something is there; return it, at most `limit` frames and reports. Cancelled, it took nothing."""
         await self._filled()
         while not (taken := self.take_many(limit)):  # another task was quicker
@@ -112,23 +112,19 @@ class ReceiveQueue:
         """Wait for the next `wake`, or for `close`."""
         await self._waiting.park()
 
-    def take(self) -> Received | None:
-        """The next frame if there is one; raises what stands at its place. Only in the trio thread."""
+    def take(self) -> Received | Report | None:
+        """The next frame or report, if there is one. Only in the trio thread."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self._locator} was closed")
         with self._lock:
             item = self._items.popleft() if self._items else None
-        if isinstance(item, _Lost):
-            raise self._overrun(item)
-        if isinstance(item, TransportError):
-            raise item
-        return item
+        return self._overrun(item) if isinstance(item, _Lost) else item
 
-    def take_many(self, limit: int) -> list[Received | TransportError]:
+    def take_many(self, limit: int) -> list[Received | Report]:
         """What is there, at most `limit` frames and reports. Only in the trio thread."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self._locator} was closed")
-        taken: list[Received | TransportError] = []
+        taken: list[Received | Report] = []
         items = self._items
         with self._lock:
             while items and len(taken) < limit:

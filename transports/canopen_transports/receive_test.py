@@ -79,13 +79,13 @@ async def listen_on(transport: Transport, text: str, seconds: float, *, listen_o
     heard = Heard(text, listen_only)
     with trio.move_on_after(seconds):
         while True:
-            try:
-                frame, _ = await transport.receive()
-            except BusStateChanged as change:
-                heard.states.append((change.state, change.seen))
-            except ReceiveOverrun as overrun:
-                heard.lost += overrun.lost
-            else:
+            received = await transport.receive()
+            if isinstance(received, BusStateChanged):
+                heard.states.append((received.state, received.seen))
+            elif isinstance(received, ReceiveOverrun):
+                heard.lost += received.lost
+            elif isinstance(received, tuple):
+                frame = received[0]
                 heard.frames += 1
                 heard.first = heard.first or frame
                 if not frame.flags & EXTENDED:

@@ -22,7 +22,7 @@ from typing import Final
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, TransportError
+from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, Report, TransportError
 from canopen_transports.locator import Option
 from canopen_transports.log_files import LogFileError, LogReader
 from canopen_transports.record import Record
@@ -94,8 +94,8 @@ class ReplayTransport(trio.abc.AsyncResource):
         self.swallowed += 1
         await trio.lowlevel.cancel_shielded_checkpoint()
 
-    async def receive(self) -> Received:
-        """The next frame, when its time has come. Raises BusStateChanged once at the end, TransportError for a damaged file."""
+    async def receive(self) -> Received | Report:
+        """The next frame, when its time has come; one BusStateChanged at the end. Raises TransportError for a damaged file."""
         await trio.lowlevel.checkpoint()
         self._check_open()
         while self._next is None:
@@ -103,7 +103,7 @@ class ReplayTransport(trio.abc.AsyncResource):
                 raise self._failure
             if not self._ended:
                 self._ended = True
-                raise BusStateChanged(self.locator, BusState.DOWN, "the recording has ended")
+                return BusStateChanged(self.locator, BusState.DOWN, "the recording has ended")
             await self._wait(math.inf)
         record = self._next
         if self._speed == STEP:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import ReceiveOverrun, TransportError
+from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
 from canopen_transports.log_files import LogWriter
 from canopen_transports.record import Record
@@ -154,26 +154,19 @@ class TracingTransport(trio.abc.AsyncResource):
         self._record_in_turn(self._record_of(frame, self._ours))
         return True
 
-    async def receive(self) -> Received:
+    async def receive(self) -> Received | Report:
         """As the transport below."""
-        try:
-            received = await self.transport.receive()
-        except ReceiveOverrun as overrun:
-            self._count_lost(overrun)
-            raise
-        self._record_received(received[0])
+        received = await self.transport.receive()
+        self._note(received)
         return received
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """As the transport below; one by one if that one hands out no more at once."""
         if self._batch is None:
             return [await self.receive()]
         taken = await self._batch.receive_many(limit)
         for item in taken:
-            if isinstance(item, tuple):
-                self._record_received(item[0])
-            elif isinstance(item, ReceiveOverrun):
-                self._count_lost(item)
+            self._note(item)
         return taken
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
@@ -198,11 +191,12 @@ class TracingTransport(trio.abc.AsyncResource):
     def _record_of(self, frame: Frame, sent: bool) -> Record:
         return Record(self._trace.now(), self._channel, frame, sent)
 
-    def _record_received(self, frame: Frame) -> None:
-        self._record_in_turn(self._record_of(frame, self._ours == (frame.key in self._cyclic_keys)))
-
-    def _count_lost(self, overrun: ReceiveOverrun) -> None:
-        self._trace.lost += overrun.lost if self._trace.records(self) else 0
+    def _note(self, received: Received | Report) -> None:
+        if isinstance(received, tuple):
+            frame = received[0]
+            self._record_in_turn(self._record_of(frame, self._ours == (frame.key in self._cyclic_keys)))
+        elif isinstance(received, ReceiveOverrun) and self._trace.records(self):
+            self._trace.lost += received.lost
 
     def _record_in_turn(self, record: Record) -> None:
         if self._sending:

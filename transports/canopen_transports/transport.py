@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
-from canopen_transports.errors import TransportError
+from canopen_transports.errors import Report
 
 MAX_STANDARD_ID = 0x7FF
 MAX_EXTENDED_ID = 0x1FFFFFFF
@@ -43,12 +43,12 @@ class Transport(Protocol):
         while a bus is away that may come back. ValueError for a frame that classical CAN cannot carry.
         """
 
-    async def receive(self) -> Received:
-        """The next frame from another participant, with its time stamp. One task at a time should receive: of two, each gets some
-        of the frames, or one is refused by trio.BusyResourceError.
+    async def receive(self) -> Received | Report:
+        """Wait for the next frame of another participant, and return it with its time stamp; or return a Report: a ReceiveOverrun
+        if frames were lost here, a BusStateChanged if the bus has something to tell.
 
-        Raises ReceiveOverrun where frames were lost and BusStateChanged where the bus has something to report (then receive
-        again), TransportError when the bus fails.
+        One task at a time should receive: of two, each gets some of the frames, or one is refused by trio.BusyResourceError.
+        Raises TransportError when the bus fails.
         """
 
     async def aclose(self) -> None:
@@ -77,11 +77,10 @@ class EagerTransport(Protocol):
 class BatchTransport(Protocol):
     """What a transport has besides that can hand over many frames at once."""
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """Wait until something has come; return what is there, in order: one frame or report at least, `limit` at most.
 
-        Reports (ReceiveOverrun, BusStateChanged) stand in the list at their place. Everything else is as in `receive`: cancelled,
-        it took nothing, and what ends the transport is raised once everything before it was returned.
+        Cancelled, it took nothing. Raises what `receive` raises, once everything before that was returned.
         """
 
 

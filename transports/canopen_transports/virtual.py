@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import BAD_LOCATOR, TransportError
+from canopen_transports.errors import BAD_LOCATOR, Report, TransportError
 from canopen_transports.locator import Option
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
@@ -64,11 +64,11 @@ class VirtualTransport(trio.abc.AsyncResource):
                 member._queue.put(received)
                 member._queue.wake()
 
-    async def receive(self) -> Received:
-        """The next frame that another member sent."""
+    async def receive(self) -> Received | Report:
+        """The next frame that another member sent, or a report."""
         return await self._queue.get()
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """What other members have sent, as soon as there is something."""
         return await self._queue.get_many(limit)
 

@@ -32,7 +32,15 @@ import trio
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
-from canopen_transports.errors import BAD_LOCATOR, NOT_ACKNOWLEDGED, BusState, BusStateChanged, FrameNotSent, TransportError
+from canopen_transports.errors import (
+    BAD_LOCATOR,
+    NOT_ACKNOWLEDGED,
+    BusState,
+    BusStateChanged,
+    FrameNotSent,
+    Report,
+    TransportError,
+)
 from canopen_transports.locator import Option, parse_bitrate
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
@@ -242,11 +250,11 @@ class WireTransport(trio.abc.AsyncResource):
         self.bus.send(self.member, frame)
         return True
 
-    async def receive(self) -> Received:
-        """The next frame that another member sent."""
+    async def receive(self) -> Received | Report:
+        """The next frame that another member sent, or a report."""
         return await self.queue.get()
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """What other members have sent, as soon as there is something."""
         return await self.queue.get_many(limit)
 

@@ -13,7 +13,7 @@ from canopen_proto.frame import Frame
 from canopen_transports.conformance.case import Violation, expect
 from canopen_transports.conformance.frames import END, number_of
 from canopen_transports.conformance.site import Bus, Site
-from canopen_transports.errors import BusStateChanged, ReceiveOverrun
+from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.transport import Received, Transport
 
 HEAR_TIME: Final = 10.0
@@ -59,13 +59,18 @@ class Bench:
         self.nursery.start_soon(_say, member, frames)
 
     async def hear(self, member: Transport) -> Received:
-        """The next frame; what the bus reports besides is passed over. Violation if none comes."""
+        """The next frame; passes over what the bus tells of its state. Violation if none comes, or if frames were lost."""
+        received = await self._next(member)
+        if isinstance(received, ReceiveOverrun):
+            raise Violation(f"{received.failed}: {received.seen}")
+        return received
+
+    async def _next(self, member: Transport) -> Received | ReceiveOverrun:
         with trio.move_on_after(HEAR_TIME):
             while True:
-                try:
-                    return await member.receive()
-                except BusStateChanged:
-                    continue
+                received = await member.receive()
+                if isinstance(received, tuple | ReceiveOverrun):
+                    return received
         raise Violation(f"a frame that was sent has not come in {HEAR_TIME:g} s")
 
     async def numbers(self, member: Transport, count: int) -> list[int]:
@@ -95,14 +100,14 @@ class Bench:
         expected = 0
         while heard + told < count:
             try:
-                frame, _ = await self.hear(member)
-            except ReceiveOverrun as overrun:
-                expect(overrun.lost > 0, f"an overrun of {overrun.lost} frames")
-                told += overrun.lost
-                continue
+                received = await self._next(member)
             except Violation as nothing:
                 raise Violation(f"of {count} frames {heard} came and {told} were told as lost, then nothing more") from nothing
-            number = number_of(frame)
+            if isinstance(received, ReceiveOverrun):
+                expect(received.lost > 0, f"an overrun of {received.lost} frames")
+                told += received.lost
+                continue
+            number = number_of(received[0])
             heard += 1
             expect(number >= expected, f"frame {number} came behind frame {expected - 1}: twice, or out of order")
             expected = number + 1

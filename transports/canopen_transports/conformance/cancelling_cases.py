@@ -27,7 +27,7 @@ async def cancelled_receive(bench: Bench) -> None:
 
     async def receive_once(scope: trio.CancelScope) -> None:
         with scope:
-            heard.append(number_of((await other.receive())[0]))
+            heard.append(number_of((await bench.hear(other))[0]))
 
     for number in range(count):
         async with trio.open_nursery() as nursery:

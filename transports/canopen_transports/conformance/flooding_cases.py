@@ -60,7 +60,7 @@ async def others_run(bench: Bench) -> None:
     async def hear(scope: trio.CancelScope) -> None:
         with scope:
             while True:
-                heard.append(number_of((await other.receive())[0]))
+                heard.append(number_of((await bench.hear(other))[0]))
 
     async with trio.open_nursery() as nursery:
         scope = trio.CancelScope()

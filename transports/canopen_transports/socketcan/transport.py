@@ -45,6 +45,7 @@ from canopen_transports.errors import (
     BusStateChanged,
     FrameNotSent,
     ReceiveOverrun,
+    Report,
     TransportError,
 )
 from canopen_transports.locator import Locator, Option
@@ -98,7 +99,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         self._quiet_until = {BusState.FAULT: 0.0, BusState.NO_ACKNOWLEDGE: 0.0}
         self._closed = False
         self._filters: bytes | None = None
-        self._items: deque[Received | TransportError] = deque()
+        self._items: deque[Received | Report] = deque()
         self._batch = Batch(ctypes.CDLL(None, use_errno=True))
         self._is_burst = False
         self._send_lock = trio.Lock()
@@ -200,17 +201,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     # ---- receiving ----
 
-    async def receive(self) -> Received:
-        """The next frame, with the kernel's time stamp (CLOCK_REALTIME). One task at a time."""
-        await trio.lowlevel.checkpoint_if_cancelled()
-        while not self._items:
-            await self._wait()
-        item = self._items.popleft()
-        if isinstance(item, TransportError):
-            raise item
-        return item
+    async def receive(self) -> Received | Report:
+        """The next frame, with the kernel's time stamp (CLOCK_REALTIME), or a report. One task at a time."""
+        return (await self.receive_many(1))[0]
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """What the kernel has received, as soon as there is something: one batch at most. One task at a time."""
         await trio.lowlevel.checkpoint_if_cancelled()
         items = self._items

@@ -14,7 +14,7 @@ from typing import Final
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import NOT_ACKNOWLEDGED, ReceiveOverrun, TransportError
+from canopen_transports.errors import NOT_ACKNOWLEDGED, ReceiveOverrun, Report, TransportError
 from canopen_transports.tcp.address import cannot_connect, connection_lost, no_bus_server, parse_address
 from canopen_transports.tcp.framing import HELLO, Bye, FramingError, LineSplitter, Lost, decode, encode, shown
 from canopen_transports.transport import Received, check_frame
@@ -62,20 +62,18 @@ class TcpTransport(trio.abc.AsyncResource):
             except OSError as error:
                 raise self._lose("send", str(error), _SERVER_GONE) from error
 
-    async def receive(self) -> Received:
-        """The next frame of another member. Raises ReceiveOverrun where the server had to drop frames for us."""
+    async def receive(self) -> Received | Report:
+        """The next frame of another member; a ReceiveOverrun if the server had to drop frames for us."""
         await self._read()
         return self._next()
 
-    async def receive_many(self, limit: int) -> list[Received | TransportError]:
+    async def receive_many(self, limit: int) -> list[Received | Report]:
         """What other members have sent, as soon as there is something."""
         await self._read()
-        taken: list[Received | TransportError] = []
+        taken: list[Received | Report] = []
         while self._waiting and len(taken) < limit:
             try:
                 taken.append(self._next())
-            except ReceiveOverrun as overrun:
-                taken.append(overrun)
             except TransportError:
                 if not taken:
                     raise
@@ -105,7 +103,7 @@ class TcpTransport(trio.abc.AsyncResource):
             self._socket.close()
         await trio.lowlevel.checkpoint()
 
-    def _next(self) -> Received:
+    def _next(self) -> Received | Report:
         try:
             item = decode(self._waiting.popleft())
         except FramingError as error:
@@ -113,7 +111,7 @@ class TcpTransport(trio.abc.AsyncResource):
         if isinstance(item, Frame):
             return item, None
         if isinstance(item, Lost):
-            raise ReceiveOverrun(self.locator, item.frames, "the bus server's queue for us was full")
+            return ReceiveOverrun(self.locator, item.frames, "the bus server's queue for us was full")
         raise self._lose("receive", f"the bus server says: {item.reason}", "")
 
     async def _finish(self, frame: Frame, rest: bytes) -> None:
