@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol, TypeVar
 
 import trio
 
@@ -26,13 +26,21 @@ from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
 from canopen_transports.log_files import LogWriter
 from canopen_transports.record import Record
-from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, Received
-
-if TYPE_CHECKING:
-    from canopen_transports.opening import OpenTransport
+from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, Received, Transport
 
 _trace: Final[ContextVar[Trace | None]] = ContextVar("trace", default=None)
 _for_devices: Final[ContextVar[bool]] = ContextVar("for devices", default=False)
+
+
+class Named(Transport, Protocol):
+    """A transport that says which bus it is on."""
+
+    @property
+    def locator(self) -> str:
+        """As `open_transport` takes it."""
+
+
+T = TypeVar("T", bound=Named)
 
 
 class Trace:
@@ -82,7 +90,7 @@ class Trace:
         except OSError as error:
             self.failure = self.failure or error
 
-    def wrap(self, transport: OpenTransport) -> TracingTransport:
+    def wrap(self, transport: Named) -> TracingTransport:
         """The transport, recorded."""
         made = TracingTransport(transport, self)
         self._taps.setdefault(made.locator, []).append(made)
@@ -113,7 +121,7 @@ class TracingTransport(trio.abc.AsyncResource):
     It hides that the one below could filter: all is to be recorded.
     """
 
-    def __init__(self, transport: OpenTransport, trace: Trace) -> None:
+    def __init__(self, transport: Named, trace: Trace) -> None:
         self.locator = transport.locator
         self.transport = transport
         self._eager = transport if isinstance(transport, EagerTransport) else None
@@ -236,7 +244,7 @@ def current_trace() -> Trace | None:
     return _trace.get()
 
 
-def traced(transport: OpenTransport) -> OpenTransport | TracingTransport:
+def traced(transport: T) -> T | TracingTransport:
     """The transport, recorded if a trace is."""
     trace = _trace.get()
     return transport if trace is None else trace.wrap(transport)

@@ -11,8 +11,8 @@ import sys
 import trio
 
 from canopen_proto.verdict import Result
+from canopen_transports.conformance.bench import Site, at
 from canopen_transports.conformance.catalogue import run_all
-from canopen_transports.conformance.site import Site, at
 from canopen_transports.errors import TransportError
 from canopen_transports.opening import open_transport
 

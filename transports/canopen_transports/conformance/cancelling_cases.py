@@ -10,7 +10,8 @@ import trio
 import trio.testing
 
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, case, expect, expect_numbers
+from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, number_of, numbered
 
 SEEDS: Final = (1, 2, 3)

@@ -8,7 +8,8 @@ import trio
 
 from canopen_proto.frame import Frame
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, case, expect, expect_numbers
+from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, EVERY_KIND, IMPOSSIBLE, number_of, numbered
 from canopen_transports.transport import Transport
 

@@ -14,30 +14,20 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import trio
 import trio.testing
 
 from canopen_proto.verdict import Result, Verdict
 from canopen_transports.conformance import leftovers
-
-if TYPE_CHECKING:
-    from canopen_transports.conformance.bench import Bench
-    from canopen_transports.conformance.site import Site
+from canopen_transports.conformance.bench import Bench, Site
+from canopen_transports.conformance.expectations import NotApplicable, Violation, expect
 
 LIMIT: Final = 120.0
 """Seconds. In virtual time a case that hangs gets there at once."""
 
-Body: TypeAlias = "Callable[[Bench], Awaitable[None]]"
-
-
-class Violation(AssertionError):
-    """A transport does not keep a promise."""
-
-
-class NotApplicable(Exception):
-    """A transport does not have what the case is about."""
+Body: TypeAlias = Callable[[Bench], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +68,6 @@ class Case:
         return Verdict(Result.PASSED)
 
     async def _in_trio(self, site: Site) -> None:
-        from canopen_transports.conformance.bench import Bench
-
         before = leftovers.held()
         with trio.fail_after(LIMIT):
             async with site.open_bus() as bus, AsyncExitStack() as stack, trio.open_nursery() as nursery:
@@ -93,24 +81,3 @@ def case(body: Body) -> Case:
     """Makes a case of its body, whose docstring is the title."""
     title = (body.__doc__ or "").strip().splitlines()[0].rstrip(".")
     return Case(body.__name__, title, body)
-
-
-def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else Violation with that text."""
-    if not condition:
-        raise Violation(otherwise)
-
-
-def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
-    """Go on if the lists are equal, else Violation that shows where they part, and what is missing or too much."""
-    if seen == expected:
-        return
-    place = next(
-        (at for at, pair in enumerate(zip(seen, expected, strict=False)) if pair[0] != pair[1]), min(len(seen), len(expected))
-    )
-    missing, surplus = sorted(set(expected) - set(seen)), sorted(set(seen) - set(expected))
-    twice = len(seen) - len(set(seen))
-    raise Violation(
-        f"{what}: {len(seen)} frames instead of {len(expected)}; from place {place} on {seen[place : place + 5]} instead of "
-        f"{expected[place : place + 5]}; missing {missing[:5]}, too much {surplus[:5]}, {twice} more than once"
-    )

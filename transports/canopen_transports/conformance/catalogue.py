@@ -14,8 +14,8 @@ from canopen_transports.conformance import (
     opening_cases,
     optional_cases,
 )
+from canopen_transports.conformance.bench import Site
 from canopen_transports.conformance.case import Case
-from canopen_transports.conformance.site import Site
 
 CASES: Final[tuple[Case, ...]] = (
     *opening_cases.CASES,

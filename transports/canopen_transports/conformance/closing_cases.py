@@ -10,7 +10,8 @@ import trio
 import trio.testing
 
 from canopen_transports.conformance.bench import Bench, turns
-from canopen_transports.conformance.case import Case, Violation, case, expect_numbers
+from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.expectations import Violation, expect_numbers
 from canopen_transports.conformance.frames import END, numbered
 from canopen_transports.transport import Transport
 

@@ -8,7 +8,8 @@ from typing import Final
 import trio
 
 from canopen_transports.conformance.bench import Bench, turns
-from canopen_transports.conformance.case import Case, case, expect, expect_numbers
+from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, number_of, numbered
 
 WAITING: Final = 200

@@ -9,7 +9,8 @@ import trio
 
 from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, NotApplicable, case, expect
+from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.expectations import NotApplicable, expect
 from canopen_transports.conformance.frames import numbered
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
 

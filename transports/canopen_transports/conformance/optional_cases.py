@@ -11,7 +11,8 @@ import trio
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
 from canopen_transports.conformance.bench import HEAR_TIME, Bench
-from canopen_transports.conformance.case import Case, NotApplicable, Violation, case, expect, expect_numbers
+from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.expectations import NotApplicable, Violation, expect, expect_numbers
 from canopen_transports.conformance.frames import END, IMPOSSIBLE, number_of, numbered
 from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, FilteringTransport, Transport
 
