@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from canopen_proto.heartbeat import HeartbeatRecovered as HeartbeatRecovered
     from canopen_proto.heartbeat import NodeBooted as NodeBooted
     from canopen_proto.local_node import LocalNode as LocalNode
+    from canopen_proto.machine import COMPILED as COMPILED
     from canopen_proto.machine import MILLISECOND as MILLISECOND
     from canopen_proto.machine import NEVER as NEVER
     from canopen_proto.machine import SECOND as SECOND
@@ -68,7 +69,8 @@ else:
             "canopen_proto.group": "Group",
             "canopen_proto.heartbeat": "HeartbeatLost HeartbeatReceived HeartbeatRecovered NodeBooted",
             "canopen_proto.local_node": "LocalNode",
-            "canopen_proto.machine": "Event LocalProtocolError MILLISECOND Machine NEVER Outbox Outcome RequestId SECOND Time",
+            "canopen_proto.machine": "COMPILED Event LocalProtocolError MILLISECOND Machine NEVER Outbox Outcome RequestId "
+            "SECOND Time",
             "canopen_proto.multiplexer": "Mux mux",
             "canopen_proto.network": "Network",
             "canopen_proto.nmt": "NmtCommand NmtMaster NmtState",

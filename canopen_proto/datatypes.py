@@ -32,6 +32,7 @@ from abc import ABC, abstractmethod
 from enum import IntEnum
 from typing import Final, TypeAlias
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.machine import LocalProtocolError
 
 Value: TypeAlias = bool | int | float | str | bytes | datetime.datetime | datetime.timedelta
@@ -74,6 +75,7 @@ class DataType(IntEnum):
     UNSIGNED64 = 0x1B
 
 
+@mypyc_attr(native_class=False)
 class ValueRangeError(LocalProtocolError, ValueError):
     """A value does not fit its object: wrong kind, out of range, wrong length. The text names object, type and range."""
 

@@ -19,6 +19,7 @@ from heapq import heapify, heappop, heappush
 from types import TracebackType
 from typing import Any, Final, TypeAlias
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Machine, Outbox, Time
 
@@ -170,6 +171,7 @@ class Settling:
             self._group._settle(self._mark, self._now)
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Group(Machine):
     """A machine made of machines; see this module's text. Members are made with `inner` as their outbox."""
 

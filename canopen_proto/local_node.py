@@ -43,6 +43,7 @@ from canopen_proto.communication_errors import (
     CommunicationErrors,
 )
 from canopen_proto.communication_objects import COB_ID_TIME, ERROR_REGISTER, CommunicationObjects
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable
 from canopen_proto.emcy import EmcySent
@@ -81,6 +82,7 @@ output errors (2) and input errors (3). CiA 301 v4.2.0, 7.5.2.32"""
 EMCY_BUS_OFF_RECOVERED: Final = 0x8140
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class LocalNode(Group):
     """A device on the bus; see this module's text. It is mute until `boot`."""
 

@@ -31,7 +31,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, ClassVar, Final, TypeAlias
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.frame import MAX_NODE_ID, Frame, RoutingKey
+
+COMPILED: Final = not __file__.endswith(".py")
+"""Whether this is the compiled build of the core (docs/compiled.md)."""
 
 Time: TypeAlias = int
 """Nanoseconds on any monotonic clock that the driver chooses. Durations are ns too."""
@@ -47,10 +51,12 @@ MILLISECOND: Final = 1_000_000
 SECOND: Final = 1_000_000_000
 
 
+@mypyc_attr(native_class=False)
 class LocalProtocolError(Exception):
     """Our own caller broke a rule (a busy client, node-ID 200). Nothing changed and nothing was sent."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Event:
     """A report of a machine. It holds plain values, no references to machines, and works in `match`. Never change an event.
 
@@ -75,6 +81,7 @@ class Event:
         return f"{type(self).__qualname__}({', '.join(f'{name}={value!r}' for name, value in fields_of(self).items())})"
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Outcome(Event):
     """The one answer to a command that returned a RequestId. It is never dropped: every request gets exactly one."""
 
@@ -86,6 +93,7 @@ class Outcome(Event):
         self.request_id = request_id
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class FrameIgnored(Event):
     """A frame with one of our CAN-IDs made no sense and was ignored. reason: one line for people."""
 
@@ -145,6 +153,7 @@ class OutboxRoot:
         self.timestamp: int | None = None
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Machine:
     """A pure state machine; see this module's text for the contract."""
 
@@ -192,7 +201,7 @@ class Machine:
                 self.out.owner._reroute()
 
 
-def check_node_id(node_id: int) -> int:
+def check_node_id(node_id: object) -> int:
     """Return node_id if it is an integer of 1..127. Raises LocalProtocolError for any other."""
     if not isinstance(node_id, int) or isinstance(node_id, bool):  # it may come from a file or a form: True is not node 1
         raise LocalProtocolError(f"node-ID {node_id!r} is not an integer: node-IDs are 1..{MAX_NODE_ID}")

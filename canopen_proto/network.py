@@ -19,14 +19,16 @@ A Network also remembers what it last heard from each node (bus_knowledge.py), s
 
 from __future__ import annotations
 
-from typing import Final, Protocol, TypeVar, runtime_checkable
+from typing import Final, TypeVar
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
+from canopen_proto.compiling import mypyc_attr
+from canopen_proto.follower import Follower
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.group import Members, Reaction
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.nmt import NmtCommand, NmtCommandSent
+from canopen_proto.nmt import NmtCommandSent
 from canopen_proto.procedures.runner import Runner
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.events import SdoAborted
@@ -49,19 +51,7 @@ class EventsDropped(Event):
         self.count = count
 
 
-@runtime_checkable
-class Follower(Protocol):
-    """A machine (a RemoteNode) that is told what the network's other machines sent or heard."""
-
-    node_id: int
-
-    def on_sync(self, counter: int | None, now: Time, *, heard: bool = False) -> None:
-        """React to a SYNC that we sent, or heard; a heard one may have been on its way for a while."""
-
-    def on_nmt_command(self, command: NmtCommand, now: Time) -> None:
-        """React to an NMT command for this node that we sent."""
-
-
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Network:
     """All machines of one participant on one bus."""
 

@@ -31,6 +31,7 @@ from collections.abc import Callable, Collection
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
@@ -57,6 +58,7 @@ NMT_REACTION_TIME: Final = 50 * MILLISECOND
 """A heartbeat that comes this soon after an NMT command may not know of it yet: it waited in the node's or an adapter's queue."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class RemoteNode(Group):
     """Everything that we run for one other node. Made with a Network's `out`, then attached to it."""
 

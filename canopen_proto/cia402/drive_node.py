@@ -15,6 +15,7 @@ from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, Sta
 from canopen_proto.cia402.late_drive import LateDrive
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.servo import UNSET_BY_ZERO, DriveSettings, Shape
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
@@ -22,6 +23,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class DriveNode(LocalNode):
     """A simulated CiA 402 drive. drive: the part that moves; `boot` powers it on."""
 

@@ -24,6 +24,7 @@ import struct
 from collections.abc import Iterable, Mapping
 from typing import Final
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.download_order import Write, download_order, settings_of
 from canopen_proto.dictionary.model import ObjectDictionary
@@ -37,6 +38,7 @@ _COUNT = struct.Struct("<I")
 _ENTRY = struct.Struct("<HBI")
 
 
+@mypyc_attr(native_class=False)
 class ConciseError(LocalProtocolError, ValueError):
     """These bytes are no concise DCF. offset: the byte at which that is seen."""
 

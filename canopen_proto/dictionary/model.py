@@ -30,8 +30,9 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, NoReturn
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import DataType, Value, is_signed
-from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable, description
+from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import Mux, index_of, mux
 
@@ -55,6 +56,7 @@ __all__ = [
 ]
 
 
+@mypyc_attr(native_class=False)
 class NotInDictionary(LocalProtocolError, KeyError):
     """A name or number that the dictionary does not have; the text says which are near."""
 
@@ -62,14 +64,17 @@ class NotInDictionary(LocalProtocolError, KeyError):
         return str(self.args[0])
 
 
+@mypyc_attr(native_class=False)
 class ObjectNotFound(NotInDictionary):
     """No such object or subindex."""
 
 
+@mypyc_attr(native_class=False)
 class ConstantNotFound(NotInDictionary):
     """No such constant of this object."""
 
 
+@mypyc_attr(native_class=False)
 class PdoNotFound(NotInDictionary):
     """No such PDO description."""
 
@@ -125,7 +130,7 @@ class PdoDescription:
         return self.cob_base + node_id
 
 
-@description  # not frozen at run time: one is made for each value that is read
+@dataclass(slots=True, unsafe_hash=True)  # not frozen: one is made for each value that is read
 class Message:
     """One object's value as it was transferred: of which node, its name, which constants the value bears, and when.
 

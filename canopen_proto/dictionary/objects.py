@@ -11,24 +11,14 @@ A vendor's file has thousands of variables, most of which are never used: so the
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import Any, TypeAlias, TypeVar, dataclass_transform
+from typing import TypeAlias
 
 from canopen_proto.datatypes import Codec, DataType, Value, ValueRangeError, codec_of
 from canopen_proto.multiplexer import Mux, mux
-
-_T = TypeVar("_T")
-
-
-@dataclass_transform(frozen_default=True, field_specifiers=(field,))
-def description(cls: type[_T]) -> type[_T]:
-    """Class decorator: a dataclass with slots and a hash, immutable to the type checker only: one frozen at run time costs three
-    times as much to make."""
-    return dataclasses.dataclass(slots=True, unsafe_hash=True)(cls)
 
 
 class Access(StrEnum):
@@ -62,7 +52,7 @@ class ObjectType(IntEnum):
     RECORD = 9
 
 
-@description
+@dataclass(slots=True, unsafe_hash=True)  # not frozen: that makes one cost three times as much
 class Variable:
     """What stands at one index and subindex.
 
@@ -103,9 +93,8 @@ class Variable:
     codec: Codec = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        made: Any = self  # immutable to the type checker
-        made.mux = mux(self.index, self.subindex)
-        made.codec = codec_of(self.data_type)
+        self.mux = mux(self.index, self.subindex)
+        self.codec = codec_of(self.data_type)
 
     @property
     def size(self) -> int | None:
@@ -174,7 +163,7 @@ Key: TypeAlias = str | int | tuple[int, int] | Variable
 0x6041; (0x60C1, 1); the Variable itself."""
 
 
-@description
+@dataclass(slots=True, unsafe_hash=True)  # not frozen: that makes one cost three times as much
 class Object:
     """What stands at one index: its variables by subindex.
 

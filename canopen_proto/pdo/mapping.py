@@ -29,9 +29,9 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as ReadOnlyDict
-from itertools import chain, count
 from typing import Final
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import (
     DataType,
     Value,
@@ -64,6 +64,7 @@ _WHOLE: Final = (DataType.REAL32, DataType.REAL64, DataType.TIME_OF_DAY, DataTyp
 _NUMBER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1,2}))?")
 
 
+@mypyc_attr(native_class=False)
 class MappingError(LocalProtocolError, ValueError):
     """These entries cannot make a PDO; the text says which one and why."""
 
@@ -322,9 +323,11 @@ def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
     labels: dict[str, None] = {}
     for entry in components:
         place = f"{entry.index:04X}:{entry.subindex:02X}"
-        again = (f"{place}#{number}" for number in count(2))
-        named = (entry.name, place) if shared[entry.name] == 1 else (place,)
-        labels[next(each for each in chain(named, again) if each not in labels)] = None
+        label, number = (entry.name, 0) if shared[entry.name] == 1 else (place, 1)
+        while label in labels:
+            number += 1
+            label = place if number == 1 else f"{place}#{number}"
+        labels[label] = None
     return tuple(labels)
 
 

@@ -34,6 +34,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
 from canopen_proto.frame import REMOTE, Frame, RoutingKey, can_id_of, flags_of, frame_for_key, routing_key
@@ -73,6 +74,7 @@ class PdoNotSent(Event):
         self.reason = reason
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class PdoProducer(Machine):
     """Sends one PDO out of a store; see this module's text.
 

@@ -38,6 +38,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
@@ -74,6 +75,7 @@ MAX_DOWNLOAD: Final = 16 << 20
 """Largest value that is accepted: a firmware image fits, and a client gone mad does not fill the memory."""
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class SdoServer(ChannelEnd):
     """The server of one SDO channel; see this module's text."""
 

@@ -34,6 +34,7 @@ from enum import Enum
 from typing import ClassVar, Final, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
 from canopen_proto.machine import FrameIgnored, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, STREAM_TIMEOUT, silence_limit
@@ -75,6 +76,7 @@ ENDING: Final = State.ENDING
 OVER: Final = State.OVER
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class ChannelEnd(Machine):
     """One end of an SDO channel; see this module's text. Limits are in ns, segments and bytes, and may be changed at any time.
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.follower import Follower
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Machine, Outbox, Outcome, Time
-from canopen_proto.network import MAX_UNDRAINED_EVENTS, EventsDropped, Follower, Network
+from canopen_proto.network import MAX_UNDRAINED_EVENTS, EventsDropped, Network
 from canopen_proto.nmt import NmtCommand, NmtCommandSent, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, Request, StepTimeout, Wait, act, sleep, wait_for_event

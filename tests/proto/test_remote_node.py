@@ -11,10 +11,11 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionary, ObjectDictionary, PdoDescription
 from canopen_proto.emcy import EmcyReceived
+from canopen_proto.follower import Follower
 from canopen_proto.frame import KEY_EXTENDED, Frame
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Outbox, Time
-from canopen_proto.network import Follower, Network
+from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster, NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
