@@ -1,0 +1,110 @@
+"""The house of docs/contract.md: which package may import which, and no circle anywhere.
+
+Every import counts: inside a function, and under TYPE_CHECKING. A room is a folder of a package; each file at a package's root is
+a room of its own.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TypeAlias
+
+import pytest
+
+Graph: TypeAlias = "dict[str, set[str]]"
+
+ARROWS = {
+    "canopen_proto": set(),
+    "canopen_data": {"canopen_proto"},
+    "canopen_transports": {"canopen_proto"},
+    "canopen_check": {"canopen_proto", "canopen_data"},
+    "canopen_master": {"canopen_proto", "canopen_data", "canopen_transports"},
+    "canopen_cli": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check"},
+}
+"""What each package may import. Nobody imports the command line."""
+
+
+def modules() -> dict[str, Path]:
+    """All modules of all packages, by name."""
+    found = {}
+    for package in ARROWS:
+        origin = importlib.import_module(package).__file__
+        assert origin is not None
+        top = Path(origin).parent
+        for path in top.rglob("*.py"):
+            parts = (package, *path.relative_to(top).with_suffix("").parts)
+            found[".".join(parts).removesuffix(".__init__")] = path
+    return found
+
+
+def imported(tree: ast.AST, known: Iterable[str]) -> Iterator[str]:
+    """The modules, of those that are known, that a source imports."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                if full in known:
+                    yield full
+                elif node.module in known:
+                    yield node.module
+
+
+@pytest.fixture(scope="module")
+def graph() -> Graph:
+    paths = modules()
+    assert len(paths) > 250
+    sources = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in paths.items()}
+    return {name: set(imported(tree, paths)) - {name} for name, tree in sources.items()}
+
+
+def room_of(module: str) -> str:
+    return ".".join(module.split(".")[:2])
+
+
+def rooms(graph: Graph) -> Graph:
+    """The same imports, between rooms."""
+    found: Graph = defaultdict(set)
+    for module, others in graph.items():
+        found[room_of(module)] |= {room_of(each) for each in others} - {room_of(module)}
+    return found
+
+
+def circle_in(graph: Mapping[str, set[str]]) -> list[str]:
+    """The nodes of all circles, and those between two circles; none, if each node can stand above all that it imports."""
+    left = {node: set(others) for node, others in graph.items()}
+    while free := [node for node in left if not left[node] & left.keys() or not any(node in others for others in left.values())]:
+        for node in free:
+            del left[node]
+    return sorted(left)
+
+
+def test_each_package_imports_only_what_stands_below_it(graph: Graph) -> None:
+    wrong = {
+        f"{module} -> {other}"
+        for module, others in graph.items()
+        for other in others
+        if (package := module.partition(".")[0]) != (below := other.partition(".")[0]) and below not in ARROWS[package]
+    }
+    assert wrong == set()
+
+
+def test_no_files_import_each_other_in_a_circle(graph: Graph) -> None:
+    assert circle_in(graph) == []
+
+
+def test_no_folders_import_each_other_in_a_circle(graph: Graph) -> None:
+    assert circle_in(rooms(graph)) == []
+
+
+def test_a_circle_would_be_seen() -> None:
+    assert circle_in({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert circle_in({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"]
+    text = "def f():\n    from canopen_proto.frame import Frame\nif TYPE_CHECKING:\n    import canopen_proto.machine"
+    known = {"canopen_proto.frame", "canopen_proto.machine"}
+    assert set(imported(ast.parse(text), known)) == known
