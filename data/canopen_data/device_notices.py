@@ -132,7 +132,7 @@ def _cob_ids(node_id: int, values: Values, pdos: DevicePdos) -> Iterator[Notice]
         other = used.setdefault(key, (user, sends))
         if other[0] != user and (sends or other[1]):
             can_id = key & ~KEY_EXTENDED
-            yield Notice(index, None, f"{user} and {other[0]} share the CAN-ID 0x{can_id:X}: nobody can tell their frames apart")
+            yield Notice(index, None, f"{user} and {other[0]} share the CAN-ID 0x{can_id:X}: their frames cannot be told apart")
 
     sync, emcy, time = number_at(store, _COB_ID_SYNC, SYNC), number_at(store, _COB_ID_EMCY, EMCY + node_id), 0
     if _COB_ID_TIME in store:

@@ -210,7 +210,7 @@ def _counted(cells: tuple[Cell, ...]) -> str:
 
 def _hexadecimal(cell: Cell, highest: int, what: str, findings: list[Finding]) -> int | None:
     if not _HEX.fullmatch(cell.text):
-        findings.append(cell.error("number", f"{what} {cell.shown} is no hexadecimal number of at most 64 bits"))
+        findings.append(cell.error("number", f"{what} {cell.shown} is not a hexadecimal number of at most 64 bits"))
         return None
     number = int(cell.text, 16)
     if number > highest:

@@ -42,7 +42,7 @@ FAILURES: Mapping[str, Mapping[str, Failure]] = {
         "3.21": Failure("which is not in the dictionary", CUT_OUT),
     },
     "cia-301.eds": {
-        "1.0": Failure("is no number", NO_COB_IDS),
+        "1.0": Failure("is not a number", NO_COB_IDS),
         "2.12": Failure(r"0x1200:0\d is 0 ", NO_COB_IDS),
         "2.30": Failure("refused writing 0x1280:01", NO_COB_IDS),
         "3.1": Failure("restricted CAN-ID 0x000", NO_COB_IDS),

@@ -155,7 +155,7 @@ CASES: list[tuple[str, str, str, Change]] = [
              field(0x1A00, 0, default=4), field(0x2002, 0, pdo_mappable=True))),
     ("pdo-dummy", "[1600sub2]", "0x00060010 is a dummy entry, but [DummyUsage] does not allow UNSIGNED16 (Dummy0006=0)",
      field(0x1600, 2, default=0x00060010)),
-    ("pdo-dummy", "[1600sub2]", "0x00050010 is no dummy entry: no such data type of so many bits",
+    ("pdo-dummy", "[1600sub2]", "0x00050010 is not a dummy entry: no such data type of so many bits",
      field(0x1600, 2, default=0x00050010)),
     ("pdo-dummy", "[1A00sub2]", "0x00050008 is a dummy entry (UNSIGNED8) in a TPDO; they are for RPDOs",
      field(0x1A00, 2, default=0x00050008)),

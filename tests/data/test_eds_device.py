@@ -42,11 +42,11 @@ def test_numbers_and_flags_that_cannot_be_read() -> None:
         "Granularity=-1"
     )
     assert told(text) == [
-        "2:14: warning: in [DeviceInfo]: VendorNumber=? is no number; left out [number]",
+        "2:14: warning: in [DeviceInfo]: VendorNumber=? is not a number; left out [number]",
         "3:15: warning: in [DeviceInfo]: ProductNumber=4294967296 is outside 0..4294967295; left out [number]",
         "4:16: warning: in [DeviceInfo]: RevisionNumber=010: a leading 0 means octal; read as 8 [number]",
         "5:13: warning: in [DeviceInfo]: BaudRate_10=2 is neither 0 nor 1; taken as 1 [number]",
-        "6:13: warning: in [DeviceInfo]: BaudRate_20=perhaps is no number; left out [number]",
+        "6:13: warning: in [DeviceInfo]: BaudRate_20=perhaps is not a number; left out [number]",
         "7:13: warning: in [DeviceInfo]: Granularity=-1 is outside 0..4294967295; left out [number]",
     ]
 
@@ -87,7 +87,7 @@ def test_lists_of_objects() -> None:
     assert description.manufacturer == (0x2000, 0o10000, 0x2001)
     assert told("[ManufacturerObjects]\nSupportedObjects=1000000000\n1=0x2000\n2=70000\n3=010000") == [
         "2:18: warning: in [ManufacturerObjects]: SupportedObjects is 1000000000, but there are 3 entries [count]",
-        "4:3: warning: in [ManufacturerObjects]: 2=70000 is no index of an object; left out [number]",
+        "4:3: warning: in [ManufacturerObjects]: 2=70000 is not the index of an object; left out [number]",
         "5:3: warning: in [ManufacturerObjects]: 3=010000: a leading 0 means octal; read as 4096 [number]",
     ]
 
@@ -160,7 +160,7 @@ def test_dynamic_channels() -> None:
     assert told("[DynamicChannels]\nNrOfSeg=3\nType1=5\nRange1=0xA080\nType2=5\nRange2=2-1\nType3=x\nRange3=1-2") == [
         "4:8: warning: in [DynamicChannels]: segment 1 has no type and range of indices; left out [number]",
         "6:8: warning: in [DynamicChannels]: segment 2 has no type and range of indices; left out [number]",
-        "7:7: warning: in [DynamicChannels]: Type3=x is no number; left out [number]",
+        "7:7: warning: in [DynamicChannels]: Type3=x is not a number; left out [number]",
         "8:8: warning: in [DynamicChannels]: segment 3 has no type and range of indices; left out [number]",
     ]
     assert told("[DynamicChannels]\nNrOfSeg=2") == [

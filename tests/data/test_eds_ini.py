@@ -60,7 +60,7 @@ def test_what_is_odd() -> None:
         "x.eds:1:1: warning: 'early' is neither a section nor key=value nor a comment; left out [junk]",
         "x.eds:2:1: warning: 'key=1' is before the first section; left out [junk]",
         f"x.eds:3:1: notice: {HASH} [comment]",
-        "x.eds:4:4: warning: 'tail' behind [A] was left out [junk]",
+        "x.eds:4:4: warning: 'tail' after [A] was left out [junk]",
         "x.eds:5:1: warning: 'junk' is neither a section nor key=value nor a comment; left out [junk]",
         "x.eds:7:1: error: one of [A] is in line 6 already; this one was left out [key-twice]",
         "x.eds:8:1: warning: '=3' is neither a section nor key=value nor a comment; left out [junk]",

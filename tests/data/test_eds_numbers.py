@@ -32,8 +32,8 @@ OCTAL = "a leading 0 means octal"
         ("010", 8, f"{OCTAL}; read as 8"),
         ("08", 8, f"{OCTAL}, which it cannot be; read as decimal 8"),
         ("0099", 99, f"{OCTAL}, which it cannot be; read as decimal 99"),
-        ("0x7 # VAR", 7, "the comment behind it was left out; a comment has a line of its own"),
-        ("7;x", 7, "the comment behind it was left out; a comment has a line of its own"),
+        ("0x7 # VAR", 7, "the comment after it was left out; a comment has a line of its own"),
+        ("7;x", 7, "the comment after it was left out; a comment has a line of its own"),
         ("80h", 128, "a hexadecimal number begins with 0x"),
         ("0000 0080H", 128, "a hexadecimal number begins with 0x"),
         ("0x" + "F" * 32, (1 << 128) - 1, ""),
@@ -48,7 +48,7 @@ def test_numbers(text: str, number: int, remark: str) -> None:
     ["", " ", "x", "1.0", "0x", "1_0", "0b1", "0o7", "1 2", "--1", "FF", "٣", "9" * 41, "0x" + "F" * 33, "#", "# 1", "x # y"],
 )
 def test_what_is_no_number(text: str) -> None:
-    assert read_number(text) == (None, "is no number")
+    assert read_number(text) == (None, "is not a number")
 
 
 @pytest.mark.parametrize(
@@ -134,15 +134,15 @@ def test_values_with_a_remark(text: str, data_type: DataType, value: Value, rema
         ("256", DataType.INTEGER8, "is outside -128..127 (INTEGER8)"),
         ("-129", DataType.UNSIGNED8, "is outside 0..255 (UNSIGNED8)"),
         ("2", DataType.BOOLEAN, "is outside 0..1 (BOOLEAN)"),
-        ("yes", DataType.BOOLEAN, "is no number"),
+        ("yes", DataType.BOOLEAN, "is not a number"),
         ("$NODEID", DataType.BOOLEAN, "depends on the node-ID"),
-        ("No", DataType.UNSIGNED32, "is no number"),
+        ("No", DataType.UNSIGNED32, "is not a number"),
         ("$NODEID*2", DataType.UNSIGNED32, "is neither $NODEID plus a number nor a number plus $NODEID"),
         ("2$NODEID", DataType.UNSIGNED32, "is neither $NODEID plus a number nor a number plus $NODEID"),
-        ("1+$NODEID+2", DataType.UNSIGNED32, "is no number"),
-        ("$NODEID+$NODEID", DataType.UNSIGNED32, "is no number"),
-        ("$NODEID+x", DataType.UNSIGNED32, "is no number"),
-        ("$OTHER+1", DataType.UNSIGNED32, "is no number"),
+        ("1+$NODEID+2", DataType.UNSIGNED32, "is not a number"),
+        ("$NODEID+$NODEID", DataType.UNSIGNED32, "is not a number"),
+        ("$NODEID+x", DataType.UNSIGNED32, "is not a number"),
+        ("$OTHER+1", DataType.UNSIGNED32, "is not a number"),
         ("1,5", DataType.REAL32, "is no REAL32"),
         ("nan", DataType.REAL64, "is no REAL64"),
         ("0x7FC00000", DataType.REAL32, "is not a number (NaN)"),

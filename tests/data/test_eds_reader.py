@@ -67,7 +67,7 @@ def test_keys_that_some_files_have() -> None:
 def test_a_factor_that_is_none(factor: str) -> None:
     assert only(f"{VAR}Factor={factor}\n").factor == 1.0
     assert told(f"{VAR}Factor={factor}\n") == [
-        f"6:8: warning: in [2000]: Factor {factor!r} is no number other than 0; taken as 1 [number]"
+        f"6:8: warning: in [2000]: Factor {factor!r} is not a number other than 0; taken as 1 [number]"
     ]
 
 
@@ -105,15 +105,15 @@ def test_limits() -> None:
 
 def test_values_that_are_lost_and_values_with_a_remark() -> None:
     assert told(VAR + "DefaultValue=No\nLowLimit=-1\nHighLimit=$NODEID\nParameterValue=010\nObjFlags=x\nPDOMapping=2\n") == [
-        "6:14: error: in [2000]: DefaultValue 'No' is no number; left out [value]",
+        "6:14: error: in [2000]: DefaultValue 'No' is not a number; left out [value]",
         "7:10: warning: in [2000]: LowLimit '-1': an UNSIGNED32 is not negative; read as 0xFFFFFFFF [value]",
         "8:11: error: in [2000]: HighLimit '$NODEID' depends on the node-ID, which a limit cannot; left out [value]",
         "9:16: warning: in [2000]: ParameterValue '010': a leading 0 means octal; read as 8 [value]",
-        "10:10: warning: in [2000]: ObjFlags 'x' is no number; taken as 0 [number]",
+        "10:10: warning: in [2000]: ObjFlags 'x' is not a number; taken as 0 [number]",
         "11:12: warning: in [2000]: PDOMapping '2' is outside 0..1; taken as 0 [number]",
     ]
     assert told(VAR.replace("0x0007", "9") + "LowLimit=x\n") == [
-        "6:10: error: in [2000]: LowLimit 'x' is no number; left out [value]"
+        "6:10: error: in [2000]: LowLimit 'x' is not a number; left out [value]"
     ]
 
 
@@ -142,8 +142,8 @@ def test_what_is_guessed_is_told() -> None:
         "1:1: warning: in [2000]: AccessType is missing; taken as rw [access]",
         "2:10: warning: in [2000]: DataType 'x' is not a type for values; taken as OCTET_STRING [data-type]",
         "5:12: warning: in [1008]: AccessType 'write' is none of ro, wo, rw, rwr, rww, const; taken as const [access]",
-        "7:10: warning: in [2001]: DataType '0x7;': the comment behind it was left out; a comment has a line of its own [number]",
-        "8:12: warning: in [2001]: the comment behind AccessType was left out [access]",
+        "7:10: warning: in [2001]: DataType '0x7;': the comment after it was left out; a comment has a line of its own [number]",
+        "8:12: warning: in [2001]: the comment after AccessType was left out [access]",
     ]
 
 
@@ -249,7 +249,7 @@ def test_a_var_with_its_sub_0() -> None:
         ("0x2", None),
         ("4294967295", "SubNumber is 4294967295, but there are 2 sub-objects"),
         ("0", "SubNumber is 0, but there are 2 sub-objects"),
-        ("many", "SubNumber 'many' is no number"),
+        ("many", "SubNumber 'many' is not a number"),
         ("", "SubNumber is missing"),
     ],
 )
@@ -261,7 +261,7 @@ def test_sub_number(sub_number: str, said: str | None) -> None:
 def test_an_object_that_no_list_names_is_there_and_index_0_is_not() -> None:
     description = read_eds("[0000]\nDataType=7\nAccessType=rw\n[0000sub1]\nDataType=7\nAccessType=rw\n" + VAR)
     assert (list(description.dictionary.objects), description.manufacturer) == ([0x2000], ())
-    assert told("[0000sub1]\n" + VAR)[0].startswith("1:1: error: [0000sub1] is no object")
+    assert told("[0000sub1]\n" + VAR)[0].startswith("1:1: error: [0000sub1] is not an object")
 
 
 # ---- compact forms ----
@@ -318,7 +318,7 @@ def test_strict_raises_the_first_error() -> None:
     assert read_eds(VAR + "Colour=x\n", strict=True).dictionary.objects
     with pytest.raises(DictionaryError) as caught:
         read_eds(VAR + "DefaultValue=a\n[2000]\n", "x.eds", strict=True)
-    assert str(caught.value) == "x.eds:6:14: error: in [2000]: DefaultValue 'a' is no number; left out [value]"
+    assert str(caught.value) == "x.eds:6:14: error: in [2000]: DefaultValue 'a' is not a number; left out [value]"
 
 
 def test_text_and_bytes_are_the_same() -> None:

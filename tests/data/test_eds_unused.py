@@ -73,7 +73,7 @@ def test_a_name_like_one_of_the_standard_is_an_error(name: str, meant: str) -> N
 
 def test_a_makers_own_section_is_a_notice_and_a_list_without_its_array_an_error() -> None:
     (own,) = read_eds(f"{HEAD}[Acme settings]\nx=1\n").findings
-    assert (own.severity, own.message) == (Severity.NOTICE, "[Acme settings] is no section of CiA 306, and was left out")
+    assert (own.severity, own.message) == (Severity.NOTICE, "[Acme settings] is not a section of CiA 306, and was left out")
     (lone,) = read_eds(f"{HEAD}[1000Name]\nNrOfEntries=1\n1=x\n").findings
     assert lone.message == "[1000Name] was left out; a list of names is for a CompactSubObj, and [1000] has none"
     for used in ("Tools", "Tool1", "1F50ObjectLinks", "M1ModuleInfo", "M2Fixed6000sub1", "40", "40sub1"):

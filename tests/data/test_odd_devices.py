@@ -146,8 +146,8 @@ def test_services_that_share_a_can_id() -> None:
     rpdo += [record(0x1401, (0, U8, 2), (1, U32, 0x285)), record(0x1601, (0, U8, 1), (1, U32, 0x00050008))]
     rpdo += [record(0x1402, (0, U8, 2), (1, U32, 0x285)), record(0x1602, (0, U8, 1), (1, U32, 0x00050008))]
     assert told(*tpdo(), *second, *rpdo, var(0x1014, default=0x80)) == [
-        "0x1014: EMCY and SYNC share the CAN-ID 0x80: nobody can tell their frames apart",
-        "0x1801: TPDO 2 and TPDO 1 share the CAN-ID 0x185: nobody can tell their frames apart",
+        "0x1014: EMCY and SYNC share the CAN-ID 0x80: their frames cannot be told apart",
+        "0x1801: TPDO 2 and TPDO 1 share the CAN-ID 0x185: their frames cannot be told apart",
     ]  # what is only heard may be heard twice
 
 

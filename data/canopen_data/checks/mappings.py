@@ -147,7 +147,7 @@ def _check_dummy(subject: Subject, place: PdoPlace, variable: Variable, entry: i
     dummies = subject.description.dummies
     where = f"0x{entry:08X}"
     if data_type is None or subindex or not may_have_width(data_type, bits):
-        yield subject.of_value("pdo-dummy", variable, f"{where} is no dummy entry: no such data type of so many bits")
+        yield subject.of_value("pdo-dummy", variable, f"{where} is not a dummy entry: no such data type of so many bits")
     elif place.direction is Direction.TPDO:
         yield subject.of_value(
             "pdo-dummy", variable, f"{where} is a dummy entry ({data_type.name}) in a TPDO; they are for RPDOs"

@@ -97,7 +97,7 @@ class Fields:
         for number, text in self.numbered(count_key):
             index, remark = read_number(text)
             if index is None or not 0 <= index <= 0xFFFF:
-                self.warn("number", f"{number}={quoted(text)} is no index of an object; left out", str(number))
+                self.warn("number", f"{number}={quoted(text)} is not the index of an object; left out", str(number))
                 continue
             if remark:
                 self.warn("number", f"{number}={quoted(text)}: {remark}", str(number))

@@ -375,7 +375,7 @@ def _odd_header(name: str, bracket: str, rest: str, line: int, findings: Finding
     if bracket:
         rest = rest.strip()
         if rest and rest[0] not in ";#":
-            message = f"{quoted(rest)!r} behind [{quoted(name)}] was left out"
+            message = f"{quoted(rest)!r} after [{quoted(name)}] was left out"
             findings.add(Severity.WARNING, "junk", message, line, len(name) + 3)
         return name
     findings.add(Severity.WARNING, "bracket", f"[{quoted(name)} has no bracket at its end", line, 1)

@@ -75,11 +75,11 @@ def read_number(text: str) -> tuple[int | None, str]:
     if cut is not None and cut.start():
         number_before, _ = read_number(bare[: cut.start()].rstrip())
         if number_before is not None:
-            return number_before, "the comment behind it was left out; a comment has a line of its own"
+            return number_before, "the comment after it was left out; a comment has a line of its own"
     suffixed = _SUFFIXED.fullmatch("".join(bare.split()))
     if suffixed is not None:
         return int(suffixed[1], 16), "a hexadecimal number begins with 0x"
-    return None, "is no number"
+    return None, "is not a number"
 
 
 def read_value(text: str, data_type: DataType) -> Reading:
@@ -135,7 +135,7 @@ def _relative(text: str) -> tuple[int | None, str]:
     """Return the number that is added to the node-ID."""
     parts = _NODE_ID.split(text)
     if len(parts) != 2:
-        return None, "is no number"
+        return None, "is not a number"
     before, behind = parts[0].strip(), parts[1].strip()
     if not before and not behind:
         return 0, ""
@@ -145,7 +145,7 @@ def _relative(text: str) -> tuple[int | None, str]:
     if before[-1:] == "+" and not behind:
         return read_number(before[:-1].strip())
     if before[-1:] == "+" or behind[:1] in ("#", ";"):
-        return _relative(text[: cut.start()]) if (cut := _COMMENT.search(text)) is not None else (None, "is no number")
+        return _relative(text[: cut.start()]) if (cut := _COMMENT.search(text)) is not None else (None, "is not a number")
     return None, "is neither $NODEID plus a number nor a number plus $NODEID"
 
 

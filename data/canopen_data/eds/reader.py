@@ -198,7 +198,7 @@ class _Objects:
 
     def _refuse(self, section: Section) -> None:
         if not self._findings.full(Severity.ERROR):
-            message = f"[{quoted(section.name)}] is no object: indices are 0001 to FFFF, subindices 0 to FF; left out"
+            message = f"[{quoted(section.name)}] is not an object: indices are 0001 to FFFF, subindices 0 to FF; left out"
             self._findings.add(Severity.ERROR, "no-object", message, section.line, 1)
 
     def _object_type(self, section: Section, has_subs: bool) -> ObjectType:
@@ -232,7 +232,7 @@ class _Objects:
             return
         number, _ = read_number(text)
         if number is None:
-            self._variables.warn(section, "SubNumber", "sub-number", f"SubNumber {quoted(text)!r} is no number")
+            self._variables.warn(section, "SubNumber", "sub-number", f"SubNumber {quoted(text)!r} is not a number")
         elif number != count and number != count - (0xFF in found):
             self._variables.warn(section, "SubNumber", "sub-number", f"SubNumber is {number}, but there are {count} sub-objects")
 

@@ -73,7 +73,7 @@ def _report(section: Section, name: str, findings: Findings) -> None:
     elif near:
         _tell(section, Severity.ERROR, f"[{quoted(section.name)}] was left out; is [{_NAMES[near[0]]}] meant?", findings)
     else:
-        _tell(section, Severity.NOTICE, f"[{quoted(section.name)}] is no section of CiA 306, and was left out", findings)
+        _tell(section, Severity.NOTICE, f"[{quoted(section.name)}] is not a section of CiA 306, and was left out", findings)
 
 
 def _tell(section: Section, severity: Severity, message: str, findings: Findings) -> None:

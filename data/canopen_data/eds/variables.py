@@ -246,7 +246,7 @@ class Variables:
         """Return a limit of a type that is not a number: it has no effect, but the linter is to see it."""
         number, _ = read_number(text)
         if number is None:
-            self._remark(section, key, f"{quoted(text)!r} is no number; left out", True)
+            self._remark(section, key, f"{quoted(text)!r} is not a number; left out", True)
         return number
 
     def _factor(self, section: Section) -> float:
@@ -257,7 +257,7 @@ class Variables:
             factor = 0.0
         if factor and math.isfinite(factor):
             return factor
-        self.warn(section, "Factor", "number", f"Factor {quoted(text)!r} is no number other than 0; taken as 1")
+        self.warn(section, "Factor", "number", f"Factor {quoted(text)!r} is not a number other than 0; taken as 1")
         return 1.0
 
     def _odd_type(self, section: Section, index: int, subindex: int, likely: DataType | None, in_array: bool) -> DataType:
@@ -301,7 +301,7 @@ class Variables:
         access = _ACCESSES.get(bare)
         if access is not None:
             if len(bare) != len(text):
-                self.warn(section, "AccessType", "access", "the comment behind AccessType was left out")
+                self.warn(section, "AccessType", "access", "the comment after AccessType was left out")
             return access
         known = find_standard(index, subindex) if index < PROFILES else None
         access = Access.RW if known is None else known.access

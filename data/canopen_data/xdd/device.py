@@ -55,7 +55,7 @@ def file_info(bodies: Bodies, findings: XddFindings) -> FileInfo:
     text = body.get("fileVersion")
     version = _VERSION.match(text)
     if text and version is None:
-        findings.warning("number", f"the file's version {quoted(text)!r} is no number", body, "fileVersion")
+        findings.warning("number", f"the file's version {quoted(text)!r} is not a number", body, "fileVersion")
     by_name = {name: next((each.get(name) for each in reversed(bodies) if each.get(name)), "") for name in _OF_FILE}
     return FileInfo(
         file_name=body.get("fileName"),

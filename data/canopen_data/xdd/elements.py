@@ -143,7 +143,7 @@ def parse(data: bytes, findings: XddFindings) -> tuple[Element | None, str]:
     except _Enough:
         pass
     except expat.ExpatError as error:
-        message = f"this is no well-formed XML: {expat.ErrorString(error.code)}"
+        message = f"this is not well-formed XML: {expat.ErrorString(error.code)}"
         if builder.root is not None:
             message += "; what follows was not read"
         findings.add(Severity.ERROR, "xml", message, error.lineno, error.offset + 1)

@@ -188,7 +188,7 @@ class ApplicationProcess:
             factor = 0.0
         if factor and math.isfinite(factor):
             return factor
-        message = f"the multiplier {quoted(text)!r} is no number other than 0; it was left out"
+        message = f"the multiplier {quoted(text)!r} is not a number other than 0; it was left out"
         self._findings.warning("number", message, element, "multiplier")
         return 1.0
 

@@ -75,7 +75,7 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
     bodies: list[Element] = []
     if root is not None:
         if root.name != ROOT:
-            findings.error("not-xdd", f"the file's root is <{quoted(root.name)}>, not <{ROOT}>: this is no XDD", root)
+            findings.error("not-xdd", f"the file's root is <{quoted(root.name)}>, not <{ROOT}>: this is not an XDD", root)
         bodies = list(device.find_all([root], "ISO15745Profile", "ProfileBody"))
     reader = _Reader(bodies, findings)
     lists = list(device.find_all(bodies, "ApplicationLayers", "CANopenObjectList"))

@@ -27,7 +27,7 @@ def hexadecimal_of(
     match = HEXADECIMAL.fullmatch(text)
     if match is not None and least <= (number := int(match[1], 16)) <= most:
         return number
-    fault = "is no hexadecimal number" if match is None else f"is outside 0x{least:X}..0x{most:X}"
+    fault = "is not a hexadecimal number" if match is None else f"is outside 0x{least:X}..0x{most:X}"
     message = f"{attribute} {quoted(text)!r} {fault}" if text else f"{attribute} is missing"
     left_out = "; left out" if severity is Severity.ERROR else ""
     findings.about(severity, "number", f"{message}{left_out}", element, attribute)
