@@ -22,7 +22,6 @@ What a file says of the device as a whole (vendor, bit rates, commissioning) is 
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -432,6 +431,8 @@ def _fold(name: str) -> str:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """ "; did you mean ...?" where something is near, else what there is where that is little, else nothing."""
+    import difflib  # only here, for a name that is not there
+
     if len(name) > MAX_NAME_COMPARED:
         return ""
     names = list(dict.fromkeys(known))
