@@ -71,8 +71,8 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     except BrokenPipeError:
         _put_to_rest(sys.stdout)
         return CLOSED_PIPE
-    except SystemExit:  # click met a closed pipe, and has silenced stdout
-        return CLOSED_PIPE
+    except SystemExit as ended:  # click met a closed pipe, and has silenced stdout; or it completed words for a shell (0)
+        return CLOSED_PIPE if ended.code else ExitCode.OK
     except (click.Abort, KeyboardInterrupt):
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     except click.exceptions.NoArgsIsHelpError as no_arguments:

@@ -81,6 +81,18 @@ def test_a_shell_completes_commands_and_options() -> None:
     assert "--master-id" in completed(["home"], "--m")
 
 
+@pytest.mark.parametrize(
+    ("words", "shown"), [("canopen sc", ["plain,scan"]), ("canopen eds to", ["plain,to-dcf", "plain,to-cdcf"])]
+)
+def test_a_shell_asks_for_completion(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str, shown: list[str]
+) -> None:
+    for name, value in {"_CANOPEN_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}.items():
+        monkeypatch.setenv(name, value)
+    assert app.main([]) == ExitCode.OK
+    assert capsys.readouterr().out.splitlines() == shown
+
+
 INTERRUPTED_COMMAND = """
 import os, signal, sys
 from canopen_cli.entry import main
