@@ -34,6 +34,7 @@ from canopen_cli.entry import main
 status = main()
 ours = {name for name in sys.modules if name.startswith("canopen")}
 others = {name.partition(".")[0] for name in set(sys.modules) - before} - sys.stdlib_module_names - ours
+others = {name for name in others if not name.endswith("__mypyc")}  # what all modules of a compiled build share
 print(*sorted(name for name in ours if "." in name), "|", *sorted(others - {name.partition(".")[0] for name in ours}))
 sys.exit(status)
 """
@@ -44,10 +45,8 @@ def test_version_and_help_import_click_and_next_to_nothing_of_ours(option: str) 
     ended = python(WHAT_IS_IMPORTED, option)
     assert ended.returncode == 0, ended.stderr
     ours, _, others = ended.stdout.splitlines()[-1].partition(" | ")
-    assert ours.split() == [
-        *(f"canopen_cli.{name}" for name in ("app", "entry", "importing", "lazy", "options", "problem")),
-        *(f"canopen_proto.{name}" for name in ("frame", "lazy_names", "machine")),
-    ]
+    command = {f"canopen_cli.{name}" for name in ("app", "entry", "importing", "lazy", "options", "problem")}
+    assert set(ours.split()) == command | {f"canopen_proto.{name}" for name in ("compiling", "frame", "lazy_names", "machine")}
     assert others == "click"
 
 
