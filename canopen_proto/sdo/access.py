@@ -1,4 +1,4 @@
-"""What an SDO server serves: `ObjectStore`, and what it says where only the host can answer."""
+"""The objects that an SDO server serves: `ObjectStore`, and PENDING, its answer if only the host can give one."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ PENDING: Final = Pending()
 
 
 class ObjectStore(Protocol):
-    """What a server serves. None of these may raise; index is 0..0xFFFF, subindex 0..0xFF."""
+    """The objects of a server. No method may raise; index is 0..0xFFFF, subindex 0..0xFF."""
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
-        """The bytes of an object, or why it cannot be read."""
+        """Return the bytes of an object, or why it cannot be read."""
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
-        """Why an object cannot be written with so many bytes (None: not known yet), or None if it can. Changes nothing.
+        """Return why an object cannot be written with so many bytes, or None if it can. Changes nothing.
 
-        PENDING: it can, and the host takes it in pieces as they come, for it may be large. (What comes in one frame is written.)
+        size: None if it is not known yet. PENDING: it can, and the host takes it in pieces as they come, because it may be large.
+        (An expedited value is written at once.)
         """
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Write an object, or say why it cannot be written (`check_write` may not have been asked) or the value is refused."""
+        """Write an object and return None, or return why it is refused. (`check_write` may not have been asked.)"""

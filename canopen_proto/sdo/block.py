@@ -23,24 +23,24 @@ CiA 301 v4.2.0, 7.2.4.3.8 to 7.2.4.3.16.
 After the initiation both directions are alike: `BlockSender` (block_sender.py) is the side that has the data, `BlockReceiver`
 (block_receiver.py) the other. block_client.py and block_server.py say how each role begins and ends them.
 
-Loss. The receiver takes segments in order only. Where one is missing it acknowledges those before the gap at the end of the
-sub-block, and the sender goes on behind them. What is repeated is numbered from 1 again.
+Loss. The receiver takes segments in order only. If one is missing, it acknowledges those before the gap at the end of the
+sub-block, and the sender goes on with the one that is missing. Segments that are sent again are numbered from 1 again.
 
 Pauses. A silence inside a sub-block may be a loss, or a sender that pauses: senders put a whole sub-block into a queue, and an
-acknowledgement that comes while the rest of it waits there confuses both sides. So a silence is a pause for `silence_limit`: 1 s,
-or the time-out if that is longer. Only then the receiver acknowledges what came, once; after a second silence of that length it
-gives up. The sender waits twice as long for an acknowledgement, so that it hears the answer to a loss.
+acknowledgement that comes while the rest of it waits there confuses both sides. So a silence counts as a pause for
+`silence_limit`: 1 s, or the time-out if that is longer. Only then does the receiver acknowledge what came, once; after a second
+silence of that length it gives up. The sender waits twice as long for an acknowledgement, so that it hears the answer to a loss.
 
 Copies. CAN can deliver a frame twice, immediately. The second copy of a segment does not have the number that is due. (With a
-block size of 1 it would have, so a receiver never asks for that.) The second copy of an
-acknowledgement is known by this: none of the next sub-block has been sent yet. That is why an acknowledgement sends nothing by
-itself; the sub-block goes out in the turn after, or `copy_guard` later.
+block size of 1 it would have, so a receiver never asks for that.) The second copy of an acknowledgement comes before anything of
+the next sub-block was sent. That is why an acknowledgement sends nothing by itself: the sub-block goes out in the turn after, or
+`copy_guard` later.
 
 Bursts. 127 segments at once overflow a transmit queue (a SocketCAN interface has room for ten frames by default). In one turn at
-most `max_burst` segments go into the outbox, and the deadline is set for the rest: `burst_interval` later, which is 0 by default:
-at once, that is as soon as the driver has sent what it drained. A driver whose sending waits for room is so never ahead of the
-bus by more than `max_burst` frames; one that queues without bound holds a sub-block at most, 127 frames; one that can do neither
-sets burst_interval to the time which a burst takes on its bus (8 frames: 1 ms at 1 Mbit/s, 9 ms at 125 kbit/s).
+most `max_burst` segments go into the outbox. The deadline for the rest is `burst_interval` later; with 0, the default, that is as
+soon as the driver has sent what it drained. So a driver whose sending waits for room is never ahead of the bus by more than
+`max_burst` frames; one that queues without bound holds a sub-block at most, 127 frames; one that can do neither sets
+`burst_interval` to the time that a burst takes on its bus (8 frames: 1 ms at 1 Mbit/s, 9 ms at 125 kbit/s).
 
 The CRC is that of CCITT: polynomial 0x1021, initial value 0, over the data without what is unused of the last segment.
 """
@@ -72,13 +72,13 @@ SUB_BLOCK_SIZE: Final = MAX_BLOCK_SIZE * SEGMENT_SIZE
 MAX_BURST: Final = 8
 """Segments that go out in one turn: a SocketCAN interface queues ten frames by default, and others want to send too."""
 LEAST_SILENCE: Final = 1 * SECOND
-"""The shortest silence inside a block transfer that is not taken for a pause. A well-known C stack repairs a loss after 0.7 s."""
+"""A silence inside a block transfer that is shorter counts as a pause. A well-known C stack repairs a loss after 0.7 s."""
 COPY_TIME: Final = 100 * MILLISECOND
 """How long after an initiate request the same bytes are its second copy, and not a client that asks again."""
 STREAM_TIMEOUT: Final = 5 * SECOND
-"""How long whoever feeds or takes a stream may need for each piece: reading and writing files takes less."""
+"""How long the caller that feeds or takes a stream may need for each piece: reading and writing files takes less."""
 MAX_STALLS: Final = 10
-"""Times that nothing of a sub-block arrives in order, one behind the other, before its sender gives up."""
+"""How many sub-blocks in a row may arrive without their first segment before the transfer is aborted."""
 
 # Command bytes (codec.py has BLOCK_UPLOAD and BLOCK_DOWNLOAD) and their bits
 END_RESPONSE: Final = 0xA1
@@ -92,7 +92,7 @@ SEQUENCE: Final = 0x7F
 LEAST_INITIATE: Final = 0x20
 """The lowest sequence number that the first byte of an initiate request looks like."""
 MOST_LOST: Final = 2
-"""Segments that may be missing in a run of them that comes out of place: the one behind them is still known."""
+"""How many segments may be missing in a run that comes out of place: the one after the gap is still recognised."""
 CRC_BIT: Final = 0x04
 BLOCK_SIZE_BIT: Final = 0x02
 """The size of the data is indicated, in an initiate frame of the sender."""
@@ -109,12 +109,12 @@ HEADS: Final = tuple(bytes((sequence,)) for sequence in range(128))
 
 
 def silence_limit(timeout: Time) -> Time:
-    """The longest pause that a party with this time-out survives inside a block transfer, in ns."""
+    """Return the longest pause that a side with this time-out survives inside a block transfer, in ns."""
     return max(timeout, LEAST_SILENCE)
 
 
 def is_initiate(command: int) -> bool:
-    """Whether a client's frame begins a transfer, of whatever kind."""
+    """Return whether a client's frame begins a transfer of any kind."""
     specifier = command & SPECIFIER
     if specifier == BLOCK_UPLOAD:
         return not command & 3
@@ -124,27 +124,27 @@ def is_initiate(command: int) -> bool:
 
 
 def is_next(command: int, due: int) -> bool:
-    """Whether a frame that comes out of place goes on with a run of segments, of which number `due` is next, or begins one."""
+    """Return whether a frame that comes out of place continues a run of segments whose next number is `due`, or begins one."""
     sequence = command & SEQUENCE
     return 0 < sequence < LEAST_INITIATE or due <= sequence <= due + MOST_LOST
 
 
 def next_number(command: int) -> int:
-    """The number behind that segment in its sub-block; above MAX_BLOCK_SIZE if it is the last."""
+    """Return the number after that segment in its sub-block; above MAX_BLOCK_SIZE if it is the last."""
     return MAX_BLOCK_SIZE + 1 if command & FINAL else (command & SEQUENCE) + 1
 
 
 def sender_initiate(specifier: int, index: int, subindex: int, size: int | None, crc: bool) -> bytes:
-    """The initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13"""
+    """Make the initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13"""
     command = specifier | (CRC_BIT if crc else 0) | (0 if size is None else BLOCK_SIZE_BIT)
     return INITIATE.pack(command, index, subindex, size or 0)
 
 
 def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool) -> bytes:
-    """The initiate frame of the other side: a server's for a download, a client's for an upload (with pst = 0). .9, .13"""
+    """Make the initiate frame of the other side: a server's for a download, a client's for an upload (with pst = 0). .9, .13"""
     return INITIATE_BY_RECEIVER.pack(BLOCK_UPLOAD | (CRC_BIT if crc else 0), index, subindex, block_size)
 
 
 def chosen_block_size(block_size: int) -> int:
-    """What a receiver asks for: 2..127; see "Copies"."""
+    """Return the block size that a receiver asks for: 2..127; see "Copies"."""
     return max(2, min(block_size, MAX_BLOCK_SIZE))

@@ -1,4 +1,4 @@
-"""What a client does at the beginning and at the end of block transfers, and what it is asked for there.
+"""The client of a block transfer: how it begins and ends a download and an upload, and how it falls back on plain transfer.
 
 block.py tells how a block transfer goes. The client says in its initiate request whether it supports CRC, and, for an upload,
 the first block size. The protocol switch threshold (pst), which could allow a normal upload of a small object, is always 0: if

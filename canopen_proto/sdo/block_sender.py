@@ -208,4 +208,4 @@ _HANDLERS: Final = {
     (HELD, ACKNOWLEDGEMENT): BlockSender._on_acknowledgement,
     (ENDING, END_RESPONSE): BlockSender._on_end_response,
 }
-"""What is due in which state, once the transfer has begun."""
+"""The frames that are due in each state, once the transfer has begun."""

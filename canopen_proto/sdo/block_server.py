@@ -1,4 +1,4 @@
-"""What a server does at the beginning and at the end of block transfers.
+"""The server of a block transfer: how it begins and ends an upload and a download.
 
 block.py tells how a block transfer goes. In an upload the server announces the size; an object of no bytes is one segment without
 data. It answers with a normal upload instead if the client's protocol switch threshold (pst, in bytes) allows that. In a download

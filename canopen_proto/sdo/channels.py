@@ -3,8 +3,8 @@
 Theory of operation
 -------------------
 A record holds a channel: sub 1 the COB-ID from client to server, sub 2 the one from server to client, sub 3 the node-ID at the
-other end. It exists while both COB-IDs are valid; a COB-ID is not while its bit 31 is set, nor where it is 0, which is what an
-empty description holds. The first server (0x1200) has the predefined CAN-IDs and stands for ever.
+other end. It exists while both COB-IDs are valid. A COB-ID is not valid while its bit 31 is set, or if it is 0, as in an empty
+description. The first server (0x1200) has the predefined CAN-IDs and always exists.
 
     COB-ID        its CAN-ID and frame bit may not change while it is valid: 0x08000022. A restricted CAN-ID, or more than 11 bits
                   without the frame bit: 0x06090030. A client's may be those of another node's first server, which are restricted
@@ -15,7 +15,7 @@ empty description holds. The first server (0x1200) has the predefined CAN-IDs an
 A write that changes nothing is always allowed.
 
 Servers share one store; each has its own transfer under way. A client has one transfer under way and a queue of its own, and
-takes requests while its record is valid and SDO lives in the node's NMT state. What is under way ends
+takes requests while its record is valid and SDO lives in the node's NMT state. A transfer that is under way ends
 
     with the record     by an abort on the channel as it was (0x08000022), of which a client reports each request as SdoAborted
     with the NMT state  without a frame: a node that is stopped or resets may not send any
@@ -71,20 +71,21 @@ _FIRST_SERVERS: Final = {
 
 
 def is_dynamic(mux: Mux, value: Value) -> bool:
-    """Whether it is the COB-ID of a channel, and an SDO manager has given it."""
+    """Return whether the object is the COB-ID of a channel, assigned by an SDO manager."""
     is_cob_id = SdoChannels.owns(index_of(mux)) and subindex_of(mux) in (TO_SERVER, TO_CLIENT)
     return is_cob_id and isinstance(value, int) and bool(value & DYNAMIC)
 
 
 def _allowed(index: int, subindex: int) -> Container[int]:
-    """Which restricted CAN-IDs a record may have."""
+    """Return the restricted CAN-IDs that a record may have."""
     return _FIRST_SERVERS[subindex] if index in CLIENTS else ()
 
 
 def channel_of(values: Values, index: int) -> tuple[RoutingKey, RoutingKey] | None:
-    """The channel of the record at an index, as `Frame.key`: client to server, server to client. None: it holds none.
+    """Return the channel of the record at an index, as `Frame.key`: client to server, server to client.
 
-    Nor does one with a CAN-ID that nobody could have written: a file may give a further server those of the first.
+    None if the record is not valid, or has a CAN-ID that no client could have written: a file may give a further server those of
+    the first.
     """
     keys = []
     for subindex in (TO_SERVER, TO_CLIENT):
@@ -128,7 +129,7 @@ class ChannelClient(SdoClient):
             self._reroute()
 
     def set_enabled(self, lives: bool, now: Time) -> None:
-        """Whether SDO lives in the NMT state of the device. If not, open requests end without a frame."""
+        """Tell whether SDO lives in the NMT state of the device. If not, open requests end without a frame."""
         if lives != self._lives:
             self._lives = lives
             if not lives:
@@ -177,7 +178,7 @@ class SdoChannels(Owner):
 
     @staticmethod
     def owns(index: int) -> bool:
-        """Whether an object is the record of a channel, whose writes are to be asked and told here."""
+        """Return whether an object is the record of a channel: then its writes are checked and applied here."""
         return index in FURTHER_SERVERS or index in CLIENTS
 
     def set_enabled(self, lives: bool, now: Time) -> None:
@@ -214,7 +215,7 @@ class SdoChannels(Owner):
     # ---- as the owner of these objects ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """What forbids writing this value to a record, or None; it is right in type and limits already. Changes nothing."""
+        """Return why this value may not be written to a record, or None. Its type and limits are right. Changes nothing."""
         standing = _number(self._values, index, subindex)
         if not isinstance(value, int) or value == standing:
             return None
@@ -244,12 +245,12 @@ class SdoChannels(Owner):
     def complete(
         self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
     ) -> None:
-        """The host's answer goes to the server that waits for it, if one still does. See SdoServer.complete."""
+        """Give the host's answer to the server that waits for it, if one still does. See SdoServer.complete."""
         for server in self.servers.values():
             if server.complete(access_id, result, now, more=more, size=size):
                 break
 
     def host_takes(self, index: int, subindex: int | None = None) -> bool:
-        """Whether an object (any of an index) is being downloaded to the host, over any channel."""
+        """Return whether an object (any of an index if subindex is None) is being downloaded to the host, over any channel."""
         taken = [server.object_for_host for server in self.servers.values()]
         return any(mux is not None and index_of(mux) == index and subindex in (None, subindex_of(mux)) for mux in taken)

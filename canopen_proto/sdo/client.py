@@ -11,7 +11,7 @@ begins it when its turn comes, hands it the server's frames, and judges those th
 Up to 4 bytes go expedited, in the initiate frames themselves; more, and none at all, go in segments of 7 bytes, each asked for or
 acknowledged before the next one goes. The server chooses how an upload goes. Each response starts the `timeout` again.
 
-What is checked: the command specifier, the multiplexer of every frame that has one, the toggle bit in both directions, the
+Checked are the command specifier, the multiplexer of every frame that has one, the toggle bit in both directions, the
 announced size against what arrives, and `max_upload`. A fault ends the transfer with an abort that names its object.
 
 A frame that is not of this transfer is not acted on, and reported (FrameIgnored), where that is safe:
@@ -83,13 +83,13 @@ MAX_QUEUE: Final = 256
 MAX_UPLOAD: Final = 16 << 20
 """Largest value that is accepted: a firmware image fits, and a server gone mad does not fill the memory."""
 AUTO_BLOCK: Final = 28
-"""Bytes from which on (not included) a block transfer takes fewer frames than a segmented one."""
+"""Above so many bytes, a block transfer takes fewer frames than a segmented one."""
 
 Block: TypeAlias = bool | Literal["auto"]
-"""Whether a transfer goes in blocks: False, True (or it fails), or where it pays and the server knows it."""
+"""Whether a transfer goes in blocks: False; True (or it fails); "auto": if that takes fewer frames and the server has blocks."""
 
 _OUT_OF_PLACE: Final = (AbortCode.INVALID_COMMAND, AbortCode.TOGGLE_NOT_ALTERNATED)
-"""What servers say to a second copy of a segment."""
+"""How servers answer a second copy of a segment."""
 
 
 class SdoClient(ChannelEnd):

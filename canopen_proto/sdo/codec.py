@@ -16,8 +16,8 @@ client's frames, scs in the server's). Numbers are little-endian. CiA 301 v4.2.0
 Download = client to server. Reserved bits are sent as 0 and not looked at. e = 1, s = 0 is expedited data of unspecified size,
 all four bytes; e = 0, s = 0 a segmented transfer whose size is not announced.
 
-Short frames: servers in the field send less than eight bytes where the rest is unused. What a command byte announces has to be
-there, the rest is taken for zeros; see `complete`.
+Short frames: some servers in the field send less than eight bytes if the rest is unused. The bytes that the command byte
+announces have to be there; the others count as zeros. See `complete`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ SEGMENT_HEADS: Final = {DOWNLOAD_SEGMENT: b"\x00", DOWNLOAD_SEGMENT | TOGGLE: b"
 """The command byte of a full segment that is not the last, by its toggle. (Both directions have the same.)"""
 
 NO_MULTIPLEXER: Final = bytes(3)
-"""What stands for the object in an abort of a server that is in no transfer."""
+"""The object in an abort of a server that has no transfer under way."""
 
 
 MAX_EXPEDITED: Final = 4
@@ -66,7 +66,7 @@ EXPEDITED_BITS: Final = tuple((MAX_EXPEDITED - size) << 2 | EXPEDITED_BIT | SIZE
 
 
 def segment(toggle: int, content: bytes | bytearray, offset: int) -> bytes:
-    """The segment of `content` from `offset` on; it bears the last-bit where the content ends with it. CiA 301, 7.2.4.3.4, .7"""
+    """Make the segment of `content` from `offset` on, with the last-bit if the content ends with it. CiA 301, 7.2.4.3.4, .7"""
     end = offset + 7
     unused = end - len(content)
     if unused < 0:
@@ -75,7 +75,7 @@ def segment(toggle: int, content: bytes | bytearray, offset: int) -> bytes:
 
 
 def _least_length(command: int, expedited_specifier: int, bare_specifier: int) -> int:
-    """The bytes of a frame that its command byte announces."""
+    """Return how many bytes of a frame its command byte announces."""
     specifier = command & SPECIFIER
     if specifier == DOWNLOAD_SEGMENT:
         return 8 - (command >> 1 & 7)
@@ -97,7 +97,7 @@ LEAST_RESPONSE: Final = tuple(
 
 
 def complete(data: bytes, least: tuple[int, ...]) -> bytes | None:
-    """A frame's data as eight bytes, or None where bytes are missing that its command byte announces."""
+    """Return a frame's data as eight bytes, or None if bytes are missing that its command byte announces."""
     if not data or len(data) < least[data[0]]:
         return None
     return data[:8].ljust(8, b"\x00")

@@ -2,7 +2,7 @@
 
 The order is first come, first served, whoever asks: any number of tasks, each waiting for its outcome, take turns. Urgent
 requests go before the others, among themselves in their order; after MAX_URGENT_RUN of them one of the others has its turn.
-What a late answer could be mistaken for waits: see `copy_guard` and `late_guard` in client.py.
+A request waits longer while a late answer could be taken for its own: see `copy_guard` and `late_guard` in client.py.
 """
 
 from __future__ import annotations
@@ -106,6 +106,6 @@ class RequestQueue:
             del self.overdue[next(iter(self.overdue))]
 
     def is_overdue(self, specifier: int, multiplexer: bytes) -> bool:
-        """Return whether a response is the late one to a request that timed out. It is not waited for any more then."""
+        """Return whether a response is the late one to a request that timed out; if so, stop waiting for it."""
         names_it = specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE, ABORT)
         return names_it and self.overdue.pop(multiplexer, None) is not None

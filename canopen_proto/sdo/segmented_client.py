@@ -1,4 +1,4 @@
-"""What a client does in expedited and segmented transfers. CiA 301 v4.2.0, 7.2.4.3.2 to 7.2.4.3.7.
+"""The client of an expedited or segmented transfer. CiA 301 v4.2.0, 7.2.4.3.2 to 7.2.4.3.7.
 
 Upload     INITIATED   response 010x nn1s: the value      -> OVER       010x xx0s: ask for the first segment -> SEGMENTS
            SEGMENTS    a segment: ask for the next one    -> SEGMENTS   the last one                         -> OVER
@@ -138,7 +138,7 @@ class Download(SegmentedTransfer):
 
 
 def own(content: Buffer, index: int, subindex: int) -> bytes:
-    """Return the content as bytes, which nobody changes while the request waits; else raise LocalProtocolError."""
+    """Return the content as bytes, which cannot change while the request waits; else raise LocalProtocolError."""
     if not isinstance(content, bytes | bytearray | memoryview):  # bytes(6) would be six zeros
         raise LocalProtocolError(f"download {index!r}:{subindex!r}: bytes expected, not {content!r}")
     return bytes(content)  # the same object if it is bytes already

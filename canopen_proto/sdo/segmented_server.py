@@ -1,4 +1,4 @@
-"""What a server does in expedited and segmented transfers. CiA 301 v4.2.0, 7.2.4.3.2 to 7.2.4.3.7.
+"""The server of an expedited or segmented transfer. CiA 301 v4.2.0, 7.2.4.3.2 to 7.2.4.3.7.
 
     ReadAccess       HELD       the host gives the object: answer the client -> OVER, and another transfer may go on
     ServerUpload     SEGMENTS   request: send the segment -> SEGMENTS; the last one -> OVER

@@ -5,7 +5,7 @@ Theory of operation
 A server has one channel, a pair of COB-IDs, and at most one transfer under way on it: a `Transfer` (transfer.py) of
 segmented_server.py, block_server.py or host.py, which gets the client's frames first. SdoServer begins and ends transfers.
 
-What the objects are and hold is the business of an `ObjectStore`, which is asked
+An `ObjectStore` knows the objects and their values. It is asked
 
 - at an initiate upload for the value: up to 4 bytes go expedited, more (and none at all) in segments out of that one copy;
 - at an initiate download in segments whether the object may be written, with the size if it is announced; and to write once

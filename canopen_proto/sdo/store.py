@@ -1,4 +1,4 @@
-"""What an SDO server serves in the plain case: a dictionary and its values, by the rules that stand in the dictionary.
+"""The usual store of an SDO server: a dictionary and its values, by the rules that stand in the dictionary.
 
 Theory of operation
 -------------------
@@ -28,14 +28,14 @@ class ValuesStore:
     def __init__(self, values: Values) -> None:
         self.values = values
         self.dictionary: ObjectDictionary = values.dictionary
-        # By mux; a dictionary never changes. Who is in neither is looked at again, for the reason.
+        # By mux, built once: a dictionary never changes. An object in neither table is looked up again to find out why.
         self._readable = {variable.mux: variable for variable in self.dictionary if variable.access.readable}
         self._writable = {variable.mux: variable for variable in self.dictionary if variable.access.writable}
 
     # ---- the ObjectStore ----
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode:
-        """The bytes of an object, or 0x06020000, 0x06090011, 0x06010001."""
+        """Return the bytes of an object, or 0x06020000, 0x06090011, 0x06010001."""
         variable = self._readable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.WRITE_ONLY)
@@ -45,14 +45,14 @@ class ValuesStore:
             return AbortCode.INTERNAL_INCOMPATIBILITY
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
-        """None, or 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06070012, 0x06070013."""
+        """Return None, or 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06070012, 0x06070013."""
         variable = self._writable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.READ_ONLY)
         return None if size is None or size == variable.size else self.check_size(variable, size)
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
-        """None, and it is stored; or what `check_write` says, 0x06090030, 0x06090031, 0x06090032, and nothing has changed."""
+        """Store the value and return None; or return what `check_write` says, 0x06090030, 0x06090031 or 0x06090032."""
         variable = self._writable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.READ_ONLY)
@@ -65,11 +65,11 @@ class ValuesStore:
     # ---- its steps ----
 
     def readable(self, index: int, subindex: int) -> Variable | AbortCode:
-        """The variable, if it exists and may be read; else why not."""
+        """Return the variable if it exists and may be read, else why not."""
         return self._readable.get(mux(index, subindex)) or self._missing(index, subindex, AbortCode.WRITE_ONLY)
 
     def writable(self, index: int, subindex: int) -> Variable | AbortCode:
-        """The variable, if it exists and may be written; else why not."""
+        """Return the variable if it exists and may be written, else why not."""
         return self._writable.get(mux(index, subindex)) or self._missing(index, subindex, AbortCode.READ_ONLY)
 
     def _missing(self, index: int, subindex: int, no_access: AbortCode) -> AbortCode:
@@ -79,7 +79,7 @@ class ValuesStore:
 
     @staticmethod
     def check_size(variable: Variable, size: int) -> AbortCode | None:
-        """Whether a value of so many bytes fits the object's type."""
+        """Return None if a value of so many bytes fits the object's type, else why not."""
         expected = variable.size
         if expected is None:
             odd = variable.data_type == DataType.UNICODE_STRING and size % 2
@@ -89,7 +89,7 @@ class ValuesStore:
         return AbortCode.LENGTH_TOO_LOW if size < expected else None
 
     def decode(self, variable: Variable, data: bytes) -> Value | AbortCode:
-        """The value of the bytes that a client sent, or why there is none within the object's type and limits."""
+        """Return the value of the bytes that a client sent, or why they do not fit the object's type and limits."""
         try:
             value = variable.decode(data)
         except ValueRangeError:
@@ -100,7 +100,7 @@ class ValuesStore:
 
     @staticmethod
     def check(variable: Variable, value: Value) -> AbortCode | None:
-        """Whether a value lies within the object's limits."""
+        """Return None if a value lies within the object's limits, else why not."""
         low, high = variable.low_limit, variable.high_limit
         if (low is None and high is None) or not isinstance(value, int | float):
             return None

@@ -1,4 +1,4 @@
-"""What every SDO transfer is, in a client and in a server: its states, its inputs, and the end of the channel that it uses.
+"""One SDO transfer, in a client or in a server: its states, its inputs, and the end of the channel that it uses.
 
 Theory of operation
 -------------------
@@ -19,7 +19,7 @@ The end routes frames to the transfer under way, and looks at it after each inpu
     INITIATED   the other side's answer to the initiate frame               0x05040000
     SEGMENTS    the next segment, or the request or acknowledgement of one  0x05040000; 0x05030000 if only a copy came
     SENT        the acknowledgement of a sub-block (block sender)           0x05040000
-    HELD        our own user: a piece of a stream, an answer of the host    0x08000020
+    HELD        our own user: a caller's piece, or the host's answer        0x08000020
     ENDING      the end of a block transfer, or the response to it          0x05040000
     OVER        nothing
 
@@ -176,10 +176,10 @@ class Transfer:
         return False
 
     def handle_timeout(self, now: Time) -> None:
-        """`deadline` has come."""
+        """Act on the silence of the other side, or of the user: `deadline` has come."""
         abort_code = AbortCode.CANNOT_TRANSFER if self.state is HELD else AbortCode.TIMED_OUT
         if self.state is SEGMENTS and not self.end.last:
-            # What we took for a copy of the last frame was all that came: the other side does not alternate its toggle
+            # All that came was taken for a copy of the last frame: the other side does not alternate its toggle
             abort_code = AbortCode.TOGGLE_NOT_ALTERNATED
         self.abort(abort_code, AbortOrigin.TIMEOUT)  # this also brings a server out of its state: some need a reset otherwise
 
@@ -229,5 +229,5 @@ class Transfer:
         return 0
 
     def fault_of(self, command: int) -> AbortCode:
-        """What is wrong with a frame that is not due."""
+        """Return the abort code for a frame that is not due."""
         return AbortCode.INVALID_COMMAND
