@@ -24,7 +24,6 @@ SHAPES = [Shape.STANDARD, Shape.SCHUNK_POWERBALL]
 
 
 def moving(rig: Rig) -> bool:
-    """Whether the drive will be somewhere else a little later."""
     rig.drive.refresh(rig.bus.now)
     return not rig.drive._servo.at_rest
 
