@@ -15,6 +15,7 @@ import pytest
 # On a build server hypothesis takes its own profile `ci` for the parent of what is registered, and that one never looks further
 everyday = hypothesis.settings.get_profile("default")
 hypothesis.settings.register_profile("same", everyday, derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("brief", hypothesis.settings.get_profile("same"), max_examples=20)
 hypothesis.settings.register_profile("search", everyday, max_examples=2000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile("same")
 

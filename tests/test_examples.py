@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.examples import SAME, examples
+from tests.examples import BRIEF, SAME, examples
 
 
 @pytest.fixture
@@ -26,6 +26,9 @@ def profile() -> Iterator[None]:
 def test_the_number_is_that_of_the_test_or_of_the_profile() -> None:
     settings.load_profile(SAME)
     assert (examples(7).max_examples, examples(7).derandomize) == (7, True)
+    settings.load_profile(BRIEF)
+    assert [examples(count).max_examples for count in (3, 7, 200)] == [3, 5, 40]
+    assert examples(7).derandomize
     settings.load_profile("search")
     assert (examples(7).max_examples, examples(7).derandomize) == (2000, False)
     assert examples(7, steps=20).stateful_step_count == 20
