@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
 
+from canopen_proto.explained import Explained
+
 
 class ExitCode(IntEnum):
     """Exit statuses of the command line."""
@@ -54,7 +56,7 @@ KINDS = {
 }
 
 
-class Problem(Exception):
+class Problem(Explained, Exception):
     """A command cannot go on. code: "CO201" and the like; node, index, subindex, abort: what it is about, else None."""
 
     def __init__(
@@ -71,13 +73,8 @@ class Problem(Exception):
         subindex: int | None = None,
         abort: int | None = None,
     ) -> None:
-        super().__init__(code, failed)
+        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
         self.exit_code = exit_code
-        self.code = code
-        self.failed = failed
-        self.seen = seen
-        self.cause = cause
-        self.tries = tuple(tries)
         self.node = node
         self.index = index
         self.subindex = subindex

@@ -17,6 +17,7 @@ from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
 from canopen_proto.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
+from canopen_proto.explained import Explained
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import NOT_CONFIRMED
@@ -46,29 +47,8 @@ HOMING_FAILED: Final = "CO406"
 PROCEDURE_FAILED: Final = "CO407"
 
 
-class MasterError(Exception):
-    """A command failed; see this module's text.
-
-    code: such as "CO201". failed: the command that failed. seen: what was observed. cause: the likely causes, best first. tries:
-    what to do next, best first.
-    """
-
-    def __init__(self, code: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
-        self.code = code
-        self.failed = failed
-        self.seen = seen
-        self.cause = cause
-        self.tries = tuple(tries)
-        super().__init__(code, failed)
-
-    def __str__(self) -> str:
-        lines = [f"{self.code}: {self.failed}"]
-        if self.seen:
-            lines.append(f"  seen:  {self.seen}")
-        if self.cause:
-            lines.append(f"  cause: {self.cause}")
-        lines += [f"  {'or:  ' if number else 'try: '}  {step}" for number, step in enumerate(self.tries)]
-        return "\n".join(lines)
+class MasterError(Explained, Exception):
+    """A command failed; see this module's text, and Explained for the fields."""
 
 
 class BusError(MasterError):

@@ -20,6 +20,8 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import Final
 
+from canopen_proto.explained import Explained
+
 BAD_LOCATOR: Final = "CO100"
 """The locator makes no sense; nothing was opened."""
 CANNOT_OPEN: Final = "CO101"
@@ -57,58 +59,27 @@ class BusState(Enum):
     """It is back, and frames come again."""
 
 
-class TransportError(Exception):
-    """The world refused: `str(error)` is the message for people, the fields are for programs.
+class TransportError(Explained, Exception):
+    """The world refused. locator: the bus, as `open_transport` takes it. The other fields: see Explained."""
 
-    code: "CO101" and the like, see this module's constants. locator: the bus, as `open_transport` takes it. failed: what was
-    asked for. seen: what was observed. cause: the likely cause or causes, best first. tries: what to do next, best first;
-    commands stand in them as they are typed.
+    def __init__(
+        self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
+    ) -> None:
+        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+        self.locator = locator
+
+
+class Report(Explained):
+    """What `receive` returns in place of a frame when there is something to tell: a ReceiveOverrun or a BusStateChanged.
+
+    It is no error: the transport goes on working. locator: the bus. The other fields: see Explained.
     """
 
     def __init__(
         self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
     ) -> None:
-        self.code = code
+        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
         self.locator = locator
-        self.failed = failed
-        self.seen = seen
-        self.cause = cause
-        self.tries = tuple(tries)
-        super().__init__(code, locator, failed)
-
-    def __str__(self) -> str:
-        return _screen(self)
-
-
-def _screen(told: TransportError | Report) -> str:
-    lines = [f"{told.code}: {told.failed}"]
-    if told.seen:
-        lines.append(f"  seen:  {told.seen}")
-    if told.cause:
-        lines.append(f"  cause: {told.cause}")
-    for number, step in enumerate(told.tries):
-        lines.append(f"  {'or:  ' if number else 'try: '}  {step}")
-    return "\n".join(lines)
-
-
-class Report:
-    """What `receive` returns in place of a frame when there is something to tell. No error: the transport goes on working.
-
-    A ReceiveOverrun or a BusStateChanged. `str(report)` is the message for people; the fields are those of TransportError.
-    """
-
-    def __init__(
-        self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
-    ) -> None:
-        self.code = code
-        self.locator = locator
-        self.failed = failed
-        self.seen = seen
-        self.cause = cause
-        self.tries = tuple(tries)
-
-    def __str__(self) -> str:
-        return _screen(self)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.failed}>"
