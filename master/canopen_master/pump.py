@@ -212,19 +212,15 @@ class Pump:
                 await self._alarm.wait()
                 late = self.now() - self._next_deadline()
                 if late >= 0:
-                    await self._catch_up(late > _STALL)
+                    await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
                     self._turn(self._handle_timeouts)
 
-    async def _catch_up(self, stalled: bool) -> None:
-        """Let the receivers handle what is already there; after a stall, until nothing more comes."""
-        if not stalled:
-            for _ in range(_TICKS):
-                await trio.lowlevel.checkpoint()
-            return
+    async def _catch_up(self, ticks: int) -> None:
+        """Let the receivers handle what is already there, until for so many rounds of the scheduler no frame has come."""
         enough = self._received + MAX_CATCH_UP
         while self._received < enough:
             received = self._received
-            for _ in range(self._quiet_ticks):
+            for _ in range(ticks):
                 await trio.lowlevel.checkpoint()
             if received == self._received:
                 return
