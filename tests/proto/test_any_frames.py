@@ -13,6 +13,7 @@ from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, SECOND
+from tests.builds import sees_inside
 from tests.data.subjects import DriveSubject, LocalSubject, RemoteSubject, Subject, held
 from tests.examples import examples
 
@@ -205,6 +206,7 @@ def test_memory_is_bounded_though_nobody_takes_what_is_reported(kind: type[AnySu
     assert events == [] or events[0].node_id == 0  # EventsDropped
 
 
+@sees_inside
 def test_the_measure_sees_what_grows() -> None:
     subject = LocalSubject()
     before = held(subject.network)

@@ -12,6 +12,7 @@ from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.backup import MAX_SILENT, Backup, ObjectRead, ReadResult, back_up, same_value
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.procedures.walk import MAX_OBJECTS, WalkProgress, back_up_by_names, walk
+from tests.builds import replaces_what_is_compiled
 from tests.proto.devices import TEXT
 from tests.proto.restore_bench import FACTORY, GAIN, HIDDEN, IMAGE, SECRET, Bench, device
 
@@ -121,6 +122,7 @@ def test_a_node_that_goes_away_is_noticed_soon(gone_after: int) -> None:
     assert len(asked) == MAX_SILENT - 1
 
 
+@replaces_what_is_compiled
 def test_one_object_without_an_answer_does_not_end_a_backup() -> None:
     bench = Bench()
     index = 0x1A01
@@ -135,6 +137,7 @@ def test_one_object_without_an_answer_does_not_end_a_backup() -> None:
     assert not backup.is_complete
 
 
+@replaces_what_is_compiled
 @pytest.mark.parametrize("code", [None, AbortCode.TIMED_OUT, AbortCode.INVALID_COMMAND, AbortCode.TOGGLE_NOT_ALTERNATED])
 def test_a_read_that_broke_is_repeated_once(code: AbortCode | None) -> None:
     """Each object gets no answer, or a stray abort, at first; nothing is missing in the end."""

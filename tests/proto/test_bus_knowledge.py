@@ -14,6 +14,7 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoClient
+from tests.builds import takes_any_type
 
 TIMEOUT = 500 * MILLISECOND
 STATUSWORD = "585#4B4160003702"
@@ -126,6 +127,7 @@ def test_a_driver_that_filters_says_so() -> None:
     assert not network.hears_all
 
 
+@takes_any_type
 @pytest.mark.parametrize("node_id", [0, 128, True, "5"])
 def test_a_node_id_that_is_none_is_refused(node_id: int) -> None:
     with pytest.raises(LocalProtocolError, match="node-ID"):

@@ -11,6 +11,7 @@ from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, V
 from canopen_proto.dictionary import concise as module
 from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise, to_concise, values_of_concise
 from canopen_proto.multiplexer import mux
+from tests.builds import replaces_what_is_compiled
 
 HEARTBEAT = Variable(0x1017, 0, "producer heartbeat time", DataType.UNSIGNED16, configured=500)
 NAME = Variable(0x2000, 0, "name", DataType.VISIBLE_STRING, configured="arm")
@@ -52,6 +53,7 @@ def test_other_bytes_are_refused_with_their_place(text: str, offset: int, messag
     assert caught.value.offset == offset
 
 
+@replaces_what_is_compiled
 def test_both_ways_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_CONCISE", 20)
     assert len(pack_concise([(0x2000, 0, bytes(9))])) == 20

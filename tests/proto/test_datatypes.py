@@ -27,6 +27,7 @@ from canopen_proto.datatypes import (
     zero_of,
 )
 from canopen_proto.machine import LocalProtocolError
+from tests.builds import takes_any_type
 
 UTC = datetime.UTC
 DAY = datetime.timedelta(days=1)
@@ -231,6 +232,10 @@ def test_texts() -> None:
     with pytest.raises(ValueRangeError, match="UNICODE_STRING has an even number of bytes, not 3"):
         decode(b"abc", DataType.UNICODE_STRING)
     assert decode(b"EPOS2\x00\x00", DataType.VISIBLE_STRING) == "EPOS2\0\0"  # nothing is lost; people strip it
+
+
+@takes_any_type
+def test_bytes_of_any_kind_are_copied() -> None:
     assert encode(memoryview(b"xy"), DataType.OCTET_STRING) == b"xy"  # type: ignore[arg-type]
     data = bytearray(b"xy")
     kept = decode(data, DataType.DOMAIN)  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
 from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep
 from canopen_proto.remote_node import RemoteNode
+from tests.builds import replaces_what_is_compiled
 from tests.proto.rig import Rig
 
 SPEED = 50_000
@@ -122,6 +123,7 @@ def test_a_quick_stop_by_somebody_else_is_waited_for_too() -> None:
     assert speed_of(rig) == 0
 
 
+@replaces_what_is_compiled
 @pytest.mark.parametrize("hidden", [300 * MILLISECOND, 60 * SECOND])
 def test_a_drive_that_shows_no_state_is_no_drive_that_stands(hidden: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A statusword that fits no pattern says nothing: the next one that does is waited for, and then it is halted."""

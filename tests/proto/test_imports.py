@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 import canopen_proto
+from tests.builds import loads_by_itself
 
 ROOT = Path(canopen_proto.__file__).parent
 SOURCES = sorted(ROOT.rglob("*.py"))
@@ -126,6 +127,7 @@ print(*sorted(set(sys.modules) - before))
 """
 
 
+@loads_by_itself
 def test_a_network_is_imported_without_what_it_does_not_need() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-S", "-c", f"import sys; sys.path.insert(0, {str(ROOT.parent)!r}){LOADED}"],

@@ -15,6 +15,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, FrameIgnored,
 from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.pdo.producer import PdoNotSent, PdoPeriodsSkipped, PdoProducer
+from tests.builds import takes_any_type
 
 U16, I16, I32 = DataType.UNSIGNED16, DataType.INTEGER16, DataType.INTEGER32
 MS = MILLISECOND
@@ -118,6 +119,7 @@ def test_of_a_long_frame_the_mapped_bytes_are_used(transmission_type: int) -> No
     assert isinstance(pdo.out.events[1], PdoReceived)
 
 
+@takes_any_type
 def test_the_callers_buffer_may_change_afterwards() -> None:
     pdo = consumer()
     buffer = bytearray(DATA)

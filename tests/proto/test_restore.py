@@ -21,6 +21,7 @@ from canopen_proto.procedures.restore import (
     restore,
 )
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from tests.builds import replaces_what_is_compiled
 from tests.examples import examples
 from tests.proto.bus import CAN_FATES
 from tests.proto.devices import LIMITED, TEXT
@@ -101,6 +102,7 @@ def test_a_node_that_was_stopped_is_stopped_again() -> None:
     assert bench.device.values.store[LIMITED << 8] == 12
 
 
+@replaces_what_is_compiled
 def test_nmt_commands_that_get_lost_are_repeated() -> None:
     bench = Bench()
     plan = bench.plan({LIMITED << 8: 12})
@@ -122,6 +124,7 @@ def test_nmt_commands_that_get_lost_are_repeated() -> None:
     assert bench.device.state is NmtState.OPERATIONAL
 
 
+@replaces_what_is_compiled
 def test_a_node_that_does_not_obey_is_not_written() -> None:
     bench = Bench()
     plan = bench.plan({LIMITED << 8: 12})
@@ -293,6 +296,7 @@ def test_the_node_is_gone_when_its_state_is_asked_for() -> None:
         bench.run(restore(bench.remote, bench.nmt, plan))
 
 
+@replaces_what_is_compiled
 def test_our_own_queue_is_full() -> None:
     bench = Bench()
     so_far = Restoration(bench.plan({LIMITED << 8: 12}))

@@ -16,6 +16,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.backup import back_up
 from canopen_proto.procedures.restore import plan_restore
 from canopen_proto.procedures.steps import SdoFailed
+from tests.builds import replaces_what_is_compiled
 from tests.examples import examples
 from tests.proto.devices import LIMITED, OUTPUT
 from tests.proto.restore_bench import CHANGES, FACTORY, GAIN, HIDDEN, SECRET, Bench, changed, device, nmt_commands
@@ -86,6 +87,7 @@ def test_what_a_restore_leaves_out() -> None:
 FAILURES = st.sampled_from([None, AbortCode.GENERAL_ERROR, AbortCode.DEVICE_STATE, AbortCode.CRC_ERROR])
 
 
+@replaces_what_is_compiled
 @examples(25)
 @given(st.dictionaries(st.sampled_from([*sorted(CHANGES), 0x1017_00, 0x2100_01]), FAILURES, max_size=6), st.booleans())
 def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, AbortCode | None], everything: bool) -> None:
