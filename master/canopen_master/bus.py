@@ -12,8 +12,8 @@ sender task hands over one after the other.
 be sent, and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs behind it, then SDO in what
 is left.
 
-**Filters.** Where a transport filters (`filtered`), it is told the CAN-IDs that our machines want, anew whenever they change; and
-the Network that it no longer hears all.
+**Filters.** Where a transport filters (`filtered`), it is told the CAN-IDs that our machines want, and again whenever these
+change; the Network is told that it no longer hears everything.
 
 **When a bus is away** for a while and its transport says that it may come back (BusStateChanged: interface down, bus-off), frames
 that cannot be sent are dropped and counted in `FramesNotSent`. They are not kept: a set-point of some seconds ago, sent when the
@@ -275,7 +275,7 @@ class Bus:
         self._period, self._last_sync = period, None
 
     def stop_sync(self) -> None:
-        """Send no more SYNC by itself."""
+        """Stop the periodic SYNC."""
         if self.sync is not None:
             self.sync.stop()
         if self._cyclic is not None:

@@ -1,4 +1,4 @@
-"""Who is told of what the machines report: requests of their outcome, subscriptions and chains of events.
+"""Hand out what the machines report: outcomes to requests, events to subscriptions and chains.
 
 All of this happens inside the pump's turn: nothing here blocks. A callback that raises keeps no other from its event.
 """
@@ -21,14 +21,14 @@ class ProcedureTakenBack(Exception):
 
 
 class Canceller(Protocol):
-    """What takes a request back: a RemoteNode, a Runner."""
+    """An object that can take a request back: a RemoteNode, a Runner."""
 
     def cancel(self, request_id: RequestId, now: Time) -> object:
         """Take it back; its outcome follows."""
 
 
 class Waiter:
-    """Who waits for the outcome of one request. done: set when there is a `result`. ends: a scope that is cancelled then."""
+    """A place to wait for the outcome of one request. done: set when there is a `result`. ends: a scope to cancel then."""
 
     __slots__ = ("_error", "_news", "_outcome", "_parked", "canceller", "done", "ends")
 
@@ -82,7 +82,7 @@ class Waiter:
 
 
 class Watcher:
-    """Who wants events of some kinds, of one bus and one node, or of all (None, 0)."""
+    """A callback for events of some kinds, of one bus and one node, or of all (None, 0)."""
 
     __slots__ = ("bus", "callback", "kinds", "node_id")
 
@@ -94,7 +94,7 @@ class Watcher:
 
 
 class Dispatcher:
-    """Hands each event to whoever waits for it."""
+    """Hands each event to the tasks and callbacks that wait for it."""
 
     def __init__(self) -> None:
         self._waiters: dict[tuple[object, RequestId], Waiter] = {}
@@ -127,7 +127,7 @@ class Dispatcher:
         return watcher
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Tell it no more. Twice is once."""
+        """Stop calling its callback; does nothing if it was stopped before."""
         if watcher in self._watchers:
             self._watchers.remove(watcher)
             self._by_kind.clear()

@@ -56,7 +56,7 @@ QUIET_TICKS: Final = 3
 
 
 class Listener(Protocol):
-    """Who is told of each event, and of a failure."""
+    """The owner of a pump: it is told of each event, and of a failure."""
 
     def on_event(self, bus: Bus, event: Event) -> None:
         """An event came out of a bus's network. May mutate machines; must not block. What it raises goes to `on_failure`."""
@@ -104,7 +104,7 @@ class Pump:
 
     @enable_ki_protection
     def pump(self, now: Time | None = None) -> None:
-        """Take up everything that the machines have to say, until they have no more. After each mutation (at `now`)."""
+        """Take up everything that the machines have to say, until nothing is left. Call it after each mutation (at `now`)."""
         if self._is_pumping:
             return  # called by what is being delivered: the loop below goes round again
         self._is_pumping = True
@@ -143,7 +143,7 @@ class Pump:
                 self._listener.on_failure(None, error)
 
     def stop(self) -> None:
-        """End the tasks. What is queued is not sent any more: `flush` first."""
+        """End the tasks. Queued frames are not sent any more: `flush` before."""
         self._scope.cancel()
 
     async def flush(self) -> None:

@@ -1,4 +1,4 @@
-"""`OpenRequest`: a command with an outcome, from when it is given until its outcome is there or nobody wants it any more."""
+"""`OpenRequest`: a command with an outcome, from when it is given until its outcome is there or it is taken back."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class OpenRequest:
 
     @enable_ki_protection
     def take_back(self) -> None:
-        """Give it up: a transfer under way is aborted on the wire. Nothing happens where the outcome is there."""
+        """Give it up: a transfer under way is aborted on the wire. Does nothing if the outcome is there."""
         if self._dispatcher.forget(self._root, self.request_id):
             self._remote.cancel(self.request_id, self._pump.now())
             self._pump.pump()

@@ -1,7 +1,7 @@
 """Events as an async iterator: what `master.events(HeartbeatLost, EmcyReceived)` gives.
 
 A subscription is live from the call, so that nothing is missed between a command and the wait for what follows from it. Its queue
-is bounded: whoever does not take its events loses the oldest of them, counted in `dropped`, and nobody else is held up.
+is bounded: a reader that is too slow loses the oldest events, counted in `dropped`, and holds up nobody else.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Subscription(Generic[E]):
         return taken
 
     def close(self) -> None:
-        """Take no more events. May be called twice."""
+        """Stop taking events. May be called twice."""
         self._close(self)
 
     def __enter__(self) -> Subscription[E]:

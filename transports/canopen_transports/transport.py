@@ -57,7 +57,7 @@ class Transport(Protocol):
 
 @runtime_checkable
 class FilteringTransport(Protocol):
-    """What a transport has besides that can leave out frames that nobody wants. filtered: whether it shall."""
+    """The additional methods of a transport that can leave out frames that nobody wants. filtered: whether it shall."""
 
     filtered: bool
 
@@ -67,7 +67,7 @@ class FilteringTransport(Protocol):
 
 @runtime_checkable
 class EagerTransport(Protocol):
-    """What a transport has besides that can hand a frame to the bus at once."""
+    """The additional method of a transport that can hand a frame to the bus at once."""
 
     def send_nowait(self, frame: Frame) -> bool:
         """Hand a frame to the bus; False, and nothing was sent, where it has no room: then use `send`. Errors as there."""
@@ -75,7 +75,7 @@ class EagerTransport(Protocol):
 
 @runtime_checkable
 class BatchTransport(Protocol):
-    """What a transport has besides that can hand over many frames at once."""
+    """The additional method of a transport that can hand over many frames at once."""
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
         """Wait until something has come; return what is there, in order: one frame or report at least, `limit` at most.
@@ -86,15 +86,18 @@ class BatchTransport(Protocol):
 
 @runtime_checkable
 class CyclicTransport(Protocol):
-    """What a transport has besides that can send cyclic frames without us. sends_sync: whether it shall send the SYNC."""
+    """The additional methods of a transport that sends cyclic frames by itself. sends_sync: whether it shall send the SYNC."""
 
     sends_sync: bool
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
-        """Send the first frame now, one more each `period` ns, in turn; each comes back by `receive`. What runs begins anew."""
+        """Send the first frame now, one more each `period` ns, in turn; each comes back by `receive`.
+
+        Cyclic frames that are sent already start again.
+        """
 
     def stop_cyclic(self) -> None:
-        """Send no more."""
+        """Stop the cyclic frames."""
 
 
 def check_frame(frame: Frame) -> None:

@@ -1,7 +1,7 @@
 """A raw CAN socket on trio: no thread, nothing between the kernel and the frame.
 
 **Receiving.** One system call takes all frames that are there, up to a batch (batch.py), each with the kernel's time stamp. They
-are kept and handed out one by one, so that a cancelled `receive` has taken none; between two batches other tasks run. Frames that
+are kept until they are asked for, so that a cancelled `receive` has taken none; between two batches other tasks run. Frames that
 the kernel had to drop are told at their place by its own counter; those dropped last, behind which nothing came, by a look at the
 same counter when a burst is over.
 
@@ -14,8 +14,8 @@ ROOM_POLL.
 **What is no frame.** Error frames become `BusStateChanged` where they tell something new. At an interface that goes down we look
 each UP_POLL until it is up again, be it the same or, after an adapter was plugged in again, a new one of that name; the two
 reports stand around what may be missing. What was received before it went down is handed out first. While the bus is away,
-sending raises `FrameNotSent`. So it does at bus-off: the kernel takes frames then, drops them and says nothing. A bus-off that
-came before us, or whose error frame was lost, shows by the interface's carrier.
+sending raises `FrameNotSent`. It also raises it at bus-off, where the kernel accepts frames and silently drops them. A bus-off
+that came before we listened, or whose error frame was lost, shows by the interface's carrier.
 
 **Filters.** `?filter=ids`: the kernel only lets through what the caller asks for by `set_filters` (a master's pump does: the
 CAN-IDs that its machines want). That spares the wakes for foreign frames, but hides from error messages what other nodes say.
@@ -244,7 +244,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         if crowded and not self._is_burst:
             self._note_dropped(self._dropped_at_look)  # all that was there at the last look has been taken in
             self._dropped_at_look = self._drop_counter()
-            self._is_burst = self._dropped_at_look != self._dropped  # first comes what has come since and stands before that
+            self._is_burst = self._dropped_at_look != self._dropped  # frames queued before the drop are handed out first
         if self._dropped != dropped:  # an error frame may be among what was lost
             self._look_at_carrier()
 
@@ -314,7 +314,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
             likely = diagnosis.not_acknowledged(self._locator, "go on", seen, self.received)
             cause, tries = likely.cause, likely.tries
         self._items.append(BusStateChanged(self.locator, state, seen, cause=cause, tries=tries))
-        trio.lowlevel.notify_closing(self._socket)  # who waits has something to tell
+        trio.lowlevel.notify_closing(self._socket)  # a waiting receiver has something to return
 
     def _why_away(self) -> tuple[str, str, tuple[str, ...]]:
         """What is seen of an interface that is not up, the cause, what to do."""
@@ -351,7 +351,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
             if runs:
                 self._change(BusState.ACTIVE, f"{name} has a carrier again")
             return runs
-        self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # word of what we know is taken away
+        self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # clear the pending socket error: we know of it already
         if not self.is_up():
             return False
         seen = f"{name} is UP again"
@@ -388,7 +388,8 @@ class SocketCanTransport(trio.abc.AsyncResource):
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
         """Let the kernel send these frames in turn, one each `period` ns (see `Broadcast`). We receive them like foreign ones.
 
-        What runs begins anew. ValueError for frames or a period that are impossible, TransportError where the kernel refuses.
+        Frames that are sent already start again. Raises ValueError for impossible frames or an impossible period, and
+        TransportError if the kernel refuses.
         """
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
@@ -400,13 +401,13 @@ class SocketCanTransport(trio.abc.AsyncResource):
             raise diagnosis.bus_lost(self._locator, f"send {frames[0]} cyclically", error) from error
 
     def stop_cyclic(self) -> None:
-        """Let the kernel send no more."""
+        """Stop the cyclic frames."""
         if self._broadcast is not None:
             self._broadcast.close()
             self._broadcast = None
 
     async def aclose(self) -> None:
-        """Leave the bus; who waits wakes with ClosedResourceError."""
+        """Leave the bus; a waiting task wakes with ClosedResourceError."""
         if not self._closed:
             self._closed = True
             self._items.clear()
