@@ -216,6 +216,7 @@ def test_only_streams_can_be_fed() -> None:
     for request_id in (plain, block, upload):
         with pytest.raises(LocalProtocolError, match="stream"):
             bench.client.feed(request_id, b"1", 0)
+        assert bench.client.room(request_id) == 0
     assert not bench.client.feed(999, b"1", 0)
     assert not bench.client.proceed(plain, 0)
     with pytest.raises(LocalProtocolError, match="size 0..0xFFFFFFFF"):
