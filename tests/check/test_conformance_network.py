@@ -45,7 +45,7 @@ FAULTS = [
     ("7.104", Fault("takes it twice", sent=[("585#80161002.*", "585#6016100200000000")]), "twice was not refused"),
     ("7.105", SHORT, "came each 250 ms, the consumer time is 500 ms, and an emergency message came too: 085#3081"),
     ("7.106", DEAF, "lost heartbeat of node 1 did not come"),
-    ("7.106", SHORT, "told of after 100 ms; the time is 500 ms"),
+    ("7.106", SHORT, "reported after 100 ms; the time is 500 ms"),
     ("7.106", Fault("another code", sent=[("085#3081(.*)", r"085#2081\1")]), "error code"),
     ("7.106", Fault("hasty", sent=[("(585#60161002.*)", r"\1 085#3081110200000000")]), "node 2 was not heard yet"),
     ("7.107", Fault("keeps all", node=KeepsAll), "nobody is monitored after a reset"),

@@ -67,13 +67,13 @@ def after_the_losses(kind: str, times: list[int]) -> list[int]:
     first = times[0]
     if kind == ".asc":
         assert (
-            "the date is kept to the millisecond, and without its time zone; what is earlier than the first frame gets its time"
+            "the date is kept to the millisecond, and without its time zone; frames earlier than the first one get its time"
             in (LOSSES[kind])
         )
         return [max(time, first) - first % MILLISECOND for time in times]
     if kind == ".blf":
         assert "times without a date (before 1990) are counted from the first frame's millisecond" in LOSSES[kind]
-        assert "what is earlier than the first frame gets its time" in LOSSES[kind]
+        assert "frames earlier than the first one get its time" in LOSSES[kind]
         dated = 0 if first >= YEAR_1990 else first - first % MILLISECOND
         return [max(time, first) - dated for time in times]
     return times

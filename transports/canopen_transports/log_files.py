@@ -37,10 +37,10 @@ DEFAULT_CHANNEL: Final = "can0"
 
 LOSSES: Final = {
     ".log": "",
-    ".asc": "names of buses become numbers; the date is kept to the millisecond, and without its time zone; what is earlier than "
-    "the first frame gets its time",
+    ".asc": "names of buses become numbers; the date is kept to the millisecond, and without its time zone; frames earlier than "
+    "the first one get its time",
     ".blf": "names of buses become numbers; times without a date (before 1990) are counted from the first frame's millisecond; "
-    "what is earlier than the first frame gets its time",
+    "frames earlier than the first one get its time",
     ".trc": "remote frames are left out; names of buses become numbers",
 }
 """What a kind of file cannot hold, for people. The keys are the kinds."""
