@@ -221,7 +221,7 @@ class GuardingMaster(Machine):
             self._rearm()
             return
         state, toggle = STATE_OF_BYTE[data[0]], data[0] & TOGGLE
-        if not state:
+        if state is None or state is NmtState.INITIALISING:
             out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT state"))
             return
         if self._toggle is not None and toggle != self._toggle:

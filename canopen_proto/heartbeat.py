@@ -232,7 +232,9 @@ class OwnHeartbeat(HeartbeatProducer):
         data = frame.data
         if self.period and not self._told and len(data) == 1:
             self._told = True
-            self.out.events.append(ForeignHeartbeat(self.node_id, STATE_OF_BYTE[data[0]] or None))
+            state = STATE_OF_BYTE[data[0]]
+            told = None if state is NmtState.INITIALISING else state
+            self.out.events.append(ForeignHeartbeat(self.node_id, told))
 
 
 class HeartbeatConsumer(Machine):

@@ -53,7 +53,8 @@ class LateDrive(Drive):
         store = self.values.store
         newest, store[key] = store[key], value
         self._obeys = True  # one after the other, also those of one PDO
-        super().written(*split_mux(key), time)
+        index, subindex = split_mux(key)
+        super().written(index, subindex, time)
         self._obeys = False
         store[key] = newest
 
