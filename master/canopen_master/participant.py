@@ -111,9 +111,15 @@ class Participant:
     async def nmt(self, command: NmtCommand, node_id: int = 0, *, bus: str | None = None) -> None:
         """Send an NMT command to one node, or to all (0; on all buses, unless one is named); return when it is on its way.
 
-        Only the nodes' heartbeats confirm it. What is known of the nodes' states follows the command.
+        Only the nodes' heartbeats confirm it. What is known of the nodes' states follows the command. A command's number will do.
+        Raises LocalProtocolError for a number that is no command, and for another node-ID.
         """
         self.check_open()
+        try:
+            command = NmtCommand(command)
+        except ValueError:
+            known = ", ".join(f"{int(each)} {each.name}" for each in NmtCommand)
+            raise LocalProtocolError(f"{command!r} is not an NMT command; these are: {known}") from None
         buses = self._own_buses if bus is None and node_id == 0 else (self.bus(bus),)
         for each in buses:
             self._nmt[each].send(command, node_id, self.now())

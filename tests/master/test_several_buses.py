@@ -34,6 +34,8 @@ async def test_a_node_is_a_bus_and_an_id() -> None:
         await trio.sleep(0.001)
         assert [host.nodes[0].state.name for host in (one, two)] == ["OPERATIONAL", "OPERATIONAL"]
         await second.nmt(2)  # type: ignore[arg-type]  # a plain number will do
+        with pytest.raises(LocalProtocolError, match="3 is not an NMT command; these are: 1 START, 2 STOP"):
+            await second.nmt(3)  # type: ignore[arg-type]
         await trio.sleep(0.001)
         assert [host.nodes[0].state.name for host in (one, two)] == ["OPERATIONAL", "STOPPED"]
         with pytest.raises(SdoTimeout):
