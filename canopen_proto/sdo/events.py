@@ -169,7 +169,7 @@ class ObjectWritten(Event):
 
 
 class SdoServerAborted(Event):
-    """A transfer ended without success. A pending access of it needs no answer any more. 0x0000:00: there was no transfer."""
+    """A transfer ended without success. A pending access of it no longer needs an answer. 0x0000:00: there was no transfer."""
 
     __slots__ = ("abort_code", "index", "origin", "subindex")
     __match_args__ = ("node_id", "index", "subindex", "abort_code", "origin")

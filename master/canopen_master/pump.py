@@ -143,7 +143,7 @@ class Pump:
                 self._listener.on_failure(None, error)
 
     def stop(self) -> None:
-        """End the tasks. Queued frames are not sent any more: `flush` before."""
+        """End the tasks. Queued frames are not sent: call `flush` before."""
         self._scope.cancel()
 
     async def flush(self) -> None:

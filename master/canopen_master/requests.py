@@ -40,7 +40,7 @@ class OpenRequest:
         """Wait for it. Cancelled, the request is taken back. Raises the reason why there is none: BusError, MasterClosed."""
         try:
             await self._waiter.done.wait()
-        except BaseException:  # Cancelled or KeyboardInterrupt: nobody is interested any more
+        except BaseException:  # Cancelled or KeyboardInterrupt: the caller no longer wants the outcome
             self.take_back()
             raise
         return self._waiter.result()

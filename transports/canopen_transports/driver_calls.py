@@ -54,7 +54,7 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
             if not to_keep:
                 shut_down(bus)
         finally:
-            with suppress(trio.RunFinishedError):  # it took so long that nobody is there any more
+            with suppress(trio.RunFinishedError):  # it took so long that the run is over
                 token.run_sync_soon(finished.set)
 
     try:

@@ -8,7 +8,7 @@ PCAN-Basic answers each call with a status: a set of bits (its `PCAN_ERROR_...`)
 
 python-can turns them into exceptions that only carry the library's own texts for these bits. `PeakStatus.code` goes the way
 back, by asking the library for its texts. After bus-off python-can's `reset` does not help: PCAN-Basic's CAN_Reset empties the
-queues and leaves the controller as it is. What brings it back is to initialise the channel anew, or `?auto_reset=true`, by which
+queues and leaves the controller as it is. Initialising the channel again brings it back, or `?auto_reset=true`, by which
 the driver does so itself.
 """
 

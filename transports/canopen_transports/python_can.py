@@ -7,12 +7,12 @@ network queue is full because nobody acknowledges, or because the bus is slow) w
 senders in order. Frames are whole or nothing for every backend, so a cancel while waiting for room means: not sent.
 
 **When the bus goes away** (adapter unplugged, driver failed or hanging, interface down), a transport that was opened by a locator
-reports DOWN, opens the bus anew each REOPEN_PAUSE until that succeeds, and reports UP; meanwhile `send` raises FrameNotSent. A
-bus that you opened yourself cannot be opened anew: it ends with a TransportError.
+reports DOWN, opens the bus again each REOPEN_PAUSE until that succeeds, and reports UP; meanwhile `send` raises FrameNotSent. A
+bus that you opened yourself cannot be opened again: it ends with a TransportError.
 
 **The controller's state** is known for pcan, whose status the reader thread looks at each READ_POLL, and for SocketCAN by its
 error frames; the other backends tell only that there was an error frame. Out of bus-off a PEAK adapter is brought back by
-initialising it anew after REOPEN_PAUSE (`?auto_reset=true` leaves that to its driver, which does it at once).
+initialising it again after REOPEN_PAUSE (`?auto_reset=true` leaves that to its driver, which does it at once).
 
 What python-can hides, and so we cannot tell either: that a serial-line adapter refused a command (it answers BELL).
 """
@@ -60,7 +60,7 @@ from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
 
 REOPEN_PAUSE: Final = 0.5
-"""Seconds before each try to open anew a bus that went away. Long enough that a node which disturbs a bus until it is bus-off
+"""Seconds before each try to open a bus that went away again. Long enough that a node which disturbs a bus until it is bus-off
 leaves the others nearly all of the time."""
 ROOM_TIME: Final = 1.0
 """Seconds that a sender waits for room. Ten frames, a network queue's usual length, take 0.13 s even at 10 kbit/s."""
@@ -86,7 +86,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
 
     owned: whether `aclose` shuts the bus down. A bus that you hand over must not echo its own frames (receive_own_messages), and
     while it is wrapped nobody else may receive from it. queue_size: how many frames a reader thread keeps at most. reopen: opens
-    the bus anew when it went away; raises TransportError.
+    the bus again when it went away; raises TransportError.
 
     state: the controller's as far as it is known, or DOWN. received: how many frames came. refused, last_refusal: how many
     messages were no classical CAN frames that make sense, and why the last was not. errors, last_error: how many error frames the
@@ -127,7 +127,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         """Begin to use a bus."""
         self._bus = bus
         self._is_open = True
-        self._lost: Exception | None = None  # why it is of no use any more; until somebody has looked, perhaps in vain
+        self._lost: Exception | None = None  # why it can no longer be used
         self._is_over = False  # that was reported, and nothing more will come
         self._peak = peak.PeakStatus(bus) if comes_from(bus, ("can.interfaces.pcan",)) else None
         self._status = 0
@@ -282,7 +282,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
             self._end(can.CanOperationError(status_of.text(status)))
         elif (state := peak.state_of(status)) is not self.state:
             self._queue.report(self._change(state, status_of.text(status)))
-            # The driver brings it back by itself, the owner of the bus may do so, or we open it anew.
+            # The driver brings it back by itself, the owner of the bus may do so, or we open it again.
             self._is_over = state is BusState.BUS_OFF and self._reopen is not None and not self._locator.options.get("auto_reset")
 
     def _accept(self, message: can.Message) -> None:
@@ -384,7 +384,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
             self._queue.close()
             self._reopening.cancel()
             with trio.CancelScope(shield=True):
-                async with self._send_lock:  # whoever is sending, or opening the bus anew, notices at its next step
+                async with self._send_lock:  # whoever is sending, or opening the bus again, notices at its next step
                     await self._shut_down()
         await trio.lowlevel.checkpoint()
 

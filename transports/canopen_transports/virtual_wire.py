@@ -171,7 +171,7 @@ class PhysicalBus:
                 self.hand_out()
 
     def hand_out(self) -> None:
-        """Deliver what came out of the wire, and look anew at when the next thing is due."""
+        """Deliver what came out of the wire, and look again when the next thing is due."""
         deliveries, events = self.wire.drain()
         touched: dict[WireTransport, None] = {}
         for delivery in deliveries:

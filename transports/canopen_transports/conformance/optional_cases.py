@@ -98,7 +98,7 @@ async def _expect_heard(bench: Bench, one: Transport, other: Transport, expected
 
 @case
 async def cyclic_frames(bench: Bench) -> None:
-    """Cyclic frames are sent in turn, to us as to the others, until they are stopped; starting again begins anew."""
+    """Cyclic frames are sent in turn, to us as to the others, until they are stopped; they may be started again."""
     one, other = await bench.members(2)
     if not (isinstance(one, CyclicTransport) and one.sends_sync):
         raise NotApplicable("it sends no cyclic frames")

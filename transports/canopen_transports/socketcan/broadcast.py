@@ -7,7 +7,7 @@ delay of a wake; and the kernel tells nobody when a frame did not get out (inter
 Several frames are sent in turn, one per period, then again from the first: a SYNC with a counter (0x1019) is that.
 
 The frames are sent by a socket other than the transport's, so that the transport receives them, with their time stamps. When the
-process ends, however it ends, the kernel sends no more.
+process ends, however it ends, the kernel stops sending.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Broadcast:
         self._socket = self._begun()
 
     def restart(self) -> None:
-        """Begin anew, on a new interface of that name: the kernel goes on with the one that is gone. Raises OSError."""
+        """Begin again, on a new interface of that name: the kernel goes on with the one that is gone. Raises OSError."""
         self._socket.close()
         self._socket = self._begun()
 
@@ -69,5 +69,5 @@ class Broadcast:
         return sock
 
     def close(self) -> None:
-        """Send no more, and leave the interface."""
+        """Stop sending, and leave the interface."""
         self._socket.close()

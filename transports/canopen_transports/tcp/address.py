@@ -86,7 +86,7 @@ def no_bus_server(locator: str, host: str, port: int, seen: str) -> TransportErr
 
 
 def connection_lost(locator: str, doing: str, seen: str, cause: str) -> TransportError:
-    """The connection worked and has ended. It is not made anew behind the caller's back: frames would be missing."""
+    """The connection worked and has ended. It is not opened again without the caller's knowledge: frames would be missing."""
     tries = (serve_command(*parse_address(locator, locator.partition(":")[2])), "start this program again once it runs")
     return TransportError(BUS_LOST, locator, f"cannot {doing} on {locator}", seen=seen, cause=cause, tries=tries)
 

@@ -2,7 +2,7 @@
 
 `framing` says what travels. Frames have no time stamps: the bus is only in the server's memory, and when a frame was there cannot
 be measured here. A connection that ends is a TransportError (CO111), for good: what is said meanwhile is lost, so whoever wants
-to go on opens the bus anew, and begins anew.
+to go on opens the bus again, and starts over.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class TcpTransport(trio.abc.AsyncResource):
         return self._failure
 
     def _lose(self, doing: str, seen: str, cause: str) -> Exception:
-        """The connection is of no use any more. A server that is about to end waits for us to close it."""
+        """The connection is no longer of use. A server that is about to end waits for us to close it."""
         if self._failure is None:
             self._failure = connection_lost(self.locator, doing, seen, cause)
         self._socket.close()

@@ -5,7 +5,7 @@
     a frame got out                          TEC - 1
     a frame was taken                        REC - 1; from 128 on it becomes 119 (the standard allows 119 to 127)
     TEC or REC 96                            error warning
-    TEC or REC 128                           error-passive: it disturbs nobody any more, and waits 8 bits after having sent
+    TEC or REC 128                           error-passive: it no longer disturbs others, and waits 8 bits after having sent
     TEC 256                                  bus-off: its queue is lost; error-active again after 128 times 11 recessive bits
     no acknowledge, of one error-passive     nothing: who is alone never becomes bus-off
 

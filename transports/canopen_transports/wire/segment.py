@@ -77,6 +77,6 @@ class Segment:
 
     @property
     def is_unheard(self) -> bool:
-        """Whether its one member that is not bus-off repeats a frame for nobody, and this changes its counters no more."""
+        """Whether its one member that is not bus-off repeats a frame in vain, and its counters no longer change."""
         lone = [member for member in self.members if member.state is not BusState.BUS_OFF]
         return len(lone) == 1 and lone[0].unacknowledged and lone[0].state is BusState.PASSIVE
