@@ -228,6 +228,18 @@ def test_simulated_drives_on_a_bus_that_cannot_be_opened() -> None:
         assert "nonsense" in str(session.last_error())
 
 
+def test_a_call_that_raises_why_the_bus_failed_has_told_it(session: Session, arm: Devices) -> None:
+    """Also a call that begins before the master is left."""
+
+    async def fail_and_look(master: Master) -> None:
+        master.on_failure(master.bus(), TransportError("CO111", arm.bus, "the adapter is gone"))
+        master.check_open()
+
+    with pytest.raises(BusError, match="the adapter is gone"):
+        session._connection.call(fail_and_look)
+    session.close_connection()
+
+
 def test_a_bus_that_fails_ends_what_waits(session: Session, arm: Devices) -> None:
     async def fail(master: Master) -> None:
         master.on_failure(master.bus(), TransportError("CO111", arm.bus, "the adapter is gone"))

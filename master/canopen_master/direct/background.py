@@ -170,6 +170,7 @@ class Background(Generic[T]):
                 except trio.Cancelled:
                     raise
                 except BaseException as error:  # noqa: BLE001 - whatever it is belongs to the caller
+                    self._was_told = self._was_told or error is self._failure(self._context)
                     future.set_exception(error)
         finally:
             if not future.done():
