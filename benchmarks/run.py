@@ -1,6 +1,6 @@
 """canopen-proto against `canopen` 2.4.1, in one run: Markdown tables with what users feel (goals.py) and with every case.
 
-    python benchmarks/run.py                            # all cases, about three minutes
+    python benchmarks/run.py                            # all cases, some six minutes
     python benchmarks/run.py --into docs/speed.md       # the same, into the page, in place of the last figures of this build
     python benchmarks/run.py pdo --rounds 3             # the cases with "pdo" in their title, and no goals
 

@@ -263,7 +263,7 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (Loses, "stream", "1 before it were missing and 0 told as lost"),
         (Repeats, "stream", "twice, or out of order"),
         (ForgetsLengths, "every_kind_of_frame", "was sent, and"),
-        (HandsOutItsBuffer, "every_kind_of_frame", "no Frame with bytes"),
+        (HandsOutItsBuffer, "every_kind_of_frame", "no Frame with bytes|bytes object expected"),
         (CountsMicroseconds, "time_stamps", "50000 ns apart"),
         (StampsRunBack, "time_stamps_in_a_stream", "run back"),
         (TakesWhatIsImpossible, "impossible_frames", "was taken \\(identifier too high\\)"),
