@@ -1,4 +1,4 @@
-"""What a cycle of a chain costs the master alone: SYNC, set-points, and what the drives send back.
+"""Measure the cost of a chain's cycle in the master alone: SYNC, set-points, and the drives' PDOs.
 
     python benchmarks/chain_cycle.py            # 6 and 12 joints, 1 ms and 4 ms, 3 rounds each: about a minute
     python benchmarks/chain_cycle.py --profile  # 6 joints at 1 ms: where the time goes

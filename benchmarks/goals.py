@@ -1,4 +1,4 @@
-"""What users feel, in one table: how it is now, what it must be at least, and where we want to be.
+"""The figures that users feel, in one table: the figure now, the least that is asked for, and the figure that we want.
 
 A ratio says how many times less CPU time ours takes than `canopen` does for the same; of several cases the worst counts. Shares,
 costs and milliseconds are smaller where they are better.
@@ -21,7 +21,7 @@ import canopen_proto
 COMPILED: bool = getattr(canopen_proto, "COMPILED", False)
 
 Results = Mapping[str, Result]
-"""What was measured, by the titles of the cases."""
+"""The measured results, by the titles of their cases."""
 
 
 class Goal(NamedTuple):
@@ -53,7 +53,7 @@ def worst(*titles: str) -> Callable[[Results], float]:
 
 
 def among_many(results: Results) -> float:
-    """What a frame costs among 127 nodes, where it costs 1 among 6."""
+    """Return the cost of a frame among 127 nodes, as a multiple of its cost among 6."""
     few, many = (results[f"a frame among {nodes} nodes (RemoteNode)"] for nodes in (6, 127))
     return min(many.ours) / min(few.ours)
 

@@ -1,4 +1,4 @@
-"""What a start costs: CPU time of a fresh interpreter that imports something, over that of one that does nothing.
+"""Measure the cost of a start: the CPU time of a fresh interpreter that imports a module, less that of one that does nothing.
 
     python benchmarks/imports.py
 

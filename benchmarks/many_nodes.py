@@ -1,4 +1,4 @@
-"""What a frame costs a participant that watches many nodes: 127 of them against 6, and both against the peer.
+"""Measure the cost of a frame in a participant that watches many nodes: 127 against 6, and both against the peer.
 
 Every node sends TPDOs with four objects, and after each nine of them a heartbeat; the nodes take turns, 4000 frames a second.
 Each frame is given to the network, which is then drained and asked for its deadline, as a driver does it on a quiet bus. Our

@@ -4,8 +4,8 @@
     python benchmarks/run.py --into docs/speed.md       # the same, into the page, in place of the last figures of this build
     python benchmarks/run.py pdo --rounds 3             # the cases with "pdo" in their title, and no goals
 
-What is compared, and what makes it fair, stands in each of `MODULES`; how it is measured, in measure. Which build it was, pure
-Python or compiled, is printed with it.
+Each of `MODULES` says what it compares and why that is fair; measure.py says how. The output names the build that was measured,
+pure Python or compiled.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_
 
 
 def report(results: list[Result], rounds: int, seconds: float, *, with_goals: bool) -> str:
-    """What is printed, as Markdown."""
+    """Return the output, as Markdown."""
     python = f"{platform.python_implementation()} {platform.python_version()}"
     build = "compiled" if goals.COMPILED else "pure Python"
     machine = f"{python}, {platform.machine()}, {os.cpu_count()} CPUs; canopen-proto is {build}; canopen {VERSION}"

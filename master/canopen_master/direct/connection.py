@@ -109,7 +109,7 @@ class Connection:
     def close(self) -> None:
         """Halt what moves and end the thread. Without an open connection it does nothing.
 
-        Raises HaltNotConfirmed, or BusError if the bus failed and no call has raised that yet.
+        Raises HaltNotConfirmed, or BusError if the bus failed and no call has met that error yet.
         """
         with self._lock:
             self._end()
