@@ -116,7 +116,10 @@ def _of_usage(error: click.UsageError) -> Problem:
     tries = [f"{command} --help"]
     if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
         tries.insert(0, f"negative numbers behind `--`: {command} ... -- {error.option_name}")
-    return usage("CO001", error.format_message(), tries=tries)
+    text = error.format_message()
+    if isinstance(error, click.MissingParameter):
+        text = text.replace("\n\t", " ")  # click lists the choices in lines of their own
+    return usage("CO001", text, tries=tries)
 
 
 def _of_bus(code: str) -> ExitCode:

@@ -201,6 +201,11 @@ def test_what_cannot_be_parsed_is_json_too(capsys: pytest.CaptureFixture[str]) -
     assert json.loads(capsys.readouterr().err)["code"] == "CO001"
 
 
+def test_the_choices_of_a_missing_argument_stand_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["nmt"]) == ExitCode.USAGE
+    assert "Choose from: start, stop, preop, reset, reset-comm" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell")
 @pytest.mark.parametrize(("redirection", "status"), [(">&-", 0), (">&- 2>&-", 0), (">/dev/full", ExitCode.BAD_FILE)])
 def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int) -> None:
