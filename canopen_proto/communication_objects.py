@@ -71,7 +71,7 @@ GUARD_TIME: Final = mux(indices.GUARD_TIME)
 LIFE_TIME_FACTOR: Final = mux(indices.LIFE_TIME_FACTOR)
 COB_ID_TIME: Final = mux(indices.COB_ID_TIME_STAMP)
 COB_ID_EMCY: Final = mux(indices.COB_ID_EMERGENCY)
-EMCY_INHIBIT_TIME: Final = mux(0x1015)
+EMCY_INHIBIT_TIME: Final = mux(indices.INHIBIT_TIME_EMERGENCY)
 PRODUCER_HEARTBEAT: Final = mux(indices.PRODUCER_HEARTBEAT_TIME)
 SYNC_OVERFLOW: Final = mux(indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE)
 LAST_ERROR_BEHAVIOUR: Final = 2
@@ -132,12 +132,12 @@ class CommunicationObjects(Owner):
             indices.GUARD_TIME: self._set_guarding,
             indices.LIFE_TIME_FACTOR: self._set_guarding,
             indices.COB_ID_TIME_STAMP: self._set_time,
-            0x1014: self._set_emcy,
-            0x1015: self._set_emcy_inhibit,
+            indices.COB_ID_EMERGENCY: self._set_emcy,
+            indices.INHIBIT_TIME_EMERGENCY: self._set_emcy_inhibit,
             indices.CONSUMER_HEARTBEAT_TIME: self._set_monitors,
             indices.PRODUCER_HEARTBEAT_TIME: self._set_heartbeat,
             indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE: self._set_sync,
-            0x1028: self._set_emcy_consumers,
+            indices.EMERGENCY_CONSUMER: self._set_emcy_consumers,
         }
         for machine in (self.emcy, self.heartbeat, self.guarding, self.sync_producer, self.sync_consumer, self.time_consumer):
             members.attach(machine)
@@ -192,7 +192,9 @@ class CommunicationObjects(Owner):
         if index == indices.ERROR_REGISTER and self._has_room(indices.ERROR_REGISTER, 0, BYTE):
             store[ERROR_REGISTER] = self.emcy.error_register
         elif index == indices.PREDEFINED_ERROR_FIELD and self._has_room(indices.PREDEFINED_ERROR_FIELD, 0, BYTE):
-            shown = {mux(0x1003, number): entry for number, entry in enumerate(self.emcy.history, start=1)}
+            shown = {
+                mux(indices.PREDEFINED_ERROR_FIELD, number): entry for number, entry in enumerate(self.emcy.history, start=1)
+            }
             shown = {
                 key: entry
                 for key, entry in shown.items()

@@ -12,6 +12,7 @@ from typing import Final
 
 DEVICE_TYPE: Final = 0x1000
 ERROR_REGISTER: Final = 0x1001
+MANUFACTURER_STATUS_REGISTER: Final = 0x1002
 PREDEFINED_ERROR_FIELD: Final = 0x1003
 COB_ID_SYNC: Final = 0x1005
 COMMUNICATION_CYCLE_PERIOD: Final = 0x1006
@@ -24,6 +25,7 @@ LIFE_TIME_FACTOR: Final = 0x100D
 STORE_PARAMETERS: Final = 0x1010
 RESTORE_DEFAULT_PARAMETERS: Final = 0x1011
 COB_ID_TIME_STAMP: Final = 0x1012
+HIGH_RESOLUTION_TIME_STAMP: Final = 0x1013
 COB_ID_EMERGENCY: Final = 0x1014
 INHIBIT_TIME_EMERGENCY: Final = 0x1015
 CONSUMER_HEARTBEAT_TIME: Final = 0x1016
@@ -47,6 +49,21 @@ RPDO1_COMMUNICATION_PARAMETER: Final = 0x1400
 RPDO1_MAPPING_PARAMETER: Final = 0x1600
 TPDO1_COMMUNICATION_PARAMETER: Final = 0x1800
 TPDO1_MAPPING_PARAMETER: Final = 0x1A00
+
+COMMUNICATION_AREA: Final = range(0x1000, 0x2000)
+"""The communication profile area. CiA 301 v4.2.0, table 41; so with the next two."""
+MANUFACTURER_AREA: Final = range(0x2000, 0x6000)
+PROFILE_AREA: Final = range(0x6000, 0xA000)
+"""The objects of the device profiles: eight logical devices (or axes), 0x800 indices each."""
+
+SDO_SERVERS: Final = range(0x1200, 0x1280)
+SDO_CLIENTS: Final = range(0x1280, 0x1300)
+RPDO_COMMUNICATION: Final = range(0x1400, 0x1600)
+RPDO_MAPPINGS: Final = range(0x1600, 0x1800)
+TPDO_COMMUNICATION: Final = range(0x1800, 0x1A00)
+TPDO_MAPPINGS: Final = range(0x1A00, 0x1C00)
+PDO_RECORDS: Final = range(0x1400, 0x1C00)
+"""The four before: all communication and mapping parameters."""
 
 CONCISE_DCF: Final = 0x1F22
 PROGRAM_DATA: Final = 0x1F50

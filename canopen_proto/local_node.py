@@ -51,6 +51,7 @@ from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
+from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
@@ -73,8 +74,6 @@ from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
 
 ALL_OBJECTS: Final = range(0x10000)
-COMMUNICATION_OBJECTS: Final = range(0x1000, 0x2000)
-"""The communication profile area, which a communication reset puts back. CiA 301 v4.2.0, 7.3.2.2.1."""
 
 COMMUNICATION_ERROR: Final = 1
 """Subindex of 0x1029: CAN off the bus, a lost heartbeat, life guarding. The further ones are the device profile's: in CiA 401
@@ -126,7 +125,7 @@ class LocalNode(Group):
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
         self._errors = CommunicationErrors(self.communication.emcy)
         parts: tuple[Owner, ...] = (self.pdos, self.storage, self.channels, self.communication)
-        indices = [index for index in dictionary.objects if index in COMMUNICATION_OBJECTS]
+        indices = [index for index in dictionary.objects if index in COMMUNICATION_AREA]
         self._owners = {index: next(part for part in parts if part.owns(index)) for index in indices}
         for machine in self.pdos.machines:
             self._members.attach(machine)
@@ -185,7 +184,7 @@ class LocalNode(Group):
         variable = self.dictionary.variable((index, subindex))
         variable.encode(value)
         variable.check_limits(value)
-        if index not in COMMUNICATION_OBJECTS:
+        if index not in COMMUNICATION_AREA:
             self.values.store[variable.mux] = value
             self.pdos.trigger(variable.mux, now)
             return
@@ -365,8 +364,9 @@ class LocalNode(Group):
             emcy.reset()
             self.application.reset(now)
         else:
-            self.values.reset(COMMUNICATION_OBJECTS.start, COMMUNICATION_OBJECTS.stop - 1)
-            self.storage.put_back(COMMUNICATION_OBJECTS)
+            # A communication reset puts back this area only. CiA 301 v4.2.0, 7.3.2.2.1
+            self.values.reset(COMMUNICATION_AREA.start, COMMUNICATION_AREA.stop - 1)
+            self.storage.put_back(COMMUNICATION_AREA)
             emcy.clear_history()
         self._errors.clear(now)
         self._start(now)

@@ -51,9 +51,9 @@ ON_COMMAND: Final = 0x01
 
 GROUPS: Final[Mapping[int, Collection[int]]] = {
     1: range(0x1000, 0x10000),
-    2: range(0x1000, 0x2000),
-    3: range(0x6000, 0xA000),
-    **dict.fromkeys(range(4, 128), range(0x2000, 0x6000)),
+    2: indices.COMMUNICATION_AREA,
+    3: indices.PROFILE_AREA,
+    **dict.fromkeys(range(4, 128), indices.MANUFACTURER_AREA),
 }
 ALL_INDICES: Final = range(0x10000)
 NO_PARAMETERS: Final = frozenset(

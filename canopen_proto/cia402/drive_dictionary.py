@@ -28,6 +28,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Final, NamedTuple
 
+from canopen_proto import indices
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.homing_run import METHODS
 from canopen_proto.cia402.servo import FALLBACKS, Shape
@@ -96,7 +97,10 @@ _ONLY: Final = {
 }  # fmt: skip
 """The CiA 402 objects of each shape. (The real Powerball has some more, which mean nothing to a simulation.)"""
 
-_ONLY_COMMUNICATION: Final = {Shape.STANDARD: (0x1006, 0x1019), Shape.SCHUNK_POWERBALL: (0x100C, 0x100D)}
+_ONLY_COMMUNICATION: Final = {
+    Shape.STANDARD: (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE),
+    Shape.SCHUNK_POWERBALL: (indices.GUARD_TIME, indices.LIFE_TIME_FACTOR),
+}
 _HEARTBEAT_CONSUMERS: Final = {Shape.STANDARD: 4, Shape.SCHUNK_POWERBALL: 3}
 _RPDO_SUBINDICES: Final = {Shape.STANDARD: (1, 2, 3, 5), Shape.SCHUNK_POWERBALL: (1, 2)}
 """Subindex 5, the event time, lets a drive notice that its RPDO stays away."""
@@ -135,28 +139,30 @@ def drive_dictionary(shape: Shape = Shape.STANDARD) -> ObjectDictionary:
 def _communication(shape: Shape) -> list[Object]:
     """Return the objects that CiA 301 asks for, and those that a master of these drives uses."""
     single: dict[int, Value | None] = {
-        0x1000: _DEVICE_TYPE,
-        0x1001: None,
-        0x1005: None,
-        0x1008: _NAMES[shape],
-        0x1009: "simulation",
-        0x100A: "1",
-        0x1014: None,
-        0x1015: None,
-        0x1017: None,
+        indices.DEVICE_TYPE: _DEVICE_TYPE,
+        indices.ERROR_REGISTER: None,
+        indices.COB_ID_SYNC: None,
+        indices.MANUFACTURER_DEVICE_NAME: _NAMES[shape],
+        indices.MANUFACTURER_HARDWARE_VERSION: "simulation",
+        indices.MANUFACTURER_SOFTWARE_VERSION: "1",
+        indices.COB_ID_EMERGENCY: None,
+        indices.INHIBIT_TIME_EMERGENCY: None,
+        indices.PRODUCER_HEARTBEAT_TIME: None,
     }
     single |= dict.fromkeys(_ONLY_COMMUNICATION[shape])
     described = [standard_object(index, value) for index, value in single.items()]
     described += [
-        standard_object(0x1003, highest=8),
-        standard_object(0x1016, highest=_HEARTBEAT_CONSUMERS[shape]),
-        standard_object(0x1018, highest=4, defaults={1: _VENDOR_IDS[shape], 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}),
-        standard_object(0x1200, highest=2),
+        standard_object(indices.PREDEFINED_ERROR_FIELD, highest=8),
+        standard_object(indices.CONSUMER_HEARTBEAT_TIME, highest=_HEARTBEAT_CONSUMERS[shape]),
+        standard_object(
+            indices.IDENTITY_OBJECT, highest=4, defaults={1: _VENDOR_IDS[shape], 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}
+        ),
+        standard_object(indices.SDO_SERVER_PARAMETER, highest=2),
     ]
     for number in range(4):
         rpdo, tpdo = RPDO1 + number * _CHANNEL, (TPDO1 + number * _CHANNEL) | COB_ID_NO_RTR
-        described += _pdo(0x1400 + number, rpdo, _RPDO_SUBINDICES[shape], _RPDOS[shape][number])
-        described += _pdo(0x1800 + number, tpdo, _TPDO_SUBINDICES, _TPDOS[shape][number])
+        described += _pdo(indices.RPDO1_COMMUNICATION_PARAMETER + number, rpdo, _RPDO_SUBINDICES[shape], _RPDOS[shape][number])
+        described += _pdo(indices.TPDO1_COMMUNICATION_PARAMETER + number, tpdo, _TPDO_SUBINDICES, _TPDOS[shape][number])
     return described
 
 

@@ -44,12 +44,10 @@ NO_DOWNLOAD: Final = 1
 """ObjFlags, bit 0: refuses to be written by a download. CiA 306-1."""
 
 _RPDO, _TPDO = indices.RPDO1_COMMUNICATION_PARAMETER, indices.TPDO1_COMMUNICATION_PARAMETER  # first communication parameters
-_PDO_RECORDS: Final = range(0x1400, 0x1C00)
 _TO_MAPPING: Final = 0x200
 _RESERVED_SUBINDEX: Final = 4
 MPDO_COUNTS: Final = (0xFE, 0xFF)
 """Mapping counts that make a PDO a multiplexed one, of one entry. CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38."""
-_COMMUNICATION: Final = range(0x1000, 0x2000)
 
 NOT_SETTINGS: Final = {
     indices.PREDEFINED_ERROR_FIELD: "a history",
@@ -98,7 +96,7 @@ def _zero(value: int) -> int:
 
 
 SWITCHES: Final = (
-    Switch(range(_RPDO, _RPDO + _TO_MAPPING), range(1, 2), _invalid),
+    Switch(indices.RPDO_COMMUNICATION, range(1, 2), _invalid),
     Switch(range(_TPDO, _TPDO + _TO_MAPPING), range(1, 2), _invalid),
     Switch(range(0x1005, 0x1006), range(1), lambda value: value & ~PRODUCES),
     Switch(range(0x1006, 0x1007), range(1), _zero),  # 0x1019 may change only while it is 0
@@ -202,8 +200,8 @@ class _Order:
     def _settings(self, key: Mux, value: Value) -> Iterator[tuple[tuple[int, ...], Write]]:
         """The writes of what is no switch, each with its place among all of them."""
         index, subindex = split_mux(key)
-        area = 0 if index in _COMMUNICATION else 1
-        if index not in _PDO_RECORDS:
+        area = 0 if index in indices.COMMUNICATION_AREA else 1
+        if index not in indices.PDO_RECORDS:
             yield (area, index, subindex), self._write(key, value)
         elif not index & _TO_MAPPING:
             yield (area, index, 1, subindex), self._write(key, value)
@@ -221,7 +219,7 @@ class _Order:
         counts: dict[int, int] = {}
         for key in sorted(self.values):
             index, subindex = split_mux(key)
-            if index not in _PDO_RECORDS or not index & _TO_MAPPING or not subindex:
+            if index not in indices.PDO_RECORDS or not index & _TO_MAPPING or not subindex:
                 continue
             if index not in counts:
                 self._add_implied(mux(index))
@@ -258,7 +256,7 @@ def reason_to_leave_out(parent: Object, variable: Variable) -> str:
         return "read-only"
     if (variable.object_flags | parent.object_flags) & NO_DOWNLOAD:
         return "its ObjFlags forbid a download"
-    if variable.index in _PDO_RECORDS and not variable.index & _TO_MAPPING and variable.subindex == _RESERVED_SUBINDEX:
+    if variable.index in indices.PDO_RECORDS and not variable.index & _TO_MAPPING and variable.subindex == _RESERVED_SUBINDEX:
         return "reserved"
     return NOT_SETTINGS.get(variable.index, "")
 
@@ -281,7 +279,7 @@ def _switch_at(key: Mux) -> tuple[int, Switch | None]:
 def switches_of(key: Mux) -> tuple[Mux, ...]:
     """The switches that must be off when this object is written."""
     index, subindex = split_mux(key)
-    if index in _PDO_RECORDS:
+    if index in indices.PDO_RECORDS:
         return (mux(index & ~_TO_MAPPING, 1),)
     if index == indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
         return (mux(indices.COMMUNICATION_CYCLE_PERIOD),)

@@ -35,10 +35,8 @@ from canopen_proto.multiplexer import Mux, mux
 IO_PROFILE: Final = 401
 DRIVE_PROFILE: Final = 402
 _PROFILE_MASK: Final = 0xFFFF
-_COMMUNICATION: Final = range(0x1000, 0x2000)
-_ERROR_STATE: Final = (indices.ERROR_REGISTER, 0x1002, indices.PREDEFINED_ERROR_FIELD)
+_ERROR_STATE: Final = (indices.ERROR_REGISTER, indices.MANUFACTURER_STATUS_REGISTER, indices.PREDEFINED_ERROR_FIELD)
 """Error register, manufacturer status register, history: they tell what is, whether a PDO may carry them or not."""
-_AXES: Final = range(0x6000, 0xA000)
 _PER_AXIS: Final = 0x800
 
 _SET_POINTS: Final[Mapping[int, Collection[int]]] = {
@@ -62,8 +60,6 @@ _OUTPUTS: Final = (
     range(0x6410, 0x6415),  # analogue ones: 8, 16, 32 bits, REAL32, the manufacturer's form
 )
 """Of CiA 401."""
-
-_RPDO, _RPDO_MAPPING, _RPDOS = indices.RPDO1_COMMUNICATION_PARAMETER, indices.RPDO1_MAPPING_PARAMETER, 512
 
 
 class Role(StrEnum):
@@ -101,7 +97,7 @@ def role_of(
         return Role.PROCESS if variable.pdo_mappable else Role.FIXED
     if reason:
         return Role.COMMAND
-    if variable.index in _COMMUNICATION:
+    if variable.index in indices.COMMUNICATION_AREA:
         return Role.COMMUNICATION
     if variable.mux in carried or _is_output(variable.index, variable.subindex, profile):
         return Role.PROCESS
@@ -125,21 +121,21 @@ def profile_in(values: Mapping[Mux, Value]) -> int | None:
 def carried_in(values: Mapping[Mux, Value]) -> frozenset[int]:
     """The muxes that the valid RPDOs carry of a device that holds these values. An RPDO of unknown COB-ID counts as valid."""
     found: set[int] = set()
-    for number in range(_RPDOS):
-        count = values.get(mux(_RPDO_MAPPING + number))
-        cob_id = values.get(mux(_RPDO + number, 1), 0)
+    for number in range(len(indices.RPDO_MAPPINGS)):
+        count = values.get(mux(indices.RPDO_MAPPINGS.start + number))
+        cob_id = values.get(mux(indices.RPDO_COMMUNICATION.start + number, 1), 0)
         if not isinstance(count, int) or (isinstance(cob_id, int) and cob_id & COB_ID_INVALID):
             continue
         for subindex in range(1, min(count, 64) + 1):
-            entry = values.get(mux(_RPDO_MAPPING + number, subindex))
+            entry = values.get(mux(indices.RPDO_MAPPINGS.start + number, subindex))
             if isinstance(entry, int):
                 found.add(entry >> 8)
     return frozenset(found)
 
 
 def _is_output(index: int, subindex: int, profile: int | None) -> bool:
-    if profile in (DRIVE_PROFILE, None) and index in _AXES:
-        first_axis = 0x6000 + (index - 0x6000) % _PER_AXIS
+    if profile in (DRIVE_PROFILE, None) and index in indices.PROFILE_AREA:
+        first_axis = indices.PROFILE_AREA.start + (index - indices.PROFILE_AREA.start) % _PER_AXIS
         if subindex in _SET_POINTS.get(first_axis, ()):
             return True
     return profile in (IO_PROFILE, None) and any(index in each for each in _OUTPUTS)

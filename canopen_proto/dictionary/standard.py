@@ -26,6 +26,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary.model import Access, Object, ObjectNotFound, ObjectType, Variable
 
@@ -246,7 +247,7 @@ _ROW: Final = re.compile(
 )
 _AXIS_SPACING: Final = 0x800
 _FURTHER_AXES: Final = range(0x6800, 0xA000)
-_RECORDS: Final = (range(0x1018, 0x1019), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_RECORDS: Final = (range(0x1018, 0x1019), indices.RPDO_MAPPINGS, indices.TPDO_MAPPINGS)
 """Objects whose fields are all of one type and which are records all the same."""
 
 

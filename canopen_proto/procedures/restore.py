@@ -75,15 +75,14 @@ _Match: TypeAlias = Callable[[HeartbeatReceived], bool]
 _PDO_COB_IDS: Final = frozenset(
     mux(index, 1)
     for index in (
-        *range(indices.RPDO1_COMMUNICATION_PARAMETER, indices.RPDO1_MAPPING_PARAMETER),
-        *range(indices.TPDO1_COMMUNICATION_PARAMETER, indices.TPDO1_MAPPING_PARAMETER),
+        *indices.RPDO_COMMUNICATION,
+        *indices.TPDO_COMMUNICATION,
     )
 )
-_PDO_RECORDS: Final = range(0x1400, 0x1C00)
 _TO_MAPPING: Final = 0x200
 NOT_READ: Final = "could not be read"
 """Why a plan leaves an object out: its present value is not known."""
-_MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_MAPPINGS: Final = (indices.RPDO_MAPPINGS, indices.TPDO_MAPPINGS)
 _COMMAND_TO: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
     NmtState.STOPPED: NmtCommand.STOP,
@@ -274,7 +273,7 @@ def _blind(wanted: Mapping[Mux, Value], unread: Collection[Mux]) -> list[Mux]:
 
     def unit(key: Mux) -> int:
         index = index_of(key)
-        return index & ~_TO_MAPPING if index in _PDO_RECORDS else key
+        return index & ~_TO_MAPPING if index in indices.PDO_RECORDS else key
 
     units = {unit(key) for key in unread}
     return [key for key in wanted if unit(key) in units or any(each in unread for each in switches_of(key))]

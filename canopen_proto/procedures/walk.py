@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, integer_type
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
@@ -28,7 +29,7 @@ from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
 from canopen_proto.remote_node import RemoteNode
 
-COMMUNICATION: Final = range(0x1000, 0x2000)
+COMMUNICATION: Final = indices.COMMUNICATION_AREA
 """The communication profile area; CiA 301 v4.2.0, table 41."""
 DEFAULT_RANGES: Final = (COMMUNICATION, range(0x2000, 0x2400), range(0x6000, 0x6800))
 """Communication objects, the first manufacturer-specific objects, the first device of the standardised profile area."""

@@ -52,8 +52,7 @@ from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.transfer import Transfer
 
-FURTHER_SERVERS: Final = range(indices.SDO_SERVER_PARAMETER + 1, indices.SDO_CLIENT_1_PARAMETER)
-CLIENTS: Final = range(indices.SDO_CLIENT_1_PARAMETER, 0x1300)
+FURTHER_SERVERS: Final = indices.SDO_SERVERS[1:]
 
 # subindices of a record
 TO_SERVER: Final = 1
@@ -78,7 +77,7 @@ def is_dynamic(mux: Mux, value: Value) -> bool:
 
 def _allowed(index: int, subindex: int) -> Container[int]:
     """Return the restricted CAN-IDs that a record may have."""
-    return _FIRST_SERVERS[subindex] if index in CLIENTS else ()
+    return _FIRST_SERVERS[subindex] if index in indices.SDO_CLIENTS else ()
 
 
 def channel_of(values: Values, index: int) -> tuple[RoutingKey, RoutingKey] | None:
@@ -169,7 +168,7 @@ class SdoChannels(Owner):
             if index in FURTHER_SERVERS:
                 server = self.servers[index - indices.SDO_SERVER_PARAMETER + 1] = SdoServer(out, node_id, store)
                 server.set_channel(None)
-            elif index in CLIENTS:
+            elif index in indices.SDO_CLIENTS:
                 self.clients[index - indices.SDO_CLIENT_1_PARAMETER + 1] = ChannelClient(out, node_id, index)
         for each in self.servers.values():
             each.disable()
@@ -179,7 +178,7 @@ class SdoChannels(Owner):
     @staticmethod
     def owns(index: int) -> bool:
         """Return whether an object is the record of a channel: then its writes are checked and applied here."""
-        return index in FURTHER_SERVERS or index in CLIENTS
+        return index in FURTHER_SERVERS or index in indices.SDO_CLIENTS
 
     def set_enabled(self, lives: bool, now: Time) -> None:
         """Whether SDO lives in the node's NMT state."""

@@ -24,7 +24,7 @@ from canopen_proto.machine import LocalProtocolError, check_node_id
 from canopen_proto.multiplexer import Mux, split_mux
 
 _CAN_ID: Final = 0x7FF
-_PDO_RECORDS: Final = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
+_PDO_RECORDS: Final = (indices.RPDO_COMMUNICATION, indices.TPDO_COMMUNICATION)
 _PDO_BASES: Final = (TPDO1, RPDO1, TPDO2, RPDO2, TPDO3, RPDO3, TPDO4, RPDO4)
 _OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
 

@@ -21,9 +21,6 @@ EDS_VERSION: Final = "4.0"
 """EDSVersion of the files that are written, as CiA 306 names it."""
 MANDATORY: Final = (indices.DEVICE_TYPE, indices.ERROR_REGISTER, indices.IDENTITY_OBJECT)
 """The objects that every device has. CiA 301 v4.2.0, 7.5.1."""
-MANUFACTURER: Final = range(0x2000, 0x6000)
-_RPDOS: Final = range(0x1400, 0x1600)
-_TPDOS: Final = range(0x1800, 0x1A00)
 _PDO_GRANULARITY: Final = 8
 """Bits: mapping entries are whole bytes. CiA 306-1: 0 means no mapping at all, 1 single bits."""
 
@@ -36,11 +33,11 @@ def describe(
     device_info: taken as given; identity, number of PDOs and granularity that it lacks come from the dictionary.
     """
     info = device_info or DeviceInfo()
-    indices = tuple(sorted(dictionary.objects))
+    places = tuple(sorted(dictionary.objects))
     names = (info.vendor_number, info.product_number, info.revision_number)
     identity = [_identity(dictionary, subindex) if given is None else given for subindex, given in enumerate(names, start=1)]
-    rpdos = sum(index in _RPDOS for index in indices)
-    tpdos = sum(index in _TPDOS for index in indices)
+    rpdos = sum(index in indices.RPDO_COMMUNICATION for index in places)
+    tpdos = sum(index in indices.TPDO_COMMUNICATION for index in places)
     info = replace(
         info,
         vendor_number=identity[0],
@@ -56,9 +53,9 @@ def describe(
         source=dictionary.source,
         file_info=file_info or FileInfo(file_version=1, eds_version=EDS_VERSION),
         device_info=info,
-        mandatory=tuple(index for index in indices if index in MANDATORY),
-        optional=tuple(index for index in indices if index not in MANDATORY and index not in MANUFACTURER),
-        manufacturer=tuple(index for index in indices if index in MANUFACTURER),
+        mandatory=tuple(index for index in places if index in MANDATORY),
+        optional=tuple(index for index in places if index not in MANDATORY and index not in indices.MANUFACTURER_AREA),
+        manufacturer=tuple(index for index in places if index in indices.MANUFACTURER_AREA),
     )
 
 

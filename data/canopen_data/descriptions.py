@@ -22,8 +22,6 @@ __all__ = ["load_description", "load_description_with_names", "read_file", "samp
 
 SUFFIXES: Final = (".eds", ".dcf", ".xdd", ".xdc")
 DRIVE_PROFILE: Final = 402
-PROFILE_AREA: Final = 0x6000
-"""From here on, the meaning of an index depends on the device profile (CiA 301 v4.2.0, table 41)."""
 
 _SAMPLES: Final = resources.files("canopen_data") / "samples"
 
@@ -74,14 +72,15 @@ def with_names(description: DeviceDescription, names: ObjectDictionary) -> Devic
     whole = description.dictionary
     if _is_drive(whole):
         return replace(description, dictionary=whole.with_names_of(names))
+    # From the profile area on, the meaning of an index depends on the device profile (CiA 301 v4.2.0, table 41)
     common = ObjectDictionary(
-        [each for each in whole.objects.values() if each.index < PROFILE_AREA],
+        [each for each in whole.objects.values() if each.index < indices.PROFILE_AREA.start],
         constants={each.mux: whole.constants_of(each) for each in whole},
         pdos=whole.pdos,
         fillers=whole.fillers.values(),
         source=whole.source,
     )
-    rest = [each for each in whole.objects.values() if each.index >= PROFILE_AREA]
+    rest = [each for each in whole.objects.values() if each.index >= indices.PROFILE_AREA.start]
     return replace(description, dictionary=common.with_names_of(names).with_objects(rest))
 
 

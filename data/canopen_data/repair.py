@@ -32,6 +32,7 @@ from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer_document import changed_text
 from canopen_data.eds.writer_sections import OBJECT_LISTS, Entries, Sections, sections_of
 from canopen_data.findings import Finding, Severity
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, is_integer
 from canopen_proto.dictionary.objects import Access, Variable
 from canopen_proto.machine import LocalProtocolError
@@ -44,7 +45,6 @@ _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER: Final = re.compile(r"(\$NODEID\+)?(0[xX][0-9A-Fa-f]+|-?[0-9]+)", re.ASCII)
 _PLACE: Final = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
 _COMPACT: Final = "compactsubobj"
-_PDO_RECORDS: Final = range(0x1400, 0x1C00)
 MAX_TOLD: Final = 6
 """Objects that one repair lists."""
 
@@ -242,7 +242,7 @@ class _Repairs:
         compact = there.get(_COMPACT)
         if compact is not None and _number_of(compact[0]) != 0:
             return False
-        return not (self.description.device_info.compact_pdo and int(place[1], 16) in _PDO_RECORDS)
+        return not (self.description.device_info.compact_pdo and int(place[1], 16) in indices.PDO_RECORDS)
 
     def _is_number(self, place: re.Match[str], key: str) -> bool:
         """Return whether a key holds a whole number in this object."""

@@ -40,6 +40,7 @@ from canopen_proto.frame import (
     frame_for_key,
     key_of_cob_id,
 )
+from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD, GUARD_TIME, PRODUCER_HEARTBEAT_TIME
 from canopen_proto.machine import MILLISECOND, SECOND, Time, check_node_id
 from canopen_proto.network import Network
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
@@ -135,12 +136,12 @@ class Bench:
     @property
     def emcy_key(self) -> int:
         """The CAN-ID of its emergencies after a reset; the predefined one if the dictionary has none."""
-        return key_of_cob_id(self.default(0x1014)) or EMCY + self.node_id
+        return key_of_cob_id(self.default(COB_ID_EMERGENCY)) or EMCY + self.node_id
 
     @property
     def sync_key(self) -> int:
         """The CAN-ID of SYNC after a reset; the predefined one if the dictionary has none."""
-        return key_of_cob_id(self.default(0x1005)) or SYNC
+        return key_of_cob_id(self.default(COB_ID_SYNC)) or SYNC
 
     def default(self, index: int, subindex: int = 0) -> int:
         """Return the unsigned number that an object holds after a reset; 0 if the dictionary has none."""
@@ -172,7 +173,7 @@ class Bench:
 
     def check_emergency(self) -> None:
         """End the case as not applicable if the device sends no emergency messages after a reset."""
-        cob_id = self.default(0x1014)
+        cob_id = self.default(COB_ID_EMERGENCY)
         if cob_id & COB_ID_INVALID or not cob_id & 0x1FFF_FFFF:
             does_not_apply("0x1014:00 has no valid COB-ID by default")
 
@@ -207,16 +208,16 @@ class Bench:
 
     def supervise(self) -> Procedure[None]:
         """Make the NMT state visible: by heartbeat if the device has one, else `state` uses guarding."""
-        if self.dictionary.has_index(0x1017):
-            yield from self.write(0x1017, 0, SUPERVISION_PERIOD // MILLISECOND)
-        elif not self.dictionary.has_index(0x100C):
+        if self.dictionary.has_index(PRODUCER_HEARTBEAT_TIME):
+            yield from self.write(PRODUCER_HEARTBEAT_TIME, 0, SUPERVISION_PERIOD // MILLISECOND)
+        elif not self.dictionary.has_index(GUARD_TIME):
             does_not_apply("the device has neither a heartbeat nor guarding: nothing shows its NMT state")
 
     def state(self) -> Procedure[NmtState]:
         """Return the NMT state that the device shows; call `supervise` before."""
         key = self.error_control_key
         self.probe.forget(key)
-        if not self.dictionary.has_index(0x1017):
+        if not self.dictionary.has_index(PRODUCER_HEARTBEAT_TIME):
             yield from self.send_remote(key, 1)
         heard = yield from self.next_frame(key, ANSWER_TIME, "a sign of the NMT state")
         data = heard.frame.data
@@ -317,12 +318,13 @@ class Bench:
         A producer is silent then: our SYNC must be the only one. And 0x1019 may change only while the period is 0 (7.5.2.22). If
         a producer refuses, it is made a consumer by bit 30 of 0x1005.
         """
-        if not self.dictionary.has_index(0x1006) or not (yield from self.number(0x1006)):
+        if not self.dictionary.has_index(COMMUNICATION_CYCLE_PERIOD) or not (yield from self.number(COMMUNICATION_CYCLE_PERIOD)):
             return
-        if (yield from self.refusal_of_write(0x1006, 0, 0)) is not None and self.dictionary.has_index(0x1005):
-            cob_id = yield from self.number(0x1005)
+        refusal = yield from self.refusal_of_write(COMMUNICATION_CYCLE_PERIOD, 0, 0)
+        if refusal is not None and self.dictionary.has_index(COB_ID_SYNC):
+            cob_id = yield from self.number(COB_ID_SYNC)
             if cob_id & SYNC_PRODUCER:
-                yield from self.write(0x1005, 0, cob_id & ~SYNC_PRODUCER)
+                yield from self.write(COB_ID_SYNC, 0, cob_id & ~SYNC_PRODUCER)
 
     # ---- objects by SDO ----
 

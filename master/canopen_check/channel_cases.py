@@ -19,10 +19,11 @@ from canopen_check.storing_cases import save
 from canopen_proto.cob_id import is_valid
 from canopen_proto.dictionary import Variable
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
+from canopen_proto.indices import SDO_CLIENTS
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.channels import CLIENTS, FURTHER_SERVERS, TO_CLIENT, TO_SERVER
+from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
 
 TRIAL_TO_SERVER: Final = 0x6D0
@@ -117,8 +118,8 @@ def servers_after_reset(bench: Bench) -> Procedure[str]:
 
 def saved_clients(bench: Bench) -> Procedure[str]:
     """2.30: saved values of the records are there after reset communication. The case ends with the values saved before."""
-    yield from read_records(bench, CLIENTS)
-    found = configurable(bench, CLIENTS)
+    yield from read_records(bench, SDO_CLIENTS)
+    found = configurable(bench, SDO_CLIENTS)
     if not found:
         does_not_apply("no SDO client has COB-IDs that can be written")
     before = []

@@ -29,6 +29,7 @@ from canopen_check.sdo_cases import (
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.download_order import NO_DOWNLOAD
+from canopen_proto.indices import COMMUNICATION_AREA, ERROR_REGISTER, MANUFACTURER_STATUS_REGISTER
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 
@@ -38,7 +39,7 @@ FIRST_OF_MAKER: Final = 0x2000
 STRUCTURE: Final = 0xFF
 """The subindex that holds data type and object type."""
 
-LIVING: Final = (0x1001, 0x1002, *NEVER_WRITTEN)
+LIVING: Final = (ERROR_REGISTER, MANUFACTURER_STATUS_REGISTER, *NEVER_WRITTEN)
 
 
 def with_default(bench: Bench) -> Iterator[Variable]:
@@ -153,7 +154,7 @@ def check_limits(bench: Bench) -> Procedure[str]:
         place = variable.index, variable.subindex
         code = yield from bench.refusal_of_write(*place, variable.encode(beyond))
         expect_refusal(code, codes, f"writing {beyond} to {variable.label}")
-        if not 0x1000 <= variable.index < FIRST_OF_MAKER:
+        if variable.index not in COMMUNICATION_AREA:
             code = yield from bench.refusal_of_write(*place, variable.encode(within))
             is_lacking = variable.index >= 0x6000 and code == AbortCode.INVALID_VALUE
             expect(code is None or is_lacking, f"writing {within}, its limit, to {variable.label} was refused")
@@ -208,7 +209,7 @@ def compare_after_reset_communication(bench: Bench) -> Procedure[str]:
     before = yield from change_settings(bench)
     yield from bench.reset(NmtCommand.RESET_COMMUNICATION)
     yield from expect_put_back(bench, before)
-    return (yield from expect_defaults(bench, (variable for variable in with_default(bench) if variable.index < 0x2000)))
+    return (yield from expect_defaults(bench, (variable for variable in with_default(bench) if variable.index < FIRST_OF_MAKER)))
 
 
 CASES: Final = (

@@ -17,6 +17,7 @@ from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto import indices
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
 from canopen_proto.guarding import TOGGLE
+from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
@@ -187,7 +188,7 @@ CASES: Final = (
     Case("7.3", "Guarding 03", "Check the toggle bit", toggle, _GUARDING),
     Case("7.4", "Guarding 04", "Check that only the own guarding CAN-ID is answered", other_ids, _GUARDING),
     Case("7.5", "Guarding 05", "Write 0x100C and 0x100D", write_objects, _GUARDING),
-    Case("7.6", "Guarding 06", "Test life guarding", life_guarding, (*_GUARDING, 0x1014)),
+    Case("7.6", "Guarding 06", "Test life guarding", life_guarding, (*_GUARDING, COB_ID_EMERGENCY)),
     Case("7.201", "Heartbeat versus guarding 01", "Check the heartbeat and guarding objects", one_of_both),
     Case("7.202", "Heartbeat versus guarding 02", "Switch off the heartbeat", heartbeat_off, _BOTH),
     Case("7.203", "Heartbeat versus guarding 03", "Test node guarding", guarding_instead, _BOTH),

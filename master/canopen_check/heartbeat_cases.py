@@ -12,6 +12,7 @@ from canopen_check.expectations import LateOrEarly, Violation, does_not_apply, e
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
+from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
@@ -167,7 +168,7 @@ def monitor_after_reset(bench: Bench) -> Procedure[None]:
         raise Violation("the device's own heartbeat did not come meanwhile")
 
 
-_MONITORING: Final = (CONSUMER, 0x1014)
+_MONITORING: Final = (CONSUMER, COB_ID_EMERGENCY)
 
 CASES: Final = (
     Case("7.101", "Heartbeat 01", "Write 0x1017:00", write_period, (PRODUCER,)),

@@ -33,6 +33,7 @@ from canopen_proto import indices
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR
+from canopen_proto.indices import COB_ID_SYNC
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
@@ -277,9 +278,9 @@ _KINDS: Final[tuple[tuple[str, Callable[[NmtState, Bench], Procedure[str | None]
     ("request TPDOs by RTR, if allowed", answers_requests, ()),
     ("configure TPDOs for event-driven mode", event_driven, ()),
     ("configure the event timer of TPDOs", event_timer, ()),
-    ("configure TPDOs for SYNC (cyclic) mode", cyclic, (0x1005,)),
-    ("configure TPDOs for SYNC (acyclic) mode", acyclic, (0x1005,)),
-    ("configure TPDOs for SYNC (cyclic) mode and a SYNC start value", sync_start_value, (0x1005, SYNC_OVERFLOW)),
+    ("configure TPDOs for SYNC (cyclic) mode", cyclic, (COB_ID_SYNC,)),
+    ("configure TPDOs for SYNC (acyclic) mode", acyclic, (COB_ID_SYNC,)),
+    ("configure TPDOs for SYNC (cyclic) mode and a SYNC start value", sync_start_value, (COB_ID_SYNC, SYNC_OVERFLOW)),
 )
 _STATES: Final = ((3, NmtState.OPERATIONAL), (9, NmtState.STOPPED), (15, NmtState.PRE_OPERATIONAL))
 

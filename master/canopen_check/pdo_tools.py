@@ -10,6 +10,7 @@ from canopen_check.expectations import does_not_apply
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
+from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import (
@@ -182,5 +183,5 @@ def process_objects(bench: Bench, access: Sequence[Access], *, mappable: bool = 
         and variable.pdo_mappable == mappable
         and variable.bit_length is not None
         and variable.data_type is not DataType.DOMAIN
-        and (mappable or not 0x1000 <= variable.index < 0x2000)
+        and (mappable or variable.index not in COMMUNICATION_AREA)
     ]

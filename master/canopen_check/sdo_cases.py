@@ -28,6 +28,7 @@ from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, range_of
 from canopen_proto.dictionary import Variable
+from canopen_proto.indices import GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DEFAULT_PARAMETERS, STORE_PARAMETERS
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT
@@ -50,7 +51,7 @@ ERROR_HISTORY: Final = indices.PREDEFINED_ERROR_FIELD
 HEARTBEAT: Final = indices.PRODUCER_HEARTBEAT_TIME
 SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
-NEVER_WRITTEN: Final = (0x1003, 0x1010, 0x1011)
+NEVER_WRITTEN: Final = (ERROR_HISTORY, STORE_PARAMETERS, RESTORE_DEFAULT_PARAMETERS)
 """Objects that act when they are written, and do not hold the value."""
 
 ANY_TIME: Final = 0x0155
@@ -63,7 +64,12 @@ def settings(bench: Bench) -> Iterator[Variable]:
     """Return the objects of the communication area that keep a written value."""
     for variable in bench.dictionary:
         access = variable.access
-        if 0x1000 <= variable.index < 0x2000 and variable.index not in NEVER_WRITTEN and access.readable and access.writable:
+        if (
+            variable.index in indices.COMMUNICATION_AREA
+            and variable.index not in NEVER_WRITTEN
+            and access.readable
+            and access.writable
+        ):
             yield variable
 
 
@@ -74,7 +80,7 @@ def takes_any_time(variable: Variable) -> bool:
         return False
     place = place_of(variable.index)
     is_event_timer = place is not None and not place.is_mapping and variable.subindex == EVENT_TIMER
-    return is_event_timer or variable.index in (0x100C, 0x1015, 0x1017)
+    return is_event_timer or variable.index in (GUARD_TIME, INHIBIT_TIME_EMERGENCY, HEARTBEAT)
 
 
 def long_object(bench: Bench) -> Variable:
@@ -288,12 +294,12 @@ def _write_segmented(bench: Bench, index: int) -> Procedure[None]:
 
 def write_guard_time_segmented(bench: Bench) -> Procedure[None]:
     """2.14: two bytes in one segment."""
-    yield from _write_segmented(bench, 0x100C)
+    yield from _write_segmented(bench, GUARD_TIME)
 
 
 def write_heartbeat_segmented(bench: Bench) -> Procedure[None]:
     """2.15: two bytes in one segment."""
-    yield from _write_segmented(bench, 0x1017)
+    yield from _write_segmented(bench, HEARTBEAT)
 
 
 def read_segmented(bench: Bench) -> Procedure[str]:
@@ -347,8 +353,8 @@ CASES: Final = (
     Case("2.11", "SDO 11", "Try to write too low a value", write_too_low),
     Case("2.12", "SDO 12", "Compare 0x1200:01 and 0x1200:02 with the predefined values", default_channel, (SDO_SERVER,)),
     Case("2.13", "SDO 13", "Read 0x1000:00 with a segmented transfer", read_device_type_segmented, (DEVICE_TYPE,)),
-    Case("2.14", "SDO 14", "Write 0x100C:00 segmented, if guarding is supported", write_guard_time_segmented, (0x100C,)),
-    Case("2.15", "SDO 15", "Write 0x1017:00 segmented, if heartbeat is supported", write_heartbeat_segmented, (0x1017,)),
+    Case("2.14", "SDO 14", "Write 0x100C:00 segmented, if guarding is supported", write_guard_time_segmented, (GUARD_TIME,)),
+    Case("2.15", "SDO 15", "Write 0x1017:00 segmented, if heartbeat is supported", write_heartbeat_segmented, (HEARTBEAT,)),
     Case("2.16", "SDO 16", "Check the segmented read of an object of more than 4 bytes", read_segmented),
     Case("2.17", "SDO 17", "Read an object segmented with a wrong toggle bit", wrong_toggle),
     Case("2.18", "SDO 18", "Read an object segmented", read_segmented_content),

@@ -26,6 +26,7 @@ from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable
 from canopen_check.raw_sdo import initiate
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import MAX_NODE_ID, NMT
+from canopen_proto.indices import DEVICE_TYPE, NMT_STARTUP
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtState
 from canopen_proto.pdo.settings import EVENT_TIMER
@@ -37,7 +38,6 @@ _LEADS_TO: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
     NmtState.STOPPED: NmtCommand.STOP,
 }
-STARTUP: Final = 0x1F80
 """NMT start-up: may make a device start by itself. CiA 302-2, from memory."""
 
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
@@ -49,7 +49,7 @@ _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 def expect_sdo(bench: Bench, lives: bool) -> Procedure[None]:
     """Check that the device answers SDO requests, or (lives is False) does not answer at all."""
     bench.probe.forget(bench.response_key)
-    yield from bench.send(bench.request_key, initiate(INITIATE_UPLOAD, 0x1000, 0))
+    yield from bench.send(bench.request_key, initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0))
     if lives:
         yield from bench.next_frame(bench.response_key, ANSWER_TIME, "the answer to an SDO request")
     yield from bench.expect_silence(bench.response_key, REACTION_TIME, "more than is due to an SDO request")
@@ -111,8 +111,8 @@ def expect_booted(bench: Bench, when: str) -> Procedure[None]:
     state = yield from bench.state()
     if state is NmtState.OPERATIONAL:
         itself = f"{when}, the device is OPERATIONAL: it starts by itself"
-        if bench.dictionary.has_index(STARTUP):
-            bench.notes.remark(f"{itself}, as 0x{STARTUP:04X} may tell it")
+        if bench.dictionary.has_index(NMT_STARTUP):
+            bench.notes.remark(f"{itself}, as 0x{NMT_STARTUP:04X} may tell it")
         else:
             bench.notes.beyond(False, itself)
         yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -213,9 +213,9 @@ def transition(target: NmtState, bench: Bench) -> Procedure[None]:
 
 CASES: Final = (
     Case("9.1", "State 01", "Boot-up: the parameters have their default values", boot_up),
-    Case("9.2", "State 02", "Pre-operational", pre_operational, (0x1000,)),
-    Case("9.3", "State 03", "Operational", operational, (0x1000,)),
-    Case("9.4", "State 04", "Stopped", stopped, (0x1000,)),
+    Case("9.2", "State 02", "Pre-operational", pre_operational, (DEVICE_TYPE,)),
+    Case("9.3", "State 03", "Operational", operational, (DEVICE_TYPE,)),
+    Case("9.4", "State 04", "Stopped", stopped, (DEVICE_TYPE,)),
     Case("10.1", "Transition 01", "Reset node and reset communication", resets),
     Case("10.2", "Transition 02", "Enter pre-operational", partial(transition, NmtState.PRE_OPERATIONAL)),
     Case("10.3", "Transition 03", "Start remote node", partial(transition, NmtState.OPERATIONAL)),

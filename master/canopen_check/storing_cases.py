@@ -21,6 +21,7 @@ from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Variable
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COB_ID_TIME_STAMP
 from canopen_proto.machine import SECOND
 from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STORE
 from canopen_proto.pdo.settings import COB_ID, place_of
@@ -46,8 +47,6 @@ NOT_STORED: Final = (
     AbortCode.GENERAL_ERROR,
 )
 NO_CAN_ID: Final = (AbortCode.INVALID_VALUE, AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.GENERAL_ERROR)
-
-SYNC_OBJECT, TIME_OBJECT, EMCY_OBJECT = 0x1005, 0x1012, 0x1014
 
 
 def _sign(bench: Bench, index: int, subindex: int, signature: int) -> Procedure[int | None]:
@@ -147,9 +146,9 @@ def _cob_ids(bench: Bench) -> list[tuple[Variable, int, int]]:
             flags = default & ~0x1FFF_FFFF
             is_pdo = place is not None and not place.is_mapping and variable.subindex == COB_ID
             is_channel = variable.index in FURTHER_SERVERS and variable.subindex in (TO_SERVER, TO_CLIENT)
-            if variable.index in (SYNC_OBJECT, TIME_OBJECT):
+            if variable.index in (COB_ID_SYNC, COB_ID_TIME_STAMP):
                 found.append((variable, default & 0x3FFF_FFFF, flags & 0x3FFF_FFFF))
-            elif variable.index == EMCY_OBJECT or is_pdo or is_channel:
+            elif variable.index == COB_ID_EMERGENCY or is_pdo or is_channel:
                 found.append((variable, default | COB_ID_INVALID, flags & ~COB_ID_INVALID))
     if not found:
         does_not_apply("no COB-ID can be written")

@@ -8,9 +8,10 @@ from typing import Final
 from canopen_cli.device_types import device_type_text
 from canopen_cli.values import value_text
 from canopen_data.checks.mappings import entries_of
-from canopen_data.checks.structure import COMMUNICATION_AREA, field_name
+from canopen_data.checks.structure import field_name
 from canopen_data.checks.subject import Number, Subject
 from canopen_data.description import DeviceDescription
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary.model import Direction, Object, ObjectType, Variable
 from canopen_proto.frame import COB_ID_INVALID
@@ -20,9 +21,9 @@ from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, INHIBIT_TIME, TRANSM
 
 AREAS: Final = (
     ("Data types", range(0x0001, 0x1000)),
-    ("Communication", COMMUNICATION_AREA),
-    ("Manufacturer", range(0x2000, 0x6000)),
-    ("Device profile", range(0x6000, 0xA000)),
+    ("Communication", indices.COMMUNICATION_AREA),
+    ("Manufacturer", indices.MANUFACTURER_AREA),
+    ("Device profile", indices.PROFILE_AREA),
     ("Interface profile", range(0xA000, 0xC000)),
     ("Reserved", range(0xC000, 0x10000)),
 )
@@ -183,7 +184,7 @@ def number_text(variable: Variable, value: Value | None) -> str:
         return "true" if value else "false"
     if (
         isinstance(value, int)
-        and variable.index in COMMUNICATION_AREA
+        and variable.index in indices.COMMUNICATION_AREA
         and variable.data_type is DataType.UNSIGNED32
         and value > 9
     ):
@@ -196,7 +197,7 @@ def head_of(description: DeviceDescription) -> list[tuple[str, str]]:
     """Return what the file says about the device as a whole, as (label, text)."""
     info, file, commissioning = description.device_info, description.file_info, description.commissioning
     subject = Subject(description, ())
-    device_type = subject.number(0x1000)
+    device_type = subject.number(indices.DEVICE_TYPE)
     rows = [
         ("device", info.product_name),
         ("vendor", _named(info.vendor_name, info.vendor_number)),

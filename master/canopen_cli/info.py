@@ -15,6 +15,7 @@ from canopen_cli.session import Session, open_session
 from canopen_data.description import DeviceDescription, FileKind
 from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
+from canopen_proto import indices
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, text_for_people
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
@@ -60,14 +61,18 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
     async with open_session(settings, screen) as session:
         node = session.node(node_id)
         # Every device has this object: if the node does not answer, it is not there, and the error says so.
-        device_type = int.from_bytes(await node.read_bytes(0x1000), "little")
+        device_type = int.from_bytes(await node.read_bytes(indices.DEVICE_TYPE), "little")
         facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
-        for name, index in (("name", 0x1008), ("hardware version", 0x1009), ("software version", 0x100A)):
+        for name, index in (
+            ("name", indices.MANUFACTURER_DEVICE_NAME),
+            ("hardware version", indices.MANUFACTURER_HARDWARE_VERSION),
+            ("software version", indices.MANUFACTURER_SOFTWARE_VERSION),
+        ):
             text = await _standard(node, index)
             if isinstance(text, str) and (shown := text_for_people(text, DataType.VISIBLE_STRING).rstrip("\0 ")):
                 facts[name] = (shown, shown)
         for subindex, name in IDENTITY:
-            number = await _standard(node, 0x1018, subindex)
+            number = await _standard(node, indices.IDENTITY_OBJECT, subindex)
             if isinstance(number, int):
                 facts[name] = (number, f"0x{number:08X}")
         description = session.description_of(node_id)
@@ -100,13 +105,13 @@ def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]
     device = description.device_info
     said = {"vendor-ID": device.vendor_number, "product code": device.product_number, "revision": device.revision_number}
     for subindex, name in IDENTITY:
-        variable = description.dictionary.get(0x1018, subindex)
+        variable = description.dictionary.get(indices.IDENTITY_OBJECT, subindex)
         if variable is not None and isinstance(value := _said(variable, node_id), int) and value:
             said[name] = value
     if description.kind not in (FileKind.DCF, FileKind.XDC):
         said.pop("serial number", None)
     wanted = {name: number for name, number in said.items() if number}
-    device_type = description.dictionary.get(0x1000)
+    device_type = description.dictionary.get(indices.DEVICE_TYPE)
     if device_type is not None and isinstance(value := _said(device_type, node_id), int):
         wanted = {"device type": value} | wanted
     return wanted
@@ -118,7 +123,7 @@ def _said(variable: Variable, node_id: int) -> Value | None:
 
 
 async def _add_health(node: Node, facts: Facts) -> None:
-    period = await _standard(node, 0x1017)
+    period = await _standard(node, indices.PRODUCER_HEARTBEAT_TIME)
     if node.nmt_state is None and isinstance(period, int) and period:
         with contextlib.suppress(NodeSilent):
             await node.wait_for_heartbeat(min(1.5 * period / 1000, MAX_WAIT))
@@ -127,14 +132,14 @@ async def _add_health(node: Node, facts: Facts) -> None:
         facts["NMT state"] = (state.name, state.name.lower().replace("_", "-"))
     if isinstance(period, int):
         facts["heartbeat"] = (period, f"each {period} ms" if period else "off")
-    register = await _standard(node, 0x1001)
+    register = await _standard(node, indices.ERROR_REGISTER)
     if isinstance(register, int):
         names = ", ".join(register_names(register)) if register else "no error"
         facts["error register"] = (register, f"{names}  (0x{register:02X})")
-    count = await _standard(node, 0x1003)
+    count = await _standard(node, indices.PREDEFINED_ERROR_FIELD)
     history = []
     for subindex in range(1, min(count, MAX_HISTORY) + 1 if isinstance(count, int) else 1):
-        entry = await _standard(node, 0x1003, subindex)
+        entry = await _standard(node, indices.PREDEFINED_ERROR_FIELD, subindex)
         if isinstance(entry, int):
             history.append(entry & 0xFFFF)
     if history:

@@ -17,6 +17,7 @@ from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import JointDescription, read_chains
 from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
 from canopen_master.planning import plan as plan_network
+from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
@@ -124,7 +125,11 @@ def _exchange(
 def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Screen) -> Exchange:
     """Return the PDOs of a device that are valid and not empty."""
     received, sent, events = [], [], []
-    for index in [each for each in description.dictionary.objects if 0x1400 <= each < 0x1600 or 0x1800 <= each < 0x1A00]:
+    for index in [
+        each
+        for each in description.dictionary.objects
+        if each in indices.RPDO_COMMUNICATION or each in indices.TPDO_COMMUNICATION
+    ]:
         cob_id, kind, inhibit_100us, timer_ms = (_number(description.dictionary, index, each, node_id) for each in (1, 2, 3, 5))
         count = _number(description.dictionary, index + 0x200, 0, node_id)
         bits = sum(_number(description.dictionary, index + 0x200, entry, node_id) & 0xFF for entry in range(1, count + 1))
@@ -135,7 +140,7 @@ def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Sc
         if cob_id & COB_ID_EXTENDED:
             screen.say(f"[yellow]{escape(name)}: PDO {cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier: it is left out[/]")
             continue
-        if index < 0x1800:
+        if index in indices.RPDO_COMMUNICATION:
             received.append((can_id, size))
         elif kind <= SYNCHRONOUS:
             sent.append((can_id, size))

@@ -20,16 +20,14 @@ from canopen_proto.dictionary.model import Variable
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, MAX_NODE_ID
 from canopen_proto.pdo.settings import COB_ID, place_of
 
-SDO_SERVERS: Final = range(0x1200, 0x1280)
-SDO_CLIENTS: Final = range(0x1280, 0x1300)
 DEFAULT_REQUESTS: Final = range(0x601, 0x680)
 DEFAULT_RESPONSES: Final = range(0x581, 0x600)
 """The default SDO channel of each node; a client for it uses these CAN-IDs."""
 
 PREDEFINED: Final = {
     indices.COB_ID_EMERGENCY: 0x080,
-    **{0x1400 + number: 0x200 + 0x100 * number for number in range(4)},
-    **{0x1800 + number: 0x180 + 0x100 * number for number in range(4)},
+    **{indices.RPDO1_COMMUNICATION_PARAMETER + number: 0x200 + 0x100 * number for number in range(4)},
+    **{indices.TPDO1_COMMUNICATION_PARAMETER + number: 0x180 + 0x100 * number for number in range(4)},
 }
 """CAN-IDs that the node-ID is added to by default (CiA 301 v4.2.0, 7.3.5, table 39)."""
 
@@ -80,10 +78,10 @@ def _uses(subject: Subject) -> Iterator[_Use]:
         yield from _use(subject, index, 0, service, bits)
     for index in subject.dictionary.objects:
         place = place_of(index)
-        if index in SDO_SERVERS or index in SDO_CLIENTS:
-            side = "SDO server" if index in SDO_SERVERS else "SDO client"
+        if index in indices.SDO_SERVERS or index in indices.SDO_CLIENTS:
+            side = "SDO server" if index in indices.SDO_SERVERS else "SDO client"
             for subindex, default in ((1, DEFAULT_REQUESTS), (2, DEFAULT_RESPONSES)):
-                also = default if index in SDO_CLIENTS else range(0)
+                also = default if index in indices.SDO_CLIENTS else range(0)
                 for use in _use(
                     subject, index, subindex, f"{side} 0x{index:04X}", COB_ID_INVALID, index != indices.SDO_SERVER_PARAMETER
                 ):

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from canopen_data.checks.structure import COMMUNICATION_AREA
-from canopen_data.checks.subject import ERROR, NOTICE, PROFILE_AREA, WARNING, Rule, Subject
+from canopen_data.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
 from canopen_data.findings import Finding
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType
@@ -34,7 +33,6 @@ _RESERVED_BITS: Final = {
     indices.EMERGENCY_CONSUMER: 0x4000_0000,
 }
 """By index: COB-ID EMCY, heartbeat and EMCY consumers (CiA 301 v4.2.0, 7.5.2.17, 7.5.2.19, 7.5.2.31)."""
-_TPDOS: Final = range(0x1800, 0x1A00)
 _RESERVED_SUBINDEX: Final = 4
 _CONSUMER_RANGE: Final = (0, 0x007F_FFFF)
 """The range that an entry must take: "not in use" up to node 127 with the longest time."""
@@ -60,7 +58,7 @@ def check_standard_objects(subject: Subject) -> Iterator[Finding]:
     """Check data type, access and kind of every object of a standard."""
     is_drive = subject.profile == DRIVE_PROFILE
     for each in subject.dictionary.objects.values():
-        if each.index not in COMMUNICATION_AREA and not (is_drive and each.index in PROFILE_AREA):
+        if each.index not in indices.COMMUNICATION_AREA and not (is_drive and each.index in indices.PROFILE_AREA):
             continue
         standard_is_one = find_standard(each.index, 1) is None
         if find_standard(each.index, 0 if standard_is_one else 1) is None:
@@ -79,7 +77,7 @@ def check_standard_objects(subject: Subject) -> Iterator[Finding]:
 
 def _check_against(subject: Subject, variable: Variable, standard: Variable) -> Iterator[Finding]:
     if variable.data_type is not standard.data_type and {variable.data_type, standard.data_type} != _BYTES:
-        code = "standard-type" if variable.index in COMMUNICATION_AREA else "profile-type"
+        code = "standard-type" if variable.index in indices.COMMUNICATION_AREA else "profile-type"
         if variable.size == standard.size:
             code = "standard-sign"
         text = f"it is of type {variable.data_type.name}; {standard.name} is {standard.data_type.name} to the standard"
@@ -92,7 +90,7 @@ def _check_against(subject: Subject, variable: Variable, standard: Variable) -> 
     elif variable.access is Access.WO and standard.access.readable:
         text = f"it cannot be read; {standard.name} is {standard.access} to the standard"
         yield subject.of_variable("standard-access", variable, text, "AccessType")
-    if variable.pdo_mappable and not standard.pdo_mappable and variable.index in COMMUNICATION_AREA:
+    if variable.pdo_mappable and not standard.pdo_mappable and variable.index in indices.COMMUNICATION_AREA:
         yield subject.of_variable("standard-mappable", variable, "PDOMapping=1; to the standard no PDO carries it", "PDOMapping")
 
 
@@ -100,7 +98,7 @@ def check_reserved(subject: Subject) -> Iterator[Finding]:
     """Check reserved sub-indices and bits of communication objects, and limits that forbid necessary values."""
     for variable in subject.dictionary:
         index, subindex = variable.index, variable.subindex
-        if index in _TPDOS and subindex == _RESERVED_SUBINDEX:
+        if index in indices.TPDO_COMMUNICATION and subindex == _RESERVED_SUBINDEX:
             text = "the sub-index is reserved, and no device is to have it (CiA 301, 7.5.2.37)"
             yield subject.of_variable("reserved-sub", variable, text)
         number = (
@@ -133,7 +131,7 @@ def check_profile(subject: Subject) -> Iterator[Finding]:
         for index, name in ((CONTROLWORD, "controlword"), (STATUSWORD, "statusword")):
             if index not in objects and index + 0x800 not in objects:
                 text = f"the device type says CiA 402, but there is no {name} (0x{index:04X})"
-                yield subject.of_object("drive-objects", 0x1000, text, "DefaultValue")
+                yield subject.of_object("drive-objects", indices.DEVICE_TYPE, text, "DefaultValue")
 
 
 def check_error_control(subject: Subject) -> Iterator[Finding]:

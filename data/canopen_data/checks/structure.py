@@ -27,10 +27,8 @@ MAX_NAME: Final = 241
 MAX_TOLD: Final = 4
 """Objects that one finding lists."""
 
-COMMUNICATION_AREA: Final = range(0x1000, 0x2000)
 OBJECT_AREA: Final = range(0x1000, 0xC000)
 TYPE_AREA: Final = range(0x0001, 0x1000)
-MANUFACTURER_AREA: Final = range(0x2000, 0x6000)
 STRUCTURE: Final = 0xFF
 """The subindex that describes an object's type; it is not an entry (CiA 301 v4.2.0, 7.4.1)."""
 
@@ -91,7 +89,7 @@ def _lists(subject: Subject) -> tuple[tuple[str, Sequence[int]], ...]:
 def _list_of(index: int) -> str:
     if index in MANDATORY:
         return "MandatoryObjects"
-    return "ManufacturerObjects" if index in MANUFACTURER_AREA else "OptionalObjects"
+    return "ManufacturerObjects" if index in indices.MANUFACTURER_AREA else "OptionalObjects"
 
 
 def check_objects(subject: Subject) -> Iterator[Finding]:
@@ -137,7 +135,7 @@ def _check_entries(subject: Subject, each: Object) -> Iterator[Finding]:
 
 def _counts_used(index: int) -> bool:
     """Return whether sub 0 counts the entries in use, not those that exist: in the error history and in PDO mappings."""
-    return index == 0x1003 or index in range(0x1600, 0x1800) or index in range(0x1A00, 0x1C00)
+    return index == indices.PREDEFINED_ERROR_FIELD or index in indices.RPDO_MAPPINGS or index in indices.TPDO_MAPPINGS
 
 
 def check_names(subject: Subject) -> Iterator[Finding]:
@@ -147,7 +145,7 @@ def check_names(subject: Subject) -> Iterator[Finding]:
     for each in subject.dictionary.objects.values():
         if not each.name.strip():
             yield subject.of_object("name-empty", each.index, "the object has no name", "ParameterName")
-        elif each.index not in COMMUNICATION_AREA:
+        elif each.index not in indices.COMMUNICATION_AREA:
             by_name.setdefault(each.name.casefold(), []).append(each.index)
         if len(each.name) > MAX_NAME:
             text = f"its name has {len(each.name)} characters; {MAX_NAME} is the most"
@@ -164,7 +162,7 @@ def _check_field_names(subject: Subject, each: Object) -> Iterator[Finding]:
     by_name: dict[str, list[Variable]] = {}
     for _, variable in sorted(each.variables.items()):
         name = field_name(each, variable.name)
-        if name.strip() and each.object_type is ObjectType.RECORD and each.index not in COMMUNICATION_AREA:
+        if name.strip() and each.object_type is ObjectType.RECORD and each.index not in indices.COMMUNICATION_AREA:
             by_name.setdefault(name.casefold(), []).append(variable)
         elif not name.strip():
             yield subject.of_variable("name-empty", variable, "the sub-object has no name", "ParameterName")

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from canopen_data.description import DeviceDescription, FileKind
 from canopen_data.eds.ini import EdsDocument
 from canopen_data.findings import Finding, Severity
+from canopen_proto import indices
 from canopen_proto.dictionary.model import Variable
 from canopen_proto.frame import MAX_NODE_ID
 
@@ -22,7 +23,6 @@ ERROR: Final = Severity.ERROR
 WARNING: Final = Severity.WARNING
 NOTICE: Final = Severity.NOTICE
 
-PROFILE_AREA: Final = range(0x6000, 0xA000)
 """Standardized device profile area (CiA 301 v4.2.0, table 41)."""
 
 
@@ -66,7 +66,7 @@ class Subject:
     @property
     def profile(self) -> int | None:
         """The device profile's number, from the low half of 0x1000; None if the file does not say."""
-        device_type = self.number(0x1000)
+        device_type = self.number(indices.DEVICE_TYPE)
         return None if device_type is None else device_type.value & 0xFFFF
 
     def number(self, index: int, subindex: int = 0) -> Number | None:

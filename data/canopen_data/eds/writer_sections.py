@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final, TypeAlias
 
-from canopen_data.describing import MANDATORY, MANUFACTURER
+from canopen_data.describing import MANDATORY
 from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileInfo, Module
 from canopen_data.eds.writer_values import (
     BYTES_KEY,
@@ -36,6 +36,7 @@ from canopen_data.eds.writer_values import (
     text_beside,
     value_text,
 )
+from canopen_proto import indices
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
 
 Entries: TypeAlias = dict[str, str]
@@ -56,9 +57,9 @@ def sections_of(description: DeviceDescription) -> Sections:
     if description.dummies is not None:
         sections["DummyUsage"] = {f"Dummy{index:04X}": _flag(usable) for index, usable in description.dummies.items()}
     sections["Comments"] = _comments(description.comments)
-    for name, indices in zip(OBJECT_LISTS, _lists(description), strict=True):
-        sections[name] = _counted("SupportedObjects", map(_index, indices))
-        for index in indices:
+    for name, found in zip(OBJECT_LISTS, _lists(description), strict=True):
+        sections[name] = _counted("SupportedObjects", map(_index, found))
+        for index in found:
             each = description.dictionary.objects.get(index)
             if each is not None:
                 sections |= object_sections(each)
@@ -228,8 +229,8 @@ def _lists(description: DeviceDescription) -> Iterator[tuple[int, ...]]:
     named = {index for each in lists for index in each}
     lost = sorted(index for index in description.dictionary.objects if index not in named)
     yield lists[0] + tuple(index for index in lost if index in MANDATORY)
-    yield lists[1] + tuple(index for index in lost if index not in MANDATORY and index not in MANUFACTURER)
-    yield lists[2] + tuple(index for index in lost if index in MANUFACTURER)
+    yield lists[1] + tuple(index for index in lost if index not in MANDATORY and index not in indices.MANUFACTURER_AREA)
+    yield lists[2] + tuple(index for index in lost if index in indices.MANUFACTURER_AREA)
 
 
 def _comments(lines: tuple[str, ...]) -> Entries:

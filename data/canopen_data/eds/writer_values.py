@@ -32,8 +32,7 @@ NOT_READ_KEY: Final = "_NotRead"
 
 _PLAIN_TEXT: Final = re.compile(r"[!-~](?:[ -~]*[!-~])?")
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
-_COMMUNICATION: Final = range(0x1000, 0x2000)
-_TIMES: Final = (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_WINDOW_LENGTH, 0x1013)
+_TIMES: Final = (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_WINDOW_LENGTH, indices.HIGH_RESOLUTION_TIME_STAMP)
 """UNSIGNED32 of the communication profile area that are microseconds."""
 
 
@@ -91,6 +90,6 @@ def one_line(text: str) -> str:
 
 def _integer(variable: Variable, value: int) -> str:
     digits = 8 if variable.data_type is DataType.UNSIGNED32 else 0
-    if digits and value >= 0 and variable.index in _COMMUNICATION and variable.index not in _TIMES:
+    if digits and value >= 0 and variable.index in indices.COMMUNICATION_AREA and variable.index not in _TIMES:
         return f"0x{value:08X}"
     return str(int(value))
