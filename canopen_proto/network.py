@@ -213,12 +213,13 @@ class Network:
 
     def _feed(self, now: Time) -> None:
         """Feed the events to the running procedures, and also the events that these cause."""
+        events, root, observe = self.out.events, self.out.root, self.runner.observe
         fed = 0
-        events = self.out.events
-        while self.runner.busy and fed < len(events):
-            self.runner.observe(self.out.root, events[fed], now)
+        while self._tasks and fed < len(events):
+            observe(root, events[fed], now)
             fed += 1
-            self._settle(now)
+            if len(events) > self._settled:
+                self._settle(now)
 
     def run(self, procedure: Procedure[T], now: Time) -> RequestId:
         """Start a procedure (see `canopen_proto.procedures`); ProcedureFinished, -Failed or -Cancelled follows with this id."""

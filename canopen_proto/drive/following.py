@@ -61,7 +61,7 @@ from canopen_proto.procedures.steps import (
     sleep,
 )
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.client import SdoAborted
+from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 from canopen_proto.sync import SyncReceived, SyncSent
 
 LAG: Final = 2
@@ -284,6 +284,7 @@ class Following:
 
 
 _SYNCS: Final = (SyncSent, SyncReceived)
+_ANSWERS: Final = (SdoUploaded, SdoAborted)
 READ_INTERVAL: Final = 5 * MILLISECOND
 """The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
 UNANSWERED: Final = 3
@@ -382,7 +383,7 @@ def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
     try:
         left = max(0, deadline - (yield from current_time()))
-        outcome = yield Wait(left, node, lambda report: isinstance(report, Outcome) and report.request_id == request_id)
+        outcome = yield Wait(left, node, lambda answer: isinstance(answer, Outcome) and answer.request_id == request_id, _ANSWERS)
     except Cancelled:
         yield from act(lambda now: node.cancel(request_id, now))
         raise

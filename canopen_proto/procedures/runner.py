@@ -16,6 +16,7 @@ first: so a command that needs no wait (a halt by PDO) still goes out.
 from __future__ import annotations
 
 import enum
+from collections.abc import Collection
 from typing import Any, Final, TypeVar
 
 from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
@@ -26,6 +27,10 @@ T = TypeVar("T")
 
 CLEAN_UP_TIME: Final = 1 * SECOND
 """How long the clean-up of a cancelled procedure may take, unless it asks for more: a dead node must not delay a shutdown."""
+
+
+_OF_REQUESTS: Final = (Outcome, SdoProgress)
+"""The events that tell of a Request."""
 
 
 class ProcedureFinished(Outcome):
@@ -110,12 +115,15 @@ class _Task:
 class Runner(Machine):
     """Runs procedures. Attach it to the Network whose outbox it was made with; this and other Networks feed it by `observe`."""
 
-    __slots__ = ("_requests", "tasks")
+    __slots__ = ("_asked_about_all", "_requests", "_waiting", "tasks")
 
     def __init__(self, out: Outbox) -> None:
         super().__init__(out)
         self.tasks: dict[RequestId, _Task] = {}
         self._requests: dict[tuple[object, RequestId], _Task] = {}
+        # By kind of event, under None for those that are asked about each event: the tasks that wait for one, by their ids.
+        self._asked_about_all: dict[RequestId, tuple[_Task, Wait]] = {}
+        self._waiting: dict[type[Event] | None, dict[RequestId, tuple[_Task, Wait]]] = {None: self._asked_about_all}
 
     @property
     def busy(self) -> bool:
@@ -143,13 +151,12 @@ class Runner(Machine):
 
     def observe(self, root: object, report: Event, now: Time) -> None:
         """Hand an event of the network with this `out.root` to the tasks that wait for it."""
-        # A task that begins to wait because of this event does not get it.
-        kind = type(report)
-        waiting: list[tuple[_Task, Wait]] = []
-        for task in self.tasks.values():
-            step = task.step
-            if type(step) is Wait and step.match is not None and (step.kinds is None or kind in step.kinds):
-                waiting.append((task, step))
+        told, asked = self._waiting.get(type(report)), self._asked_about_all
+        if not told and not asked and not isinstance(report, _OF_REQUESTS):
+            return
+        # In the order in which they were started. A task that begins to wait because of this event does not get it.
+        waiting = [each for _, each in sorted([*(told or {}).items(), *asked.items()])]
+        asking: _Task | None = None
         if isinstance(report, Outcome):
             asking = self._requests.pop((root, report.request_id), None)
             if asking is not None:
@@ -159,12 +166,12 @@ class Runner(Machine):
             asking = self._requests.get((root, report.request_id))
             if asking is not None:
                 self._inform(asking, report, now)
-        elif not waiting:
-            return
+        has_resumed = asking is not None
         for task, step in waiting:
             if task.step is step and (step.source is None or step.source.out.root is root):
-                self._tell(task, step, report, now)
-        self._rearm()
+                has_resumed |= self._tell(task, step, report, now)
+        if has_resumed:
+            self._rearm()
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
@@ -194,15 +201,17 @@ class Runner(Machine):
                 self._drop_step(task, now)
                 self._resume(task, None, now, error)
 
-    def _tell(self, task: _Task, step: Wait, report: Event, now: Time) -> None:
+    def _tell(self, task: _Task, step: Wait, report: Event, now: Time) -> bool:
+        """Resume a task if this is the event that it waits for; return whether it was."""
         assert step.match is not None
         error = None
         try:
             if not step.match(report):
-                return
+                return False
         except Exception as raised:  # noqa: BLE001 - a procedure's code too
             error = raised
         self._resume(task, report, now, error)
+        return True
 
     def _add(self, procedure: Procedure[Any], parent: _Task | None) -> _Task:
         task = _Task(procedure, self.out.next_request_id(), parent)
@@ -211,7 +220,8 @@ class Runner(Machine):
 
     def _resume(self, task: _Task, value: object, now: Time, error: BaseException | None = None) -> None:
         """Run a task until it waits for a step or ends."""
-        task.step, task.wake, task.active = None, NEVER, True
+        self._leave_step(task)
+        task.active = True
         result: object = None
         failure: Exception | None = None
         while True:
@@ -253,6 +263,9 @@ class Runner(Machine):
                 self._requests[task.token] = task
             case Wait():
                 task.wake = NEVER if step.timeout is None else now + step.timeout
+                if step.match is not None:
+                    for kind in _kinds_of(step):
+                        self._waiting.setdefault(kind, {})[task.request_id] = task, step
             case AllOf():
                 self._start_children(task, step, now)
                 if not task.open_children:
@@ -302,11 +315,19 @@ class Runner(Machine):
 
     def _drop_step(self, task: _Task, now: Time) -> None:
         """Cancel the step that the task waits for, but not its children."""
-        step, task.step, task.wake = task.step, None, NEVER
+        step = self._leave_step(task)
         if isinstance(step, Request) and task.token is not None:
             del self._requests[task.token]
             step.requester.cancel(task.token[1], now)
             task.token = None
+
+    def _leave_step(self, task: _Task) -> Step | None:
+        """Let the task wait no longer for its step, and return the step."""
+        step, task.step, task.wake = task.step, None, NEVER
+        if isinstance(step, Wait) and step.match is not None:
+            for kind in _kinds_of(step):
+                self._waiting[kind].pop(task.request_id, None)  # a kind may stand in it twice
+        return step
 
     def _give_up(self, task: _Task, now: Time) -> None:
         """End a clean-up that took too long: close the generator at its present yield, and all tasks that it runs."""
@@ -337,8 +358,8 @@ class Runner(Machine):
         was_cancelled = task.state is _State.CANCELLING
         if was_cancelled:
             error = error or task.clean_up_error
-        task.state, task.active = _State.DONE, False
-        task.step, task.wake, task.clean_up_by = None, NEVER, NEVER
+        self._leave_step(task)
+        task.state, task.active, task.clean_up_by = _State.DONE, False, NEVER
         task.result, task.error = result, error
         del self.tasks[task.request_id]
         if task.parent is not None:
@@ -375,3 +396,8 @@ class Runner(Machine):
             failure.add_note(f"and the clean-up of a procedure beside it failed: {parent.clean_up_error}")
             parent.clean_up_error = None
         return [child.result for child in children], failure
+
+
+def _kinds_of(step: Wait) -> Collection[type[Event] | None]:
+    """Return the kinds of event that a step waits for; None alone if it has to be asked about each event."""
+    return (None,) if step.kinds is None else step.kinds

@@ -99,6 +99,7 @@ def assert_idle(desk: Desk) -> None:
     runner = desk.network.runner
     assert not runner.busy
     assert runner._requests == {}
+    assert not any(runner._waiting.values())
     assert runner.deadline == NEVER
     assert desk.clerk.open == {}
 

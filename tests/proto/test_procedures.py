@@ -7,10 +7,8 @@ from typing import Any, cast
 
 import pytest
 
-from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Outbox, Time
-from canopen_proto.network import Network
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished, Runner
+from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Time
+from canopen_proto.procedures.runner import ProcedureFinished, Runner
 from canopen_proto.procedures.steps import (
     Act,
     AllOf,
@@ -20,7 +18,6 @@ from canopen_proto.procedures.steps import (
     Request,
     SdoFailed,
     Step,
-    StepTimeout,
     Wait,
     act,
     all_of,
@@ -28,10 +25,9 @@ from canopen_proto.procedures.steps import (
     download,
     sleep,
     upload,
-    wait_for_event,
 )
 from tests.proto.desk import Desk, steps
-from tests.proto.machines import Alarm, Answered, Clerk, Heard, Rang
+from tests.proto.machines import Answered, Clerk
 
 
 @pytest.fixture
@@ -173,108 +169,6 @@ def test_a_procedure_that_raises_cancelled_by_itself_has_failed(desk: Desk) -> N
     together = desk.run(all_of(wrong()))
     desk.wait(0)
     assert isinstance(desk.result(together), ProcedureError)
-
-
-# ---- news ----
-
-
-def test_wait_for_event_takes_the_kind_that_matches(desk: Desk) -> None:
-    second = wait_for_event(desk.alarm, Heard, SECOND, "the frame", lambda heard: heard.frame.data == b"\x02")
-    request_id = desk.run(second)
-    desk.alarm.set(desk.now)
-    desk.wait(0)
-    desk.receive("001#01")
-    assert desk.outcomes == {}
-    desk.receive("001#02")
-    assert desk.result(request_id) == Heard(0, "alarm", Frame(1, b"\x02"), None)
-
-
-def test_news_that_does_not_come_is_a_step_timeout(desk: Desk) -> None:
-    request_id = desk.run(wait_for_event(desk.alarm, Heard, 250 * MILLISECOND, "the frame"))
-    desk.wait(250 * MILLISECOND)
-    error = desk.result(request_id)
-    assert isinstance(error, StepTimeout)
-    assert str(error) == "the frame did not come within 0.25 s"
-
-
-def test_news_in_time_ends_the_timeout(desk: Desk) -> None:
-    def twice() -> Procedure[Time]:
-        yield from wait_for_event(desk.alarm, Heard, 10, "the frame")
-        yield from sleep(100)
-        return (yield from current_time())
-
-    request_id = desk.run(twice())
-    desk.wait(9)
-    desk.receive("001#")
-    desk.wait(1)
-    desk.wait(99)
-    assert desk.result(request_id) == 109
-
-
-def test_who_begins_to_wait_because_of_an_event_is_not_told_of_it(desk: Desk) -> None:
-    def two() -> Procedure[list[Time]]:
-        times = []
-        for _ in range(2):
-            yield from wait_for_event(desk.alarm, Heard, SECOND, "a frame")
-            times.append((yield from current_time()))
-        return times
-
-    def after_an_answer() -> Procedure[object]:
-        yield from desk.ask("a")
-        return (yield Wait(20, None, lambda report: isinstance(report, Answered)))
-
-    request_id, other = desk.run(two()), desk.run(after_an_answer())
-    desk.wait(5)
-    desk.receive("001#")
-    desk.answer("a")
-    desk.wait(5)
-    desk.receive("001#")
-    desk.wait(20)
-    assert desk.result(request_id) == [5, 10]
-    assert desk.result(other) is None
-
-
-def test_one_event_is_news_to_all_that_wait(desk: Desk) -> None:
-    def heard() -> Procedure[str]:
-        return (yield from wait_for_event(desk.alarm, Heard, SECOND, "a frame")).name
-
-    together, alone = desk.run(all_of(heard(), heard())), desk.run(heard())
-    desk.receive("001#")
-    assert desk.result(together) == ["alarm", "alarm"]
-    assert desk.result(alone) == "alarm"
-
-
-def test_news_of_any_network_where_no_source_is_named(desk: Desk) -> None:
-    other = Network(desk.network.runner)
-    alarm = Alarm(other.out, "other", [1])
-    other.attach(alarm)
-    anywhere = desk.run(steps(Wait(None, None, lambda report: isinstance(report, Heard))))
-    there = desk.run(steps(Wait(None, alarm, lambda report: isinstance(report, Heard))))
-    desk.receive("001#01")
-    assert list(desk.outcomes) == [anywhere]
-    other.receive(Frame(1), 0)
-    other.drain(0)
-    desk.drain()
-    assert cast(Heard, desk.result(there)).name == "other"
-
-
-def test_a_match_that_raises_fails_its_own_procedure_only(desk: Desk) -> None:
-    failing = desk.run(steps(Wait(None, None, lambda report: 1 / 0 > 1)))
-    fine = desk.run(steps(Wait(None, None, lambda report: isinstance(report, Rang))))
-    desk.alarm.set(3)
-    desk.wait(3)
-    assert isinstance(desk.result(failing), ZeroDivisionError)
-    assert isinstance(desk.result(fine), Rang)
-
-
-def test_a_wait_without_match_and_timeout_waits_for_ever(desk: Desk) -> None:
-    request_id = desk.run(steps(Wait(None)))
-    desk.receive("001#")
-    desk.wait(1000 * SECOND)
-    assert desk.outcomes == {}
-    assert desk.network.next_deadline() == NEVER
-    desk.network.cancel(request_id, desk.now)
-    assert desk.drain() == [ProcedureCancelled(0, request_id, None)]
 
 
 # ---- side by side ----
