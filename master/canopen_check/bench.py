@@ -119,27 +119,27 @@ class Bench:
     # ---- CAN-IDs and the dictionary ----
 
     @property
-    def request_key(self) -> int:
+    def request_key(self) -> RoutingKey:
         """The CAN-ID of SDO requests to the device."""
-        return SDO_CLIENT_TO_SERVER + self.node_id
+        return RoutingKey(SDO_CLIENT_TO_SERVER + self.node_id)
 
     @property
-    def response_key(self) -> int:
+    def response_key(self) -> RoutingKey:
         """The CAN-ID of its answers."""
-        return SDO_SERVER_TO_CLIENT + self.node_id
+        return RoutingKey(SDO_SERVER_TO_CLIENT + self.node_id)
 
     @property
-    def error_control_key(self) -> int:
+    def error_control_key(self) -> RoutingKey:
         """The CAN-ID of its boot-up, heartbeat and guarding."""
-        return ERROR_CONTROL + self.node_id
+        return RoutingKey(ERROR_CONTROL + self.node_id)
 
     @property
-    def emcy_key(self) -> int:
+    def emcy_key(self) -> RoutingKey:
         """The CAN-ID of its emergencies after a reset; the predefined one if the dictionary has none."""
-        return key_of_cob_id(self.default(COB_ID_EMERGENCY)) or EMCY + self.node_id
+        return key_of_cob_id(self.default(COB_ID_EMERGENCY)) or RoutingKey(EMCY + self.node_id)
 
     @property
-    def sync_key(self) -> int:
+    def sync_key(self) -> RoutingKey:
         """The CAN-ID of SYNC after a reset; the predefined one if the dictionary has none."""
         return key_of_cob_id(self.default(COB_ID_SYNC)) or SYNC
 
@@ -233,13 +233,13 @@ class Bench:
 
     # ---- frames made by hand ----
 
-    def send(self, key: int, data: bytes = b"") -> Procedure[None]:
+    def send(self, key: RoutingKey, data: bytes = b"") -> Procedure[None]:
         """Send a data frame."""
-        yield from act(lambda now: self.probe.send(frame_for_key(RoutingKey(key), data), now))
+        yield from act(lambda now: self.probe.send(frame_for_key(key, data), now))
 
-    def send_remote(self, key: int, dlc: int) -> Procedure[None]:
+    def send_remote(self, key: RoutingKey, dlc: int) -> Procedure[None]:
         """Send a remote frame that asks for `dlc` bytes."""
-        extended = frame_for_key(RoutingKey(key), b"").flags
+        extended = frame_for_key(key, b"").flags
         yield from act(lambda now: self.probe.send(Frame(key & 0x1FFF_FFFF, b"", extended | REMOTE, dlc), now))
 
     def sleep(self, duration: Time) -> Procedure[None]:
@@ -256,7 +256,7 @@ class Bench:
         now = yield from current_time()
         self.lateness = max(self.lateness, now - due)
 
-    def next_frame(self, key: int, timeout: Time, what: str) -> Procedure[FrameHeard]:
+    def next_frame(self, key: RoutingKey, timeout: Time, what: str) -> Procedure[FrameHeard]:
         """Return the next frame with a routing key to which the probe listens. Raises NotInTime, naming `what`; timeout: ns."""
         begin = yield from current_time()
         while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
@@ -271,13 +271,13 @@ class Bench:
                 raise NotInTime(f"{what} did not come within {timeout / SECOND:g} s", timeout) from None
         return heard
 
-    def frames_within(self, key: int, duration: Time) -> Procedure[list[FrameHeard]]:
+    def frames_within(self, key: RoutingKey, duration: Time) -> Procedure[list[FrameHeard]]:
         """Wait for `duration` ns; return all frames with this routing key that came meanwhile."""
         self.probe.listen_also(key)
         yield from self.sleep(duration)
         return self.probe.take_all(key)
 
-    def expect_period(self, key: int, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
+    def expect_period(self, key: RoutingKey, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
         """Listen for `duration` ns and check that frames with this routing key come once per period; return the frames.
 
         The time from the first frame to the last is measured: it is known better than our listening time. Raises LateOrEarly.
@@ -301,7 +301,7 @@ class Bench:
         if pause > 2 * period:
             raise LateOrEarly(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
 
-    def expect_silence(self, key: int, duration: Time, what: str) -> Procedure[None]:
+    def expect_silence(self, key: RoutingKey, duration: Time, what: str) -> Procedure[None]:
         """Check that no frame with this routing key comes within `duration` ns."""
         heard = yield from self.frames_within(key, duration)
         if heard:

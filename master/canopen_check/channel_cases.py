@@ -18,7 +18,7 @@ from canopen_check.sdo_cases import DEVICE_TYPE, NO_OBJECT
 from canopen_check.storing_cases import save
 from canopen_proto.cob_id import is_valid
 from canopen_proto.dictionary import Variable
-from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, RoutingKey, key_of_cob_id
 from canopen_proto.indices import SDO_CLIENTS
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
@@ -26,8 +26,8 @@ from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
 
-TRIAL_TO_SERVER: Final = 0x6D0
-TRIAL_TO_CLIENT: Final = 0x6D1
+TRIAL_TO_SERVER: Final = RoutingKey(0x6D0)
+TRIAL_TO_CLIENT: Final = RoutingKey(0x6D1)
 
 _REQUEST: Final = initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0)
 
@@ -67,7 +67,7 @@ def write_channel(bench: Bench, index: int, to_server: int, to_client: int) -> P
         yield from bench.write(index, subindex, cob_id)
 
 
-def expect_server(bench: Bench, index: int, to_server: int, to_client: int) -> Procedure[None]:
+def expect_server(bench: Bench, index: int, to_server: RoutingKey, to_client: RoutingKey) -> Procedure[None]:
     """Check that a request is answered on its channel, as the first server answers it, and on no other."""
     expected = yield from ask(bench, _REQUEST)
     bench.probe.listen_also(to_client)

@@ -15,7 +15,7 @@ from canopen_check.expectations import LateOrEarly, does_not_apply, expect, expe
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto import indices
-from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
 from canopen_proto.guarding import TOGGLE
 from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -78,7 +78,7 @@ def other_ids(bench: Bench) -> Procedure[None]:
     for node_id in range(1, MAX_NODE_ID + 1):
         if node_id != bench.node_id:
             bench.probe.forget(bench.error_control_key)
-            yield from bench.send_remote(ERROR_CONTROL + node_id, 1)
+            yield from bench.send_remote(RoutingKey(ERROR_CONTROL + node_id), 1)
             yield from bench.sleep(REACTION_TIME)
             heard = bench.probe.take_all(bench.error_control_key)
             expect(not heard, f"a guarding request for node {node_id} was answered")

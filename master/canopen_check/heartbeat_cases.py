@@ -11,7 +11,7 @@ from canopen_check.emergencies import code_of, errors_told, expect_no_error, nex
 from canopen_check.expectations import LateOrEarly, Violation, does_not_apply, expect_equal, expect_refusal
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
-from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID
+from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
 from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
@@ -98,7 +98,7 @@ def monitor_twice(bench: Bench) -> Procedure[str | None]:
 
 
 def _heartbeat(bench: Bench, node_id: int) -> Procedure[None]:
-    yield from bench.send(ERROR_CONTROL + node_id, bytes((NmtState.OPERATIONAL,)))
+    yield from bench.send(RoutingKey(ERROR_CONTROL + node_id), bytes((NmtState.OPERATIONAL,)))
 
 
 def monitor_in_time(bench: Bench) -> Procedure[str]:

@@ -9,7 +9,7 @@ from canopen_check.bench import Bench
 from canopen_check.expectations import does_not_apply
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
-from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
 from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES
@@ -100,7 +100,7 @@ def has(bench: Bench, pdo: Pdo, subindex: int) -> bool:
     return variable is not None and variable.access.writable
 
 
-def key_of(bench: Bench, pdo: Pdo) -> int:
+def key_of(bench: Bench, pdo: Pdo) -> RoutingKey:
     """Return the PDO's default CAN-ID, which the cases use."""
     return key_of_cob_id(bench.default(pdo.communication, COB_ID))
 

@@ -33,22 +33,22 @@ class RawProbe(Machine):
 
     __slots__ = ("_keys", "heard")
 
-    def __init__(self, out: Outbox, keys: Iterable[int] = ()) -> None:
+    def __init__(self, out: Outbox, keys: Iterable[RoutingKey] = ()) -> None:
         """Listen to these routing keys (`Frame.key`)."""
         super().__init__(out)
         self._keys = tuple(keys)
         self.heard: deque[FrameHeard] = deque(maxlen=MAX_HEARD)
 
     def can_ids(self) -> Iterable[RoutingKey]:
-        return map(RoutingKey, self._keys)
+        return self._keys
 
-    def listen(self, keys: Iterable[int]) -> None:
+    def listen(self, keys: Iterable[RoutingKey]) -> None:
         """Listen to these routing keys from now on, and to no others. Drop all frames heard so far."""
         self._keys = tuple(dict.fromkeys(keys))
         self.heard.clear()
         self._reroute()
 
-    def listen_also(self, key: int) -> None:
+    def listen_also(self, key: RoutingKey) -> None:
         """Listen to one more routing key. Drop its frames heard so far."""
         self.forget(key)
         if key not in self._keys:
@@ -59,7 +59,7 @@ class RawProbe(Machine):
         """Put a frame on the bus."""
         self.out.frames.append(frame)
 
-    def take(self, key: int) -> FrameHeard | None:
+    def take(self, key: RoutingKey) -> FrameHeard | None:
         """Return the oldest frame with this routing key that was not taken yet, or None."""
         for report in self.heard:
             if report.frame.key == key:
@@ -67,13 +67,13 @@ class RawProbe(Machine):
                 return report
         return None
 
-    def take_all(self, key: int) -> list[FrameHeard]:
+    def take_all(self, key: RoutingKey) -> list[FrameHeard]:
         """Return all frames with this routing key that were not taken yet, oldest first."""
         taken = [report for report in self.heard if report.frame.key == key]
         self.forget(key)
         return taken
 
-    def forget(self, key: int) -> None:
+    def forget(self, key: RoutingKey) -> None:
         """Drop the frames with this routing key."""
         rest = [report for report in self.heard if report.frame.key != key]
         self.heard.clear()
