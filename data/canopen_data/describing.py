@@ -8,6 +8,7 @@ Source: CiA 306-1 v1.4.0, 4.4 to 4.6.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
@@ -33,7 +34,7 @@ def describe(
     device_info: taken as given; identity, number of PDOs and granularity that it lacks come from the dictionary.
     """
     info = device_info or DeviceInfo()
-    places = tuple(sorted(dictionary.objects))
+    places = sorted(dictionary.objects)
     names = (info.vendor_number, info.product_number, info.revision_number)
     identity = [_identity(dictionary, subindex) if given is None else given for subindex, given in enumerate(names, start=1)]
     rpdos = sum(index in indices.RPDO_COMMUNICATION for index in places)
@@ -47,16 +48,25 @@ def describe(
         rpdo_count=rpdos if info.rpdo_count is None else info.rpdo_count,
         tpdo_count=tpdos if info.tpdo_count is None else info.tpdo_count,
     )
+    mandatory, optional, manufacturer = lists_of(places)
     return DeviceDescription(
         dictionary,
         FileKind.CSV,
         source=dictionary.source,
         file_info=file_info or FileInfo(file_version=1, eds_version=EDS_VERSION),
         device_info=info,
-        mandatory=tuple(index for index in places if index in MANDATORY),
-        optional=tuple(index for index in places if index not in MANDATORY and index not in indices.MANUFACTURER_AREA),
-        manufacturer=tuple(index for index in places if index in indices.MANUFACTURER_AREA),
+        mandatory=mandatory,
+        optional=optional,
+        manufacturer=manufacturer,
     )
+
+
+def lists_of(places: Iterable[int]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    """Split these indices into the three lists of a file: mandatory, optional, manufacturer's. The order stays."""
+    lists: tuple[list[int], list[int], list[int]] = ([], [], [])
+    for index in places:
+        lists[0 if index in MANDATORY else 2 if index in indices.MANUFACTURER_AREA else 1].append(index)
+    return tuple(lists[0]), tuple(lists[1]), tuple(lists[2])
 
 
 def identified(description: DeviceDescription) -> ObjectDictionary:

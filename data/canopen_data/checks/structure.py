@@ -9,17 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from canopen_data.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
+from canopen_data.describing import MANDATORY
 from canopen_data.findings import Finding
-from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Object, ObjectType, Variable
-
-MANDATORY: Final = {
-    indices.DEVICE_TYPE: "device type",
-    indices.ERROR_REGISTER: "error register",
-    indices.IDENTITY_OBJECT: "identity object",
-}
-"""The objects that every CANopen device has (CiA 301 v4.2.0, 7.5.2)."""
 
 MAX_NAME: Final = 241
 """Characters of a ParameterName (CiA 306-1)."""
@@ -54,7 +47,7 @@ RULES: Final = (
 def check_lists(subject: Subject) -> Iterator[Finding]:
     """Check mandatory objects, and [MandatoryObjects], [OptionalObjects], [ManufacturerObjects] against the sections."""
     objects = subject.dictionary.objects
-    for index, name in MANDATORY.items():
+    for index, name in zip(MANDATORY, ("device type", "error register", "identity object"), strict=True):
         if index not in objects:
             yield subject.of_entry("mandatory-missing", "MandatoryObjects", "", f"there is no {name} (0x{index:04X})")
     if not subject.has_lists:

@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final, TypeAlias
 
-from canopen_data.describing import MANDATORY
+from canopen_data.describing import lists_of
 from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileInfo, Module
 from canopen_data.eds.writer_values import (
     BYTES_KEY,
@@ -36,7 +36,6 @@ from canopen_data.eds.writer_values import (
     text_beside,
     value_text,
 )
-from canopen_proto import indices
 from canopen_proto.dictionary.objects import Object, ObjectType, Variable
 
 Entries: TypeAlias = dict[str, str]
@@ -224,13 +223,11 @@ def _dynamic_channels(description: DeviceDescription) -> Entries:
 
 
 def _lists(description: DeviceDescription) -> Iterator[tuple[int, ...]]:
-    """Yield the three lists, with the objects that no list names added."""
+    """Return the three lists, with the objects that no list names added."""
     lists = description.mandatory, description.optional, description.manufacturer
     named = {index for each in lists for index in each}
-    lost = sorted(index for index in description.dictionary.objects if index not in named)
-    yield lists[0] + tuple(index for index in lost if index in MANDATORY)
-    yield lists[1] + tuple(index for index in lost if index not in MANDATORY and index not in indices.MANUFACTURER_AREA)
-    yield lists[2] + tuple(index for index in lost if index in indices.MANUFACTURER_AREA)
+    lost = lists_of(sorted(index for index in description.dictionary.objects if index not in named))
+    return (listed + more for listed, more in zip(lists, lost, strict=True))
 
 
 def _comments(lines: tuple[str, ...]) -> Entries:

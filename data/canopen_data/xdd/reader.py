@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, TypeAlias
 
+from canopen_data.describing import lists_of
 from canopen_data.description import DeviceDescription, FileKind
 from canopen_data.eds.ini import quoted
 from canopen_data.findings import DictionaryError, Severity
@@ -36,7 +37,6 @@ from canopen_data.xdd.document import XddDocument
 from canopen_data.xdd.elements import Element, XddFindings, parse
 from canopen_data.xdd.parameters import ACCESS, ApplicationProcess, Parameter
 from canopen_data.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number_of, value_of
-from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Object, ObjectType, Variable
@@ -47,8 +47,6 @@ PROFILES: Final = 0x2000
 """Below it, an object means the same in all devices (CiA 301 v4.2.0, table 41); above, the meaning depends on the profile."""
 SUB_OBJECT: Final = "CANopenSubObject"
 ROOT: Final = "ISO15745ProfileContainer"
-MANDATORY: Final = (indices.DEVICE_TYPE, indices.ERROR_REGISTER, indices.IDENTITY_OBJECT)
-"""The objects that each device has (CiA 301 v4.2.0, 7.5.1); an XDD has no list of them."""
 MAX_OBJECTS: Final = 20_000
 """Of one file, with MAX_VARIABLES in all. The largest devices have 3000 objects."""
 MAX_VARIABLES: Final = 100_000
@@ -84,7 +82,7 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
     if root is not None and root.name == ROOT and not lists:
         findings.error("no-objects", "there is no CANopenObjectList, and so no object", root)
     commissioning = device.commissioning(bodies, findings)
-    indices = tuple(reader.objects)
+    mandatory, optional, manufacturer = lists_of(reader.objects)  # an XDD has no lists
     description = DeviceDescription(
         reader.dictionary(source),
         FileKind.XDC if commissioning is not None or reader.has_actual else FileKind.XDD,
@@ -93,9 +91,9 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
         device_info=device.device_info(bodies, findings),
         commissioning=commissioning,
         dummies=device.dummies(bodies, findings),
-        mandatory=tuple(index for index in indices if index in MANDATORY),
-        optional=tuple(index for index in indices if index not in MANDATORY and not 0x2000 <= index <= 0x5FFF),
-        manufacturer=tuple(index for index in indices if 0x2000 <= index <= 0x5FFF),
+        mandatory=mandatory,
+        optional=optional,
+        manufacturer=manufacturer,
         dynamic_channels=device.dynamic_channels(bodies, findings),
         findings=findings.all(),
         encoding=encoding,
