@@ -18,9 +18,10 @@ import trio.testing
 import canopen_master
 import canopen_proto
 import canopen_proto.procedures
+import canopen_transports
 from tests import user_example, user_mistakes
 
-LAZY = [canopen_proto, canopen_proto.procedures, canopen_master]
+LAZY = [canopen_proto, canopen_proto.procedures, canopen_master, canopen_transports]
 
 
 def seen_by_type_checkers(package: ModuleType) -> dict[str, str]:
@@ -61,6 +62,7 @@ def test_a_name_that_is_not_there(package: ModuleType) -> None:
         ("import canopen_proto", {"canopen_proto.frame", "canopen_proto.machine"}),
         ("from canopen_proto import Frame, Outbox", {"canopen_proto.network", "canopen_proto.sdo", "canopen_proto.cia402"}),
         ("from canopen_proto import LocalNode", {"canopen_proto.cia402", "canopen_proto.drive", "canopen_proto.remote_node"}),
+        ("from canopen_transports import Transport, TransportError", {"can", "trio"}),
         ("import canopen_master.plain_text", {"canopen_master.master", "trio", "can"}),
     ],
 )

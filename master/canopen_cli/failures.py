@@ -21,6 +21,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import NotInDictionary
 from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
@@ -101,7 +102,7 @@ def _of_expected(error: BaseException) -> Problem | None:
                 ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
             )
         case LogFileError():
-            return Problem(ExitCode.BAD_FILE, "CO342", error.failed, seen=error.seen, tries=error.tries)
+            return _spoken(error, ExitCode.BAD_FILE)
         case PermissionError():
             return Problem(ExitCode.PERMISSION, "CO109", str(error))
         case click.UsageError():
@@ -140,7 +141,7 @@ def advice(steps: Iterable[str]) -> list[str]:
     return chosen
 
 
-def _spoken(error: TransportError | errors.MasterError, exit_code: ExitCode) -> Problem:
+def _spoken(error: Explained, exit_code: ExitCode) -> Problem:
     """Return the Problem for an error that brings its own words."""
     return Problem(
         exit_code,

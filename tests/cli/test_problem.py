@@ -33,6 +33,7 @@ from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_proto.sdo.client import SdoAborted
 from canopen_transports import TransportError
+from canopen_transports.log_files import LogFileError
 from tests.cli.cli_support import TWO_JOINTS
 
 
@@ -43,11 +44,12 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
 @pytest.mark.parametrize(
     ("error", "status", "code"),
     [
-        (TransportError("CO100", "x", "the bus 'x' makes no sense"), ExitCode.CANNOT_OPEN, "CO100"),
+        (TransportError("CO100", "x", "the bus 'x' is not a valid locator"), ExitCode.CANNOT_OPEN, "CO100"),
         (TransportError("CO101", "x", "cannot open x"), ExitCode.CANNOT_OPEN, "CO101"),
         (TransportError("CO102", "x", "cannot open x"), ExitCode.PERMISSION, "CO102"),
         (TransportError("CO110", "x", "nothing acknowledged our frames"), ExitCode.BUS_FAULT, "CO110"),
         (errors.BusError("x", TransportError("CO111", "x", "the bus is gone")), ExitCode.BUS_FAULT, "CO111"),
+        (LogFileError("cannot read x", "no such file", "", ()), ExitCode.BAD_FILE, "CO342"),
         (errors.NodeSilent("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
         (errors.UnexpectedAnswer("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),

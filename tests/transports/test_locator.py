@@ -81,7 +81,7 @@ def test_nonsense(text: str, seen: str, step: str) -> None:
         parse_locator(text)
     error = caught.value
     assert error.code == "CO100"
-    assert error.failed == f"the bus {text!r} makes no sense"
+    assert error.failed == f"the bus {text!r} is not a valid locator"
     assert seen in error.seen
     assert any(step in line for line in error.tries)
 

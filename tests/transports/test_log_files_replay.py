@@ -152,7 +152,7 @@ async def test_files_that_cannot_be_replayed(tmp_path: Path) -> None:
     for locator, seen in (
         ("file:", "it names no file"),
         (f"file:{tmp_path}/none.log", "No such file"),
-        (f"file:{tmp_path}/none.csv", "its name does not say"),
+        (f"file:{tmp_path}/none.csv", "does not say what kind of log"),
     ):
         with pytest.raises(TransportError, match=seen):
             await open_transport(locator)

@@ -241,7 +241,7 @@ async def test_the_first_member_says_how_the_bus_is() -> None:
         await member.aclose()
     assert isinstance(await open_transport("virtual:a?bitrate=500k"), WireTransport)
     await open_transport("virtual:instant")
-    with pytest.raises(TransportError, match="without options already"):
+    with pytest.raises(TransportError, match="without options is open already"):
         await open_transport("virtual:instant?bitrate=500k")
 
 

@@ -1,45 +1,47 @@
-"""Frames in, frames out: CAN buses for trio. `open_transport("socketcan:can0")`; see `locator` for what else it opens."""
+"""Frames in, frames out: CAN buses for trio. `open_transport("socketcan:can0")`; `locator` lists all buses that it opens."""
 
-from canopen_transports.errors import BusState, BusStateChanged, FrameNotSent, ReceiveOverrun, Report, TransportError
-from canopen_transports.locator import Locator, parse_bitrate, parse_locator
-from canopen_transports.opening import OpenTransport, open_transport
-from canopen_transports.python_can import PythonCanTransport
-from canopen_transports.replay import ReplayTransport
-from canopen_transports.tcp import TcpTransport
-from canopen_transports.transport import (
-    BatchTransport,
-    CyclicTransport,
-    EagerTransport,
-    FilteringTransport,
-    Received,
-    Transport,
-    check_frame,
-)
-from canopen_transports.virtual import VirtualTransport
-from canopen_transports.virtual_wire import WireTransport
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "BatchTransport",
-    "BusState",
-    "BusStateChanged",
-    "CyclicTransport",
-    "EagerTransport",
-    "FilteringTransport",
-    "FrameNotSent",
-    "Locator",
-    "OpenTransport",
-    "PythonCanTransport",
-    "ReceiveOverrun",
-    "Received",
-    "ReplayTransport",
-    "Report",
-    "TcpTransport",
-    "Transport",
-    "TransportError",
-    "VirtualTransport",
-    "WireTransport",
-    "check_frame",
-    "open_transport",
-    "parse_bitrate",
-    "parse_locator",
-]
+if TYPE_CHECKING:
+    from canopen_transports.errors import BusState as BusState
+    from canopen_transports.errors import BusStateChanged as BusStateChanged
+    from canopen_transports.errors import FrameNotSent as FrameNotSent
+    from canopen_transports.errors import ReceiveOverrun as ReceiveOverrun
+    from canopen_transports.errors import Report as Report
+    from canopen_transports.errors import TransportError as TransportError
+    from canopen_transports.locator import Locator as Locator
+    from canopen_transports.locator import parse_bitrate as parse_bitrate
+    from canopen_transports.locator import parse_locator as parse_locator
+    from canopen_transports.opening import OpenTransport as OpenTransport
+    from canopen_transports.opening import open_transport as open_transport
+    from canopen_transports.python_can import PythonCanTransport as PythonCanTransport
+    from canopen_transports.replay import ReplayTransport as ReplayTransport
+    from canopen_transports.tcp.client import TcpTransport as TcpTransport
+    from canopen_transports.transport import BatchTransport as BatchTransport
+    from canopen_transports.transport import CyclicTransport as CyclicTransport
+    from canopen_transports.transport import EagerTransport as EagerTransport
+    from canopen_transports.transport import FilteringTransport as FilteringTransport
+    from canopen_transports.transport import Received as Received
+    from canopen_transports.transport import Transport as Transport
+    from canopen_transports.transport import check_frame as check_frame
+    from canopen_transports.virtual import VirtualTransport as VirtualTransport
+    from canopen_transports.virtual_wire import WireTransport as WireTransport
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__, __all__ = lazy_names(
+        globals(),
+        {
+            "canopen_transports.errors": "BusState BusStateChanged FrameNotSent ReceiveOverrun Report TransportError",
+            "canopen_transports.locator": "Locator parse_bitrate parse_locator",
+            "canopen_transports.opening": "OpenTransport open_transport",
+            "canopen_transports.python_can": "PythonCanTransport",
+            "canopen_transports.replay": "ReplayTransport",
+            "canopen_transports.tcp.client": "TcpTransport",
+            "canopen_transports.transport": (
+                "BatchTransport CyclicTransport EagerTransport FilteringTransport Received Transport check_frame"
+            ),
+            "canopen_transports.virtual": "VirtualTransport",
+            "canopen_transports.virtual_wire": "WireTransport",
+        },
+    )

@@ -10,13 +10,21 @@ from __future__ import annotations
 import errno
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 import can
 
-from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, NO_PERMISSION, NOT_ACKNOWLEDGED, TransportError
+from canopen_transports.errors import (
+    BAD_LOCATOR,
+    BUS_LOST,
+    CANNOT_OPEN,
+    NO_PERMISSION,
+    NOT_ACKNOWLEDGED,
+    TransportError,
+    bad_locator,
+)
 from canopen_transports.locator import Locator, bitrate_text, nearest
 from canopen_transports.peak import attached
 
@@ -74,6 +82,7 @@ _EXAMPLES: Final = {
     "neovi": "neovi:1@500k",
     "etas": "etas:ETAS://ETH/ES910:abcd/CAN:1@500k",
 }
+_NO_ADAPTER: Final = "the adapter is not plugged in, its driver is not loaded, or it has another name"
 _ROUTE_MULTICAST: Final = "sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)"
 _ARPHRD_CAN: Final = 280
 # PCAN-Basic: "The transmit queue is full"; Vector: XL_ERR_QUEUE_IS_FULL; Kvaser: "Transmit buffer overflow"
@@ -149,7 +158,7 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         cause = "no server of socketcand runs there, or a firewall is between"
         tries = [f"socketcand -v -i {locator.channel or 'can0'}   (on the computer that has the adapter)", *tries]
     elif number in (errno.ENODEV, errno.ENOENT, errno.ENXIO) or _NOT_FOUND.search(seen):
-        cause = "the adapter is not plugged in, its driver is not loaded, or it has another name"
+        cause = _NO_ADAPTER
         tries = [*_kernel_driver(locator), *tries]
     elif _driver_is_missing(error):
         cause = "the software for this adapter is not installed"
@@ -167,6 +176,10 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         tries = [*_channel_steps(locator), f"https://python-can.readthedocs.io/ says what {locator.interface} takes"]
     else:
         cause = "the adapter is not plugged in, or it or its driver refuses"
+    return _not_opened(locator, seen, cause, tries, code)
+
+
+def _not_opened(locator: Locator, seen: str, cause: str, tries: Iterable[str], code: str = CANNOT_OPEN) -> TransportError:
     return TransportError(code, locator.text, f"cannot open {locator.text}", seen=seen, cause=cause, tries=tries)
 
 
@@ -175,72 +188,39 @@ def interface_missing(locator: Locator) -> TransportError:
     tries = list(_further_steps(locator))
     if locator.channel.startswith("vcan"):
         tries.insert(0, f"sudo modprobe vcan && sudo ip link add dev {locator.channel} type vcan && {bring_up(locator)}")
-    return TransportError(
-        CANNOT_OPEN,
-        locator.text,
-        f"cannot open {locator.text}",
-        seen=f"there is no network interface {locator.channel!r}",
-        cause="the adapter is not plugged in, its driver is not loaded, or it has another name",
-        tries=(*tries, "ip link show"),
-    )
+    return _not_opened(locator, f"there is no network interface {locator.channel!r}", _NO_ADAPTER, (*tries, "ip link show"))
 
 
 def not_a_can_interface(locator: Locator) -> TransportError:
     """SocketCAN: the network interface is an Ethernet card or the like."""
-    return TransportError(
-        CANNOT_OPEN,
-        locator.text,
-        f"cannot open {locator.text}",
-        seen=f"{locator.channel} is a network interface, but not a CAN bus",
-        cause="another one is meant",
-        tries=(*_further_steps(locator), "ip link show"),
-    )
+    seen = f"{locator.channel} is a network interface, but not a CAN bus"
+    return _not_opened(locator, seen, "another interface is meant", (*_further_steps(locator), "ip link show"))
 
 
 def interface_down(locator: Locator) -> TransportError:
     """SocketCAN: the interface is there and DOWN. (The kernel lets a socket be bound to it all the same.)"""
-    return TransportError(
-        CANNOT_OPEN,
-        locator.text,
-        f"cannot open {locator.text}",
-        seen=f"{locator.channel} is there, but it is DOWN",
-        cause="nobody has brought it up since it was plugged in; the kernel keeps the bit rate, a program cannot set it",
-        tries=(bring_up(locator),),
-    )
+    cause = "nobody has brought it up since it was plugged in; the kernel keeps the bit rate, a program cannot set it"
+    return _not_opened(locator, f"{locator.channel} is there, but it is DOWN", cause, (bring_up(locator),))
 
 
 def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
     """The adapter does not know this bit rate."""
-    return TransportError(
-        CANNOT_OPEN,
-        locator.text,
-        f"cannot open {locator.text}",
-        seen=f"{locator.interface} has no bit rate {locator.bitrate}",
-        cause="python-can knows only these by name",
-        tries=(f"one of {', '.join(bitrate_text(rate) for rate in known)}",),
-    )
+    seen = f"{locator.interface} has no bit rate {locator.bitrate}"
+    tries = (f"one of {', '.join(bitrate_text(rate) for rate in known)}",)
+    return _not_opened(locator, seen, "python-can knows only these by name", tries)
 
 
 def bitrate_is_set_elsewhere(locator: Locator) -> TransportError:
     """A bit rate that python-can would take, and not pass on."""
-    return TransportError(
-        BAD_LOCATOR,
-        locator.text,
-        f"cannot open {locator.text}",
-        seen=f"{locator.interface} sets no bit rate: what is at the other end does",
-        tries=("leave the bit rate out",),
-    )
+    seen = f"{locator.interface} sets no bit rate: the other end of the connection does"
+    return _not_opened(locator, seen, "", ("leave the bit rate out",), BAD_LOCATOR)
 
 
 def unknown_option(locator: Locator, option: str, known: list[str]) -> TransportError:
     """An option that our own transport of this interface does not have."""
-    return TransportError(
-        BAD_LOCATOR,
-        locator.text,
-        f"the bus {locator.text!r} makes no sense",
-        seen=f"{locator.interface} has no option {option!r}; it has {', '.join(known)}",
-        tries=(f"{locator.interface}:{locator.channel}", f"pythoncan:{locator.text}   (python-can's own, with its options)"),
-    )
+    seen = f"{locator.interface} has no option {option!r}; it has {', '.join(known)}"
+    tries = (f"{locator.interface}:{locator.channel}", f"pythoncan:{locator.text}   (python-can's own, with its options)")
+    return bad_locator(locator.text, seen, tries)
 
 
 def bus_lost(locator: Locator, doing: str, error: BaseException) -> TransportError:
@@ -278,8 +258,15 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
     )
 
 
+def no_room(locator: Locator, doing: str, seconds: float, received: int, last_error: str) -> TransportError:
+    """Return the error for a transmit queue that stayed full for so long. received, last_error: as for a transport."""
+    heard = f"{received} frames received so far" if received else "no frame ever received"
+    seen = f"no room in the transmit queue for {seconds:g} s; {heard}" + (f"; {last_error}" if last_error else "")
+    return not_acknowledged(locator, doing, seen, received)
+
+
 def _text(error: BaseException) -> str:
-    """One line that says what an exception says; with its cause, where python-can's own words leave that out."""
+    """Return an exception's text in one line, with that of its cause unless it contains it."""
     text, _, _ = str(error).partition("Traceback (most recent call last)")  # python-can's socketcand puts one into its message
     text = " ".join(text.split()) or type(error).__name__
     cause = " ".join(str(error.__cause__ or "").split())

@@ -59,9 +59,7 @@ class BusState(Enum):
     """It is back, and frames come again."""
 
 
-class TransportError(Explained, Exception):
-    """The world refused. locator: the bus, as `open_transport` takes it. The other fields: see Explained."""
-
+class _OfBus(Explained):
     def __init__(
         self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
     ) -> None:
@@ -69,17 +67,15 @@ class TransportError(Explained, Exception):
         self.locator = locator
 
 
-class Report(Explained):
-    """What `receive` returns in place of a frame when there is something to tell: a ReceiveOverrun or a BusStateChanged.
+class TransportError(_OfBus, Exception):
+    """The bus cannot be opened or used. locator: the bus, as `open_transport` takes it. The other fields: see Explained."""
 
-    It is no error: the transport goes on working. locator: the bus. The other fields: see Explained.
+
+class Report(_OfBus):
+    """A ReceiveOverrun or a BusStateChanged, which `receive` returns in place of a frame.
+
+    It is no error: the transport continues to work. locator: the bus. The other fields: see Explained.
     """
-
-    def __init__(
-        self, code: str, locator: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
-    ) -> None:
-        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
-        self.locator = locator
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.failed}>"
@@ -115,7 +111,17 @@ class BusStateChanged(Report):
 
 
 class FrameNotSent(TransportError):
-    """This one frame was not sent, as the bus is away for the time being (down, bus-off). The transport works on.
+    """This frame was not sent because the bus is away (interface down, bus-off). The transport continues to work.
 
-    It may be sent again later, but should it? Who waits for the bus to come back listens for BusStateChanged.
+    To learn when the bus is back, wait for a BusStateChanged. Then decide whether the frame should still be sent.
     """
+
+    @classmethod
+    def because(cls, reason: TransportError) -> FrameNotSent:
+        """Return the same error as a FrameNotSent."""
+        return cls(reason.code, reason.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries)
+
+
+def bad_locator(text: str, seen: str, tries: Iterable[str]) -> TransportError:
+    """Return the error for a locator that is not valid (CO100)."""
+    return TransportError(BAD_LOCATOR, text, f"the bus {text!r} is not a valid locator", seen=seen, tries=tries)

@@ -34,7 +34,7 @@ from typing import Final, NamedTuple, TypeAlias
 from can.interfaces import VALID_INTERFACES
 from can.util import cast_from_string
 
-from canopen_transports.errors import BAD_LOCATOR, TransportError
+from canopen_transports.errors import TransportError, bad_locator
 
 Option: TypeAlias = str | int | float | bool
 
@@ -91,7 +91,7 @@ def parse_locator(text: str) -> Locator:
         return Locator(text, True, interface, channel, bitrate, options)
     if interface == "tcp":
         if bitrate is not None or options:
-            raise _bad(text, "a bus by TCP has neither bit rate nor options", tries=(f"tcp:{channel}" if channel else "tcp",))
+            raise bad_locator(text, "a tcp: bus has neither bit rate nor options", (f"tcp:{channel}" if channel else "tcp",))
         return Locator(text, True, interface, channel, None, {})
     if interface == "pythoncan":
         interface, _, channel = channel.partition(":")
@@ -125,9 +125,9 @@ def _options(text: str, query: str) -> Iterator[tuple[str, Option]]:
     for option in query.split("&") if query else ():
         name, equals, value = option.partition("=")
         if not (name and equals):
-            raise _bad(text, f"the option {option!r} is not of the form NAME=VALUE", tries=("join several options by &",))
+            raise bad_locator(text, f"the option {option!r} is not of the form NAME=VALUE", ("join several options by &",))
         if name in _REFUSED_OPTIONS and cast_from_string(value) not in (False, 0):
-            raise _bad(text, f"the option {option!r} is refused: {_REFUSED_OPTIONS[name]}", tries=("leave it out",))
+            raise bad_locator(text, f"the option {option!r} is refused: {_REFUSED_OPTIONS[name]}", ("leave it out",))
         yield name, cast_from_string(value)
 
 
@@ -138,7 +138,7 @@ def _split_bitrate(text: str, address: str) -> tuple[str, int | None]:
     try:
         return rest, parse_bitrate(tail)
     except ValueError as error:
-        raise _bad(text, str(error), tries=(f"{rest}@500k",)) from None
+        raise bad_locator(text, str(error), (f"{rest}@500k",)) from None
 
 
 def _peak_channel(text: str, path: str) -> str:
@@ -149,7 +149,7 @@ def _peak_channel(text: str, path: str) -> str:
         if kind is not None and match[1] in (None, kind.lower()):
             return f"PCAN_{kind}BUS{(minor & 7) + 1}"
     seen = f"{path} is no device file of a PEAK adapter that has a name in PCAN-Basic"
-    raise _bad(text, seen, tries=("/dev/pcan32", "pcan:PCAN_USBBUS1@500k"))
+    raise bad_locator(text, seen, ("/dev/pcan32", "pcan:PCAN_USBBUS1@500k"))
 
 
 def _unknown_interface(text: str, interface: str) -> TransportError:
@@ -158,7 +158,7 @@ def _unknown_interface(text: str, interface: str) -> TransportError:
     tries = [text.replace(interface, meant, 1)] if meant else []
     seen = f"there is no interface {interface!r}" if interface else "it names no interface"
     seen += f"; known are {', '.join(dict.fromkeys(known))}"
-    return _bad(text, seen, tries=(*tries, f"a locator such as {', '.join(_EXAMPLES)}"))
+    return bad_locator(text, seen, (*tries, f"a locator such as {', '.join(_EXAMPLES)}"))
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -166,7 +166,3 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     spelled = {name.lower(): name for name in known}
     found = difflib.get_close_matches(word.lower(), spelled, n=1)
     return spelled[found[0]] if found else None
-
-
-def _bad(text: str, seen: str, tries: tuple[str, ...]) -> TransportError:
-    return TransportError(BAD_LOCATOR, text, f"the bus {text!r} makes no sense", seen=seen, tries=tries)

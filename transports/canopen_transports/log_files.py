@@ -28,11 +28,13 @@ from typing import IO, Any, BinaryIO, Final, Protocol, TextIO
 import can
 from can.io.blf import BLFParseError
 
+from canopen_proto.explained import Explained
 from canopen_proto.frame import REMOTE
 from canopen_transports.candump_text import EXAMPLE, NotAFrame, parse_line
 from canopen_transports.messages import RefusedMessage, frame_of, message_of
 from canopen_transports.record import Record
 
+UNREADABLE: Final = "CO342"
 DEFAULT_CHANNEL: Final = "can0"
 
 LOSSES: Final = {
@@ -63,7 +65,7 @@ _ENTRY: Final = {
 }
 """Lines that say what happened, as against headers and comments."""
 _HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
-_OTHER_KIND: Final = "is it really a log of this kind? (its name's ending says which)"
+_STATS: Final = "canopen log stats FILE    (what is in a file)"
 _UTF16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -76,16 +78,12 @@ def _old_code_page(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error("canopen-old-code-page", _old_code_page)
 
 
-class LogFileError(Exception):
-    """A log file cannot be read or written. path, seen, tries: as of TransportError. line: where, 0 if that is not known."""
+class LogFileError(Explained, Exception):
+    """A log file cannot be read or written. line: where in it, from 1; 0 if that is not known. The rest: see Explained."""
 
-    def __init__(self, path: Path, failed: str, seen: str, *, line: int = 0, tries: tuple[str, ...] = ()) -> None:
-        super().__init__(f"{failed}: {seen}")
-        self.path = path
-        self.failed = failed
-        self.seen = seen
+    def __init__(self, failed: str, seen: str, cause: str, tries: tuple[str, ...], *, line: int = 0) -> None:
+        super().__init__(UNREADABLE, failed, seen=seen, cause=cause, tries=tries)
         self.line = line
-        self.tries = tries
 
 
 def kind_of(path: Path) -> str:
@@ -93,10 +91,10 @@ def kind_of(path: Path) -> str:
     kind = path.suffix.lower()
     if kind not in LOSSES:
         raise LogFileError(
-            path,
-            f"what kind of log {path} is, its name does not say",
+            f"the name {path} does not say what kind of log it is",
             f"it ends in {path.suffix!r}" if path.suffix else "it has no ending",
-            tries=(f"one of {', '.join(LOSSES)}, such as {path.with_suffix('.log').name}",),
+            "the ending of a log's name says which kind it is",
+            (f"one of {', '.join(LOSSES)}, such as {path.with_suffix('.log').name}",),
         )
     return kind
 
@@ -132,7 +130,7 @@ class LogReader:
                 with open(self.path, "rb") as file, _text(file) as text:
                     yield from self._candump_records(text) if self._kind == ".log" else self._text_records(text)
         except OSError as error:
-            raise LogFileError(self.path, f"cannot read {self.path}", error.strerror or str(error)) from error
+            raise _no_access("read", self.path, error) from error
 
     def _skip(self, reason: str) -> None:
         self.skipped += 1
@@ -140,7 +138,8 @@ class LogReader:
 
     def _not_understood(self, seen: str, line: int = 0, *tries: str) -> LogFileError:
         place = f"{self.path}:{line}" if line else str(self.path)
-        return LogFileError(self.path, f"{place} is not understood", seen, line=line, tries=tries or (_OTHER_KIND,))
+        cause = "the file is damaged, or of another kind than its name says"
+        return LogFileError(f"{place} is not understood", seen, cause, tries or (_STATS,), line=line)
 
     # ---- .log ----
 
@@ -272,7 +271,12 @@ def log_writer(path: Path) -> LogWriter:
     try:
         return CandumpWriter(open(path, "w", encoding="utf-8", buffering=1)) if kind == ".log" else _ForeignWriter(path, kind)
     except OSError as error:
-        raise LogFileError(path, f"cannot write {path}", error.strerror or str(error)) from error
+        raise _no_access("write", path, error) from error
+
+
+def _no_access(doing: str, path: Path, error: OSError) -> LogFileError:
+    cause = f"it has another name, lies in another folder, or is not this user's to {doing}"
+    return LogFileError(f"cannot {doing} {path}", error.strerror or str(error), cause, ("check the path",))
 
 
 class CandumpWriter:

@@ -15,7 +15,7 @@ import trio
 
 from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.driver_calls import open_bus
-from canopen_transports.errors import BAD_LOCATOR, TransportError
+from canopen_transports.errors import TransportError, bad_locator
 from canopen_transports.locator import Locator, Option, parse_locator
 from canopen_transports.python_can import PythonCanTransport
 from canopen_transports.replay import ReplayTransport, open_replay
@@ -140,13 +140,8 @@ def _multicast_group(locator: Locator) -> str:
     except ValueError:
         is_multicast = False
     if not is_multicast:
-        raise TransportError(
-            BAD_LOCATOR,
-            locator.text,
-            f"the bus {locator.text!r} makes no sense",
-            seen=f"{group!r} is not a multicast address (224.0.0.0 to 239.255.255.255, or ff00::/8)",
-            tries=("udp_multicast", f"udp_multicast:{MULTICAST_GROUP}"),
-        )
+        seen = f"{group!r} is not a multicast address (224.0.0.0 to 239.255.255.255, or ff00::/8)"
+        raise bad_locator(locator.text, seen, ("udp_multicast", f"udp_multicast:{MULTICAST_GROUP}"))
     return group
 
 

@@ -166,7 +166,9 @@ class PythonCanTransport(trio.abc.AsyncResource):
                     if self._closed or not diagnosis.queue_is_full(error):
                         raise self._failed_send(frame, error) from error
                     if trio.current_time() >= give_up:
-                        raise self._no_room(frame) from error
+                        raise diagnosis.no_room(
+                            self._locator, f"send {frame}", ROOM_TIME, self.received, self.last_error
+                        ) from error
                 else:
                     return
                 await trio.sleep(ROOM_POLL)
@@ -204,12 +206,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
             why = self._bus_lost(doing)
             if self._reopen is None:
                 return why
-        return FrameNotSent(why.code, self.locator, why.failed, seen=why.seen, cause=why.cause, tries=why.tries)
-
-    def _no_room(self, frame: Frame) -> TransportError:
-        heard = f"{self.received} frames received so far" if self.received else "no frame ever received"
-        seen = f"no room in the transmit queue for {ROOM_TIME:g} s; {heard}" + (f"; {self.last_error}" if self.last_error else "")
-        return diagnosis.not_acknowledged(self._locator, f"send {frame}", seen, self.received)
+        return FrameNotSent.because(why)
 
     # ---- receiving ----
 

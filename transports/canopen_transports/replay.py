@@ -22,7 +22,7 @@ from typing import Final
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, Report, TransportError
+from canopen_transports.errors import BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, Report, TransportError, bad_locator
 from canopen_transports.locator import Option
 from canopen_transports.log_files import LogFileError, LogReader
 from canopen_transports.record import Record
@@ -32,8 +32,6 @@ MAX: Final = math.inf
 STEP: Final = 0.0
 _OPTIONS: Final = ("speed", "send")
 _SENDS: Final = ("swallow", "refuse")
-_CAUSE_OF_NO_FILE: Final = "it has another name, lies in another folder, or is not this user's to read"
-_CAUSE_OF_NONSENSE: Final = "it is damaged, or of another kind than its name says"
 
 
 class ReplayTransport(trio.abc.AsyncResource):
@@ -52,7 +50,7 @@ class ReplayTransport(trio.abc.AsyncResource):
         try:
             self._reader = LogReader(path)
         except LogFileError as error:
-            raise self._not_understood(error) from error
+            raise self._unreadable(error) from error
         self._records: Generator[Record] = iter(self._reader)
         self._start = trio.current_time()
         self._next: Record | None = None
@@ -142,19 +140,19 @@ class ReplayTransport(trio.abc.AsyncResource):
         try:
             self._next = next(self._records, None)
         except LogFileError as error:
-            raise self._not_understood(error) from error
+            raise self._unreadable(error) from error
         if self._first is None and self._next is not None:
             self._first = self._next.time
 
-    def _not_understood(self, error: LogFileError) -> TransportError:
+    def _unreadable(self, error: LogFileError) -> TransportError:
         opening = self._first is None
         return TransportError(
             CANNOT_OPEN if opening else BUS_LOST,
             self.locator,
             f"cannot {'open' if opening else 'go on with'} {self.locator}",
-            seen=str(error),
-            cause=_CAUSE_OF_NO_FILE if isinstance(error.__cause__, OSError) else _CAUSE_OF_NONSENSE,
-            tries=error.tries or ("canopen log stats FILE    (what is in a file)",),
+            seen=f"{error.failed}: {error.seen}",
+            cause=error.cause,
+            tries=error.tries,
         )
 
 
@@ -176,5 +174,4 @@ def open_replay(locator: str, channel: str, options: dict[str, Option]) -> Repla
 
 
 def _bad(locator: str, seen: str) -> TransportError:
-    tries = ("file:trace.log", "file:trace.log?speed=max&send=refuse")
-    return TransportError(BAD_LOCATOR, locator, f"the bus {locator!r} makes no sense", seen=seen, tries=tries)
+    return bad_locator(locator, seen, ("file:trace.log", "file:trace.log?speed=max&send=refuse"))

@@ -21,7 +21,7 @@ from typing import Final, Protocol, TypeVar
 
 import trio
 
-from canopen_proto.frame import Frame
+from canopen_proto.frame import Frame, RoutingKey
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
 from canopen_transports.log_files import LogWriter
@@ -131,7 +131,7 @@ class TracingTransport(trio.abc.AsyncResource):
         self._trace = trace
         self._channel = trace.channel_of(self.locator)
         self._ours = trace.devices_are_ours or not _for_devices.get()
-        self._cyclic_keys: set[int] = set()
+        self._cyclic_keys: set[RoutingKey] = set()
         self._sending = 0
         self._held: list[Record] = []
 

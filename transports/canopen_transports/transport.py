@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeAlias, runtime_checkable
 
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import EXTENDED, REMOTE, Frame, RoutingKey
 from canopen_transports.errors import Report
 
 MAX_STANDARD_ID = 0x7FF
@@ -61,7 +61,7 @@ class FilteringTransport(Protocol):
 
     filtered: bool
 
-    def set_filters(self, keys: Iterable[int] | None) -> bool:
+    def set_filters(self, keys: Iterable[RoutingKey] | None) -> bool:
         """Receive only frames of these routing keys (`Frame.key`) from now on, None: all. Whether it now leaves out others."""
 
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.errors import BAD_LOCATOR, Report, TransportError
+from canopen_transports.errors import Report, bad_locator
 from canopen_transports.locator import Option
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
@@ -92,13 +92,8 @@ async def open_virtual(
     """
     plain = _names()
     if name in plain and (options or bitrate is not None):
-        raise TransportError(
-            BAD_LOCATOR,
-            locator,
-            f"the bus {locator!r} makes no sense",
-            seen=f"there is a bus virtual:{name} without options already",
-            tries=("the same options for its first member", "another name"),
-        )
+        seen = f"a bus virtual:{name} without options is open already"
+        raise bad_locator(locator, seen, ("the same options for its first member", "another name"))
     member = await open_wire(locator, name, bitrate, options)
     return VirtualTransport(name) if member is None else member
 

@@ -33,13 +33,13 @@ import trio
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_transports.errors import (
-    BAD_LOCATOR,
     NOT_ACKNOWLEDGED,
     BusState,
     BusStateChanged,
     FrameNotSent,
     Report,
     TransportError,
+    bad_locator,
 )
 from canopen_transports.locator import Option, parse_bitrate
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
@@ -304,13 +304,8 @@ async def open_wire(
             raise ValueError(f"there is a bus of this name with other options: {bus.wire.settings}")
         transport = WireTransport(locator, bus, order, queue_size)
     except (ValueError, LocalProtocolError) as error:
-        raise TransportError(
-            BAD_LOCATOR,
-            locator,
-            f"the bus {locator!r} makes no sense",
-            seen=str(error),
-            tries=(f"virtual:{name}?bitrate=500k&loss=0.001&seed=7", f"known options: {', '.join(sorted(_KNOWN))}"),
-        ) from error
+        tries = (f"virtual:{name}?bitrate=500k&loss=0.001&seed=7", f"known options: {', '.join(sorted(_KNOWN))}")
+        raise bad_locator(locator, str(error), tries) from error
     await transport.open()
     return transport
 

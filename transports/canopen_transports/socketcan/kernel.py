@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 from typing import Final
 
-from canopen_proto.frame import KEY_EXTENDED, Frame
+from canopen_proto.frame import KEY_EXTENDED, Frame, RoutingKey
 
 SO_SNDBUFFORCE: Final = 32
 SO_RCVBUFFORCE: Final = 33
@@ -44,7 +44,7 @@ def pack(frame: Frame) -> bytes:
     return CAN_FRAME.pack(frame.can_id | frame.flags << 30, frame.dlc, frame.data)
 
 
-def filter_for(key: int) -> bytes:
+def filter_for(key: RoutingKey) -> bytes:
     """The filter that lets through the frames of one routing key: this CAN-ID, of this length, data or remote."""
     number = socket.CAN_EFF_MASK if key & KEY_EXTENDED else socket.CAN_SFF_MASK
     flags = (key & ~socket.CAN_EFF_MASK) << 1

@@ -36,17 +36,15 @@ from typing import Final
 
 import trio
 
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import EXTENDED, REMOTE, Frame, RoutingKey
 from canopen_transports import diagnosis
 from canopen_transports.errors import (
     BUS_LOST,
-    NOT_ACKNOWLEDGED,
     BusState,
     BusStateChanged,
     FrameNotSent,
     ReceiveOverrun,
     Report,
-    TransportError,
 )
 from canopen_transports.locator import Locator, Option
 from canopen_transports.socketcan import kernel
@@ -175,7 +173,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         give_up = trio.current_time() + ROOM_TIME
         while number := self._try_to_send(frame, data):
             if trio.current_time() >= give_up:
-                raise self._no_room(frame)
+                raise diagnosis.no_room(self._locator, f"send {frame}", ROOM_TIME, self.received, self.last_error)
             if number == errno.ENOBUFS:
                 await trio.sleep(ROOM_POLL)
             else:
@@ -187,17 +185,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     def _not_sent(self, frame: Frame) -> FrameNotSent:
         if self.state is BusState.BUS_OFF:
-            reason = diagnosis.not_acknowledged(self._locator, f"send {frame}", self.last_error, self.received)
-            return FrameNotSent(
-                NOT_ACKNOWLEDGED, self.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries
+            return FrameNotSent.because(
+                diagnosis.not_acknowledged(self._locator, f"send {frame}", self.last_error, self.received)
             )
         seen, cause, tries = self._why_away()
         return FrameNotSent(BUS_LOST, self.locator, f"cannot send {frame} on {self.locator}", seen=seen, cause=cause, tries=tries)
-
-    def _no_room(self, frame: Frame) -> TransportError:
-        heard = f"{self.received} frames received so far" if self.received else "no frame ever received"
-        seen = f"no room in the transmit queue for {ROOM_TIME:g} s; {heard}" + (f"; {self.last_error}" if self.last_error else "")
-        return diagnosis.not_acknowledged(self._locator, f"send {frame}", seen, self.received)
 
     # ---- receiving ----
 
@@ -373,7 +365,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     # ---- filters, cyclic frames ----
 
-    def set_filters(self, keys: Iterable[int] | None) -> bool:
+    def set_filters(self, keys: Iterable[RoutingKey] | None) -> bool:
         """Receive only frames of these routing keys (`Network.can_ids()`) from now on; None: all. No frame is lost in between.
 
         Whether the kernel filters now: more than 512 keys are more than it can, so all frames come again.

@@ -8,7 +8,7 @@ import re
 import socket
 from typing import Final
 
-from canopen_transports.errors import BAD_LOCATOR, BUS_LOST, CANNOT_OPEN, NO_PERMISSION, TransportError
+from canopen_transports.errors import BUS_LOST, CANNOT_OPEN, NO_PERMISSION, TransportError, bad_locator
 
 DEFAULT_HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 20301
@@ -22,13 +22,9 @@ def parse_address(locator: str, channel: str) -> tuple[str, int]:
     match = _ADDRESS.fullmatch(channel)
     port = int(match[2] or DEFAULT_PORT) if match is not None else 0
     if match is None or not 1 <= port <= 65535:
-        raise TransportError(
-            BAD_LOCATOR,
-            locator,
-            f"the bus {locator!r} makes no sense",
-            seen=f"{channel!r} is not of the form HOST:PORT, with a port of 1 to 65535",
-            tries=(f"tcp:{DEFAULT_HOST}:{DEFAULT_PORT}", f"tcp:[::1]:{DEFAULT_PORT}   (an IPv6 address stands in brackets)"),
-        )
+        seen = f"{channel!r} is not of the form HOST:PORT, with a port of 1 to 65535"
+        tries = (f"tcp:{DEFAULT_HOST}:{DEFAULT_PORT}", f"tcp:[::1]:{DEFAULT_PORT}   (an IPv6 address stands in brackets)")
+        raise bad_locator(locator, seen, tries)
     return (match[1] or DEFAULT_HOST).strip("[]"), port
 
 
