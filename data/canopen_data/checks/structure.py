@@ -11,6 +11,7 @@ from typing import Final
 from canopen_data.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
 from canopen_data.describing import MANDATORY
 from canopen_data.findings import Finding
+from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Object, ObjectType, Variable
 
