@@ -7,10 +7,12 @@ tells it from an index, from a routing key and from a plain number: `values.stor
 
 from __future__ import annotations
 
-from typing import NewType
+from typing import Final, NewType
 
 Mux = NewType("Mux", int)
 """Index << 8 | subindex: 0x604100 is object 0x6041, subindex 0."""
+
+_FIRST_MUX: Final = 0x100000
 
 
 def mux(index: int, subindex: int = 0) -> Mux:
@@ -31,6 +33,14 @@ def subindex_of(multiplexer: Mux) -> int:
 def split_mux(multiplexer: Mux) -> tuple[int, int]:
     """Return index and subindex."""
     return multiplexer >> 8, multiplexer & 0xFF
+
+
+def place_of(number: int) -> tuple[int, int]:
+    """Return the index and subindex that a number means: a multiplexer, or an index alone, which stands for its subindex 0.
+
+    A number of six hexadecimal digits is a multiplexer. No device has an object to read or write below index 0x1000.
+    """
+    return (number, 0) if number < _FIRST_MUX else (number >> 8, number & 0xFF)
 
 
 def mux_text(multiplexer: Mux) -> str:

@@ -309,10 +309,10 @@ class RemoteNode(Group):
         (self._wanted.add if enabled else self._wanted.discard)(number)
         producer.set_enabled(enabled and self.is_operational, now)
 
-    def rpdo_of(self, index: int, subindex: int = 0) -> PdoProducer | None:
-        """Return the live RPDO that carries an object, or None."""
+    def rpdo_of(self, key: Key) -> PdoProducer | None:
+        """Return the live RPDO that carries an object, or None. key: as of `Mapping.find_component`."""
         for producer in self.rpdos.values():
-            if producer.is_live and producer.mapping.find_component((index, subindex)) is not None:
+            if producer.is_live and producer.mapping.find_component(key) is not None:
                 return producer
         return None
 

@@ -33,7 +33,7 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import DataType, Value, is_signed
 from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.multiplexer import Mux, index_of, mux
+from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 
 __all__ = [
     "Access",
@@ -231,7 +231,7 @@ class ObjectDictionary:
         if isinstance(key, Variable):
             return key
         if isinstance(key, int):
-            return self.at(key, 0)
+            return self.at(*place_of(key))
         return self.at(*key)
 
     def _by_text(self, text: str, names: _Names) -> Variable:

@@ -160,7 +160,7 @@ class Variable:
 
 Key: TypeAlias = str | int | tuple[int, int] | Variable
 """What names a variable: "statusword", "record:field", "6041", "0x6041", "6041:00", "6041.0" (numbers in text are hexadecimal);
-0x6041; (0x60C1, 1); the Variable itself."""
+0x6041; (0x60C1, 1); the Variable itself; its multiplexer, as 0x60C101 (`Mux`)."""
 
 
 @dataclass(slots=True, unsafe_hash=True)  # not frozen: that makes one cost three times as much

@@ -33,20 +33,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import describe_status
-from canopen_proto.cia402.objects import (
-    CONTROLWORD,
-    ERROR_CODE,
-    INTERPOLATION_SET_POINT,
-    MODES_OF_OPERATION,
-    MODES_OF_OPERATION_DISPLAY,
-    POSITION_ACTUAL_VALUE,
-    SCHUNK_VENDOR_ID,
-    STATUSWORD,
-    TARGET_POSITION,
-    TORQUE_ACTUAL_VALUE,
-    VELOCITY_ACTUAL_VALUE,
-)
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.datatypes import range_of
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time
@@ -135,8 +123,8 @@ class AxisSettings:
         """
         homing = self.homing
         if homing is None:
-            homing = HomingStyle.SCHUNK if vendor_id == SCHUNK_VENDOR_ID else HomingStyle.STANDARD
-        is_schunk = homing is HomingStyle.SCHUNK and vendor_id == SCHUNK_VENDOR_ID
+            homing = HomingStyle.SCHUNK if vendor_id == objects.SCHUNK_VENDOR_ID else HomingStyle.STANDARD
+        is_schunk = homing is HomingStyle.SCHUNK and vendor_id == objects.SCHUNK_VENDOR_ID
         scale = MILLIDEGREES_PER_RADIAN if is_schunk and self.counts_per_unit is None else self.counts_per_unit
         return replace(self, homing=homing, counts_per_unit=scale)
 
@@ -191,8 +179,8 @@ class Axis:
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
         """Make the axis of a node. Raises LocalProtocolError if its dictionary lacks controlword, statusword or a mode object."""
-        for key in (CONTROLWORD, STATUSWORD, MODES_OF_OPERATION, MODES_OF_OPERATION_DISPLAY):
-            node.dictionary.variable(split_mux(key))
+        for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
+            node.dictionary.variable(key)
         self.node = node
         self.settings = self._given = settings
         self.is_identified = False
@@ -200,9 +188,9 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
-        found = (node.dictionary.get(*split_mux(mux)) for mux in (INTERPOLATION_SET_POINT, TARGET_POSITION))
+        found = (node.dictionary.get(*split_mux(mux)) for mux in (objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION))
         self._set_points = [(each, *(range_of(each.data_type) or _NO_RANGE)) for each in found if each is not None]
-        node.commanded |= {CONTROLWORD, INTERPOLATION_SET_POINT, TARGET_POSITION}
+        node.commanded |= {objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION}
         node.add_listener(self._on_values, self._on_boot)
 
     # ---- what is known of the drive ----
@@ -210,22 +198,22 @@ class Axis:
     @property
     def statusword(self) -> int:
         """0x6041 as last heard; 0 if it never was: `state` is UNKNOWN then."""
-        return self._int(STATUSWORD)
+        return self._int(objects.STATUSWORD)
 
     @property
     def controlword(self) -> int:
         """The image of 0x6040: what the drive was last commanded."""
-        return self._int(CONTROLWORD)
+        return self._int(objects.CONTROLWORD)
 
     @property
     def mode(self) -> int | None:
         """0x6061, the active mode of operation, as last heard; None if it never was."""
-        return self._heard(MODES_OF_OPERATION_DISPLAY)
+        return self._heard(objects.MODES_OF_OPERATION_DISPLAY)
 
     @property
     def error_code(self) -> int:
         """0x603F as last heard, 0 for none."""
-        return self._int(ERROR_CODE)
+        return self._int(objects.ERROR_CODE)
 
     @property
     def position(self) -> float | None:
@@ -236,7 +224,7 @@ class Axis:
     @property
     def position_counts(self) -> int | None:
         """0x6064 as last heard, in counts; None if it never was since the node's last boot."""
-        return self._heard(POSITION_ACTUAL_VALUE)
+        return self._heard(objects.POSITION_ACTUAL_VALUE)
 
     @property
     def velocity(self) -> float | None:
@@ -247,12 +235,12 @@ class Axis:
     @property
     def velocity_counts(self) -> int | None:
         """0x606C as last heard, in the drive's own unit; None if it never was since the node's last boot."""
-        return self._heard(VELOCITY_ACTUAL_VALUE)
+        return self._heard(objects.VELOCITY_ACTUAL_VALUE)
 
     @property
     def torque(self) -> float | None:
         """0x6077 as last heard, as a share of the rated torque (0.5 is half of it); None if it never was."""
-        per_mille = self._heard(TORQUE_ACTUAL_VALUE)
+        per_mille = self._heard(objects.TORQUE_ACTUAL_VALUE)
         return None if per_mille is None else per_mille / 1000
 
     @property
@@ -277,14 +265,14 @@ class Axis:
 
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
         """Return 0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
-        heard = self.node.heard_at.get(STATUSWORD)
+        heard = self.node.heard_at.get(objects.STATUSWORD)
         if heard is None or heard < not_before or now - heard > FRESH:
             return None
-        return self._int(STATUSWORD)
+        return self._int(objects.STATUSWORD)
 
     def describe(self) -> str:
         """Return one line for people: state, statusword, error code and last EMCY."""
-        if self._heard(STATUSWORD) is None:
+        if self._heard(objects.STATUSWORD) is None:
             parts = ["its statusword was never heard"]
         else:
             parts = [f"statusword 0x{self.statusword:04X}: {', '.join(describe_status(self.statusword, self.mode))}"]
@@ -335,8 +323,8 @@ class Axis:
     @property
     def set_point_counts(self) -> int:
         """The position that the next RPDO commands, in counts."""
-        has_own = INTERPOLATION_SET_POINT in self.node.values.store
-        return self._int(INTERPOLATION_SET_POINT if has_own else TARGET_POSITION)
+        has_own = objects.INTERPOLATION_SET_POINT in self.node.values.store
+        return self._int(objects.INTERPOLATION_SET_POINT if has_own else objects.TARGET_POSITION)
 
     def set_position(self, position: float) -> None:
         """Set the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
@@ -363,8 +351,8 @@ class Axis:
 
         Without a live RPDO that carries 0x6040 nothing is sent; `drive.command` sends in every case.
         """
-        self.node.values.store[CONTROLWORD] = word & 0xFFFF
-        producer = self.node.rpdo_of(0x6040)
+        self.node.values.store[objects.CONTROLWORD] = word & 0xFFFF
+        producer = self.node.rpdo_of(objects.CONTROLWORD)
         if producer is not None:
             producer.trigger(now)
 
@@ -376,7 +364,7 @@ class Axis:
         return value if isinstance(value, int) else 0
 
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
-        if STATUSWORD in muxes:
+        if objects.STATUSWORD in muxes:
             self._enter(state_of(self.statusword))
 
     def _on_boot(self) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl
-from canopen_proto.cia402.objects import CONTROLWORD
 from canopen_proto.cia402.states import Command, State
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import is_loss_of, node_lost
@@ -46,7 +46,7 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
 
 
 def _bring(axis: Axis, controlword: int) -> Procedure[None]:
-    producer = axis.node.rpdo_of(0x6040)
+    producer = axis.node.rpdo_of(objects.CONTROLWORD)
     if producer is not None and not producer.is_synchronous:
         yield from act(lambda now: axis.set_controlword(controlword, now))
         return
@@ -56,7 +56,7 @@ def _bring(axis: Axis, controlword: int) -> Procedure[None]:
         # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
-    yield from write(axis.node, "0x6040", controlword)
+    yield from write(axis.node, objects.CONTROLWORD, controlword)
 
 
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:
@@ -64,7 +64,7 @@ def command_held(axis: Axis, controlword: int) -> Procedure[None]:
 
     This is for a drive that `command` does not command, or not yet: no SYNC that comes makes an older word act.
     """
-    yield from act(lambda now: axis.node.replace_held(CONTROLWORD, controlword, now))
+    yield from act(lambda now: axis.node.replace_held(objects.CONTROLWORD, controlword, now))
 
 
 def _syncs_passed(axis: Axis, count: int) -> Procedure[bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import Axis
@@ -55,7 +56,7 @@ def name_of(axis: Axis) -> str:
 def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
     """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY."""
     try:
-        yield from read_if_present(axis.node, "0x603F")
+        yield from read_if_present(axis.node, objects.ERROR_CODE)
     except ProcedureError as error:
         when = f"{when} (its error code could not be read: {error})"
     return DriveFault(f"{name_of(axis)} is in fault {when}: {axis.describe()}. Try: find the cause, then reset the fault")

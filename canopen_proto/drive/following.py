@@ -40,13 +40,13 @@ from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeStatus, mode_name
-from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, STATUSWORD
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
-from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
+from canopen_proto.multiplexer import Mux, index_of, subindex_of
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import ABSENT, read_if_present, value_of
 from canopen_proto.procedures.steps import (
@@ -77,9 +77,9 @@ _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
 _NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
 _NAMES: Final[dict[Mux, str]] = {
-    STATUSWORD: "statusword",
-    MODES_OF_OPERATION_DISPLAY: "mode (0x6061)",
-    POSITION_ACTUAL_VALUE: "position",
+    objects.STATUSWORD: "statusword",
+    objects.MODES_OF_OPERATION_DISPLAY: "mode (0x6061)",
+    objects.POSITION_ACTUAL_VALUE: "position",
 }
 
 
@@ -184,7 +184,7 @@ class Following:
         self._cyclic = cyclic
         self._unanswered = {}
         dictionary = self._axis.node.dictionary
-        self.unsent = {mux for mux in _NAMES if mux not in cyclic and split_mux(mux) in dictionary}
+        self.unsent = {mux for mux in _NAMES if mux not in cyclic and mux in dictionary}
 
     def end(self) -> None:
         """End the watch: no more set-points follow."""
@@ -203,11 +203,11 @@ class Following:
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if not self._is_on:
             return
-        if MODES_OF_OPERATION_DISPLAY in muxes:
+        if objects.MODES_OF_OPERATION_DISPLAY in muxes:
             self._judge_mode()
-        if STATUSWORD in muxes:
+        if objects.STATUSWORD in muxes:
             self._judge_statusword()
-        if POSITION_ACTUAL_VALUE in muxes:
+        if objects.POSITION_ACTUAL_VALUE in muxes:
             self._judge_position()
 
     def _judge_mode(self) -> None:
@@ -305,7 +305,7 @@ def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
     limit = axis.settings.following_error_limit
     if limit is not None:
         return Limit(limit, "the settings (following_error_limit)")
-    window = yield from read_if_present(axis.node, "0x6065")
+    window = yield from read_if_present(axis.node, objects.FOLLOWING_ERROR_WINDOW)
     if isinstance(window, int) and 0 < window < OFF:
         return Limit(axis.amount_from_counts(window), "0x6065 of the drive")
     speed = limits.speed.value if math.isfinite(limits.speed.value) else axis.amount_from_counts(DEFAULT_SPEED)

@@ -11,24 +11,15 @@ from collections import deque
 from itertools import pairwise
 from typing import Final
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.objects import (
-    CONTROLWORD,
-    HALT_OPTION_CODE,
-    MODES_OF_OPERATION_DISPLAY,
-    POSITION_ACTUAL_VALUE,
-    PROFILE_ACCELERATION,
-    PROFILE_DECELERATION,
-    QUICK_STOP_DECELERATION,
-    VELOCITY_ACTUAL_VALUE,
-)
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
 from canopen_proto.drive.axis import Axis, HomingStyle
 from canopen_proto.drive.controlword import STAYS, command, command_held
 from canopen_proto.drive.failures import name_of
 from canopen_proto.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
-from canopen_proto.multiplexer import Mux, index_of, split_mux
+from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import (
     Cancelled,
@@ -79,7 +70,7 @@ def halt(axis: Axis) -> Procedure[None]:
     try:
         statusword = yield from read_statusword(axis)
     except SdoFailed:
-        if axis.state is State.OPERATION_ENABLED and axis.node.rpdo_of(0x6040) is not None:  # a PDO needs no answer
+        if axis.state is State.OPERATION_ENABLED and axis.node.rpdo_of(objects.CONTROLWORD) is not None:  # a PDO needs no answer
             yield from command(axis, _halt_word(axis))
         raise
     if state_of(statusword) is State.UNKNOWN:
@@ -105,7 +96,7 @@ def halt(axis: Axis) -> Procedure[None]:
 
 def _may_be_enabled(axis: Axis) -> bool:
     """Return whether the last controlword enables operation, or may do so: an unconfirmed one may have arrived."""
-    return any(map(enables_operation, axis.node.may_hold(CONTROLWORD)))
+    return any(map(enables_operation, axis.node.may_hold(objects.CONTROLWORD)))
 
 
 def _late_state(axis: Axis) -> Procedure[State]:
@@ -163,8 +154,12 @@ class _Standstill:
     """
 
     def __init__(self, axis: Axis) -> None:
-        reads = {MODES_OF_OPERATION_DISPLAY: FRESH, POSITION_ACTUAL_VALUE: STANDSTILL_LOOK, VELOCITY_ACTUAL_VALUE: FRESH}
-        present = {mux: pause for mux, pause in reads.items() if split_mux(mux) in axis.node.dictionary}
+        reads = {
+            objects.MODES_OF_OPERATION_DISPLAY: FRESH,
+            objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
+            objects.VELOCITY_ACTUAL_VALUE: FRESH,
+        }
+        present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self._axis = axis
@@ -181,10 +176,13 @@ class _Standstill:
             return None  # the next statusword will show a state
         if state not in POWERED:
             return True
-        has_position = "0x6064" in self._axis.node.dictionary and self.watch.refusal(POSITION_ACTUAL_VALUE) is None
+        has_position = (
+            objects.POSITION_ACTUAL_VALUE in self._axis.node.dictionary
+            and self.watch.refusal(objects.POSITION_ACTUAL_VALUE) is None
+        )
         if self._is_schunk:
             stands = not statusword & StatusBit.MANUFACTURER_8
-        elif not self._knows(MODES_OF_OPERATION_DISPLAY):
+        elif not self._knows(objects.MODES_OF_OPERATION_DISPLAY):
             return None  # the meaning of bit 10 is not known yet
         elif has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
             return self._is_at_one_place() or None
@@ -203,13 +201,13 @@ class _Standstill:
 
     def _look(self) -> None:
         """Take note of the drive's position and speed."""
-        if self.watch.heard(VELOCITY_ACTUAL_VALUE) is not None:
+        if self.watch.heard(objects.VELOCITY_ACTUAL_VALUE) is not None:
             self.top_speed = max(self.top_speed or 0.0, abs(self._axis.velocity_counts or 0))
-        heard_at = self.watch.heard(POSITION_ACTUAL_VALUE)
+        heard_at = self.watch.heard(objects.POSITION_ACTUAL_VALUE)
         position = self._axis.position_counts
         if heard_at is None or position is None or heard_at - self._looked_at < STANDSTILL_LOOK:
             return
-        if self._positions and (VELOCITY_ACTUAL_VALUE not in self._axis.node.heard_at):
+        if self._positions and (objects.VELOCITY_ACTUAL_VALUE not in self._axis.node.heard_at):
             speed = abs(position - self._positions[-1]) * SECOND / (heard_at - self._looked_at)
             self.top_speed = max(self.top_speed or 0.0, speed)
         self._looked_at = heard_at
@@ -228,17 +226,17 @@ def _speed(axis: Axis) -> Procedure[float | None]:
     """Return the drive's present speed, in its own unit; None if it does not tell."""
     node = axis.node
     now = yield from current_time()
-    velocity = node.fresh(VELOCITY_ACTUAL_VALUE, now, STANDSTILL_LOOK)
+    velocity = node.fresh(objects.VELOCITY_ACTUAL_VALUE, now, STANDSTILL_LOOK)
     if velocity is None:
-        velocity = yield from read_if_present(node, "0x606C")
+        velocity = yield from read_if_present(node, objects.VELOCITY_ACTUAL_VALUE)
     if isinstance(velocity, int):
         return float(abs(velocity))
-    before = yield from read_if_present(node, "0x6064")
+    before = yield from read_if_present(node, objects.POSITION_ACTUAL_VALUE)
     began = yield from current_time()
     if not isinstance(before, int):
         return None
     yield from sleep(STANDSTILL_LOOK)
-    after = yield from read_if_present(node, "0x6064")
+    after = yield from read_if_present(node, objects.POSITION_ACTUAL_VALUE)
     now = yield from current_time()
     return abs(after - before) * SECOND / (now - began) if isinstance(after, int) else None
 
@@ -255,10 +253,10 @@ def _has_slowed(axis: Axis, before: float, now: float) -> Procedure[bool]:
 def _ramp(axis: Axis) -> Procedure[int | None]:
     """Return the deceleration with which the drive halts (0x605D), in its own unit per second; None if it does not tell."""
     node = axis.node
-    option = yield from read_if_present(node, (index_of(HALT_OPTION_CODE), 0))
-    keys = {1: (PROFILE_DECELERATION, PROFILE_ACCELERATION), 2: (QUICK_STOP_DECELERATION,)}
+    option = yield from read_if_present(node, objects.HALT_OPTION_CODE)
+    keys = {1: (objects.PROFILE_DECELERATION, objects.PROFILE_ACCELERATION), 2: (objects.QUICK_STOP_DECELERATION,)}
     for key in keys.get(option if isinstance(option, int) else 1, ()):
-        rate = yield from read_if_present(node, (index_of(key), 0))
+        rate = yield from read_if_present(node, key)
         if isinstance(rate, int) and rate > 0:
             return rate
     return None

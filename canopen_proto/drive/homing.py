@@ -22,6 +22,7 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import Final
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import HomingStatus, Mode, ModeControl, ModeStatus, homing_status
 from canopen_proto.cia402.states import Command, State, StatusBit
 from canopen_proto.drive.axis import Axis, HomingStyle
@@ -67,7 +68,7 @@ def home(axis: Axis) -> Procedure[None]:
     is_schunk = settings.homing is HomingStyle.SCHUNK
     yield from set_mode(axis, Mode.HOMING, waive_check=is_schunk)
     if settings.homing_method is not None and not is_schunk:
-        yield from write(axis.node, "0x6098", settings.homing_method)
+        yield from write(axis.node, objects.HOMING_METHOD, settings.homing_method)
     yield from enable(axis)
     try:
         yield from command(axis, int(Command.ENABLE_OPERATION))

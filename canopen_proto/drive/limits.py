@@ -38,8 +38,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.cia402 import objects
 from canopen_proto.drive.axis import Axis
 from canopen_proto.machine import SECOND, Time
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 from canopen_proto.remote_node import RemoteNode
 
@@ -144,20 +146,20 @@ _OF_DRIVE: Final = "of the drive"
 def read_limits(axis: Axis) -> Procedure[SetPointLimits]:
     """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer."""
     node = axis.node
-    lowest = yield from _read(node, 0x607D, 1, signed=True)
-    highest = yield from _read(node, 0x607D, 2, signed=True)
+    lowest = yield from _read(node, objects.MIN_SOFTWARE_POSITION_LIMIT, signed=True)
+    highest = yield from _read(node, objects.MAX_SOFTWARE_POSITION_LIMIT, signed=True)
     speeds = []
-    profile = yield from _read_amount(node, 0x607F)
+    profile = yield from _read_amount(node, objects.MAX_PROFILE_VELOCITY)
     if profile is not None:
         unit = yield from _velocity_unit(node)
         if unit is not None:
             speeds.append(Limit(profile * unit, f"0x607F {_OF_DRIVE}"))
-    motor = yield from _read_amount(node, 0x6080)
+    motor = yield from _read_amount(node, objects.MAX_MOTOR_SPEED)
     if motor is not None:
         counts = yield from _counts_per_revolution(node)
         if counts is not None:
             speeds.append(Limit(motor * counts / 60, f"0x6080 {_OF_DRIVE}"))
-    acceleration = yield from _read_amount(node, 0x60C5)
+    acceleration = yield from _read_amount(node, objects.MAX_ACCELERATION)
     told = DriveLimits(
         *_position_limits(lowest, highest),
         min(speeds, default=None),
@@ -175,9 +177,9 @@ def _position_limits(lowest: int | None, highest: int | None) -> tuple[Limit | N
     )
 
 
-def _read(node: RemoteNode, index: int, subindex: int = 0, *, signed: bool = False) -> Procedure[int | None]:
+def _read(node: RemoteNode, key: Mux, *, signed: bool = False) -> Procedure[int | None]:
     try:
-        data = yield from upload(node.sdo, index, subindex)
+        data = yield from upload(node.sdo, *split_mux(key))
     except SdoFailed as failed:
         if failed.origin is AbortOrigin.PEER:
             return None
@@ -185,44 +187,44 @@ def _read(node: RemoteNode, index: int, subindex: int = 0, *, signed: bool = Fal
     return int.from_bytes(data, "little", signed=signed) if 0 < len(data) <= 4 else None
 
 
-def _read_amount(node: RemoteNode, index: int) -> Procedure[int | None]:
+def _read_amount(node: RemoteNode, key: Mux) -> Procedure[int | None]:
     """Read a limit of a speed or an acceleration; return None if the value is no limit."""
-    amount = yield from _read(node, index)
+    amount = yield from _read(node, key)
     return amount if amount is not None and 0 < amount < _INTEGER32 - 1 else None
 
 
-def _read_ratio(node: RemoteNode, index: int) -> Procedure[float]:
-    """Read an object and return subindex 1 / subindex 2; 1, which changes nothing, if the drive does not have it."""
-    numerator = yield from _read(node, index, 1)
-    denominator = yield from _read(node, index, 2)
+def _read_ratio(node: RemoteNode, numerator_key: Mux) -> Procedure[float]:
+    """Read a numerator and, at the next subindex, its denominator; return the ratio: 1, which changes nothing, without them."""
+    numerator = yield from _read(node, numerator_key)
+    denominator = yield from _read(node, Mux(numerator_key + 1))
     return numerator / denominator if numerator and denominator else 1.0
 
 
 def _counts_per_revolution(node: RemoteNode) -> Procedure[float | None]:
     """Return the counts on the wire for a turn of the motor; None if the drive does not tell."""
-    feed = yield from _read_ratio(node, 0x6092)
+    feed = yield from _read_ratio(node, objects.FEED_CONSTANT)
     if feed > 1:
-        gear = yield from _read_ratio(node, 0x6091)
+        gear = yield from _read_ratio(node, objects.GEAR_RATIO)
         return feed / gear
-    increments = yield from _read_ratio(node, 0x608F)
+    increments = yield from _read_ratio(node, objects.POSITION_ENCODER_RESOLUTION)
     return increments if increments > 1 else None
 
 
 def _velocity_unit(node: RemoteNode) -> Procedure[float | None]:
     """Return the counts per second in one velocity unit; None if that is not known."""
-    unit = yield from _read(node, 0x60A9)
+    unit = yield from _read(node, objects.SI_UNIT_VELOCITY)
     if unit:
         prefix, numerator, denominator, _ = unit.to_bytes(4, "big")
         power, is_revolution, seconds = prefix, numerator == _REVOLUTION, _SECONDS.get(denominator)
         if seconds is None or numerator not in (_REVOLUTION, _INCREMENT):
             return None
     else:
-        dimension = yield from _read(node, 0x608C)
+        dimension = yield from _read(node, objects.VELOCITY_DIMENSION_INDEX)
         if not dimension:
             return 1.0
         if dimension & 0xFF != _REVOLUTIONS_PER_MINUTE:
             return None
-        power = (yield from _read(node, 0x608B)) or 0
+        power = (yield from _read(node, objects.VELOCITY_NOTATION_INDEX)) or 0
         is_revolution, seconds = True, 60
     counts = (yield from _counts_per_revolution(node)) if is_revolution else 1.0
     exponent = power - 256 if power & 0x80 else power

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import OBEYED, Axis
@@ -14,6 +15,7 @@ from canopen_proto.drive.limits import limits_of
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
 
@@ -43,29 +45,29 @@ def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = Fa
     StepTimeout; ProcedureError if no RPDO carries set-points, or none is sent. The drive is halted if this is cancelled.
     """
     goal = "interpolation active (bit 12)"
-    yield from _prepare(axis, Mode.INTERPOLATED_POSITION, (0x60C1, 1), cycle_time, sends_itself)
-    return (yield from _follow(axis, Mode.INTERPOLATED_POSITION, (0x60C1, 1), ModeStatus.IP_MODE_ACTIVE, goal))
+    set_point = objects.INTERPOLATION_SET_POINT
+    yield from _prepare(axis, Mode.INTERPOLATED_POSITION, set_point, cycle_time, sends_itself)
+    return (yield from _follow(axis, Mode.INTERPOLATED_POSITION, set_point, ModeStatus.IP_MODE_ACTIVE, goal))
 
 
 def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Do as `start_interpolation`, in cyclic synchronous position mode: 0x607A is the set-point, and bit 4 is not used."""
     goal = "follows command (bit 12)"
-    yield from _prepare(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, (0x607A, 0), cycle_time, sends_itself)
-    return (yield from _follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, (0x607A, 0), ModeStatus.FOLLOWS_COMMAND, goal))
+    yield from _prepare(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, objects.TARGET_POSITION, cycle_time, sends_itself)
+    return (yield from _follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, objects.TARGET_POSITION, ModeStatus.FOLLOWS_COMMAND, goal))
 
 
-def _carriers(axis: Axis, set_point: tuple[int, int]) -> list[int]:
+def _carriers(axis: Axis, set_point: Mux) -> list[int]:
     """Return the numbers of the RPDOs that carry a set-point."""
     return [number for number, rpdo in axis.node.rpdos.items() if rpdo.mapping.find_component(set_point) is not None]
 
 
-def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Time, sends_itself: bool) -> Procedure[None]:
+def _prepare(axis: Axis, mode: Mode, set_point: Mux, cycle_time: Time, sends_itself: bool) -> Procedure[None]:
     """Check that the drive has a reference and that set-points reach it; halt it, and select the mode."""
     _require_reference(axis)
     if not sends_itself and not _carriers(axis, set_point):
-        index, subindex = set_point
         raise ProcedureError(
-            f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries 0x{index:04X}:{subindex:02X}. "
+            f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries {mux_text(set_point)}. "
             "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
         )
     yield from halt(axis)  # a moving drive would jump back to the position that was read
@@ -74,9 +76,9 @@ def _prepare(axis: Axis, mode: Mode, set_point: tuple[int, int], cycle_time: Tim
     yield from _set_interpolation_period(axis, cycle_time)
 
 
-def _align(axis: Axis, set_point: tuple[int, int]) -> Procedure[int]:
+def _align(axis: Axis, set_point: Mux) -> Procedure[int]:
     """Make the actual position the set-point, so that nothing jumps; return that position, in counts."""
-    position = yield from read_int(axis.node, "0x6064")
+    position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
     axis.set_position_counts(position)
     if set_point in axis.node.dictionary:
         yield from write(axis.node, set_point, position)
@@ -85,18 +87,18 @@ def _align(axis: Axis, set_point: tuple[int, int]) -> Procedure[int]:
 
 def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
     """Write 0x60C2: the period is :1 * 10 ** :2 seconds; :1 is an UNSIGNED8."""
-    if (0x60C2, 1) not in axis.node.dictionary:
+    if objects.INTERPOLATION_TIME_UNITS not in axis.node.dictionary:
         return
     exponent = -4 if cycle_time % MILLISECOND else -3
     units, rest = divmod(cycle_time, 10 ** (9 + exponent))
     if rest or not 1 <= units <= 255:
         cycle = f"{cycle_time / MILLISECOND:g} ms"
         raise ProcedureError(f"a cycle of {cycle} cannot be written to 0x60C2: it holds 1 to 255 units of 1 ms or 0.1 ms")
-    yield from write(axis.node, (0x60C2, 2), exponent)
-    yield from write(axis.node, (0x60C2, 1), units)
+    yield from write(axis.node, objects.INTERPOLATION_TIME_INDEX, exponent)
+    yield from write(axis.node, objects.INTERPOLATION_TIME_UNITS, units)
 
 
-def _follow(axis: Axis, mode: Mode, set_point: tuple[int, int], active: int, goal: str) -> Procedure[float]:
+def _follow(axis: Axis, mode: Mode, set_point: Mux, active: int, goal: str) -> Procedure[float]:
     node = axis.node
     yield from enable(axis)
     try:
@@ -181,7 +183,7 @@ def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
     """
     yield from command(axis, _TAKES_AT_ONCE | relation | axis.controlword & ControlBit.HALT)
     yield from _wait_for_acknowledge(axis, False)
-    yield from write(axis.node, "0x607A", counts)
+    yield from write(axis.node, objects.TARGET_POSITION, counts)
     yield from command(axis, _TAKES_AT_ONCE | relation | ModeControl.NEW_SET_POINT)
 
 
@@ -226,7 +228,7 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
         if (yield from current_time()) - given_at >= axis.settings.reaction_time:
             break
         yield from sleep(POLL_INTERVAL)
-    position = yield from read_int(axis.node, "0x6064")
+    position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
     limit = yield from _limit_before(axis, target)
     if not limit and statusword & StatusBit.INTERNAL_LIMIT:
         limit = "an internal limit of the drive is active (bit 11)"
@@ -239,15 +241,15 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
 
 def _demand(axis: Axis) -> Procedure[int]:
     """Return the present position demand (0x6062) of the drive, in counts; the actual position if it has no demand."""
-    demand = yield from read_if_present(axis.node, "0x6062")
-    return demand if isinstance(demand, int) else (yield from read_int(axis.node, "0x6064"))
+    demand = yield from read_if_present(axis.node, objects.POSITION_DEMAND_VALUE)
+    return demand if isinstance(demand, int) else (yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE))
 
 
 def _is_at(axis: Axis, target: int) -> Procedure[bool | None]:
     """Return whether the drive is at its target; None if it has neither a demand (0x6062) nor a window (0x6067)."""
     node = axis.node
-    demand = yield from read_if_present(node, "0x6062")
-    position = yield from read_int(node, "0x6064")
+    demand = yield from read_if_present(node, objects.POSITION_DEMAND_VALUE)
+    position = yield from read_int(node, objects.POSITION_ACTUAL_VALUE)
     window = yield from read_if_present(node, "0x6067")
     has_window = isinstance(window, int) and window != NO_WINDOW
     tolerance = window if isinstance(window, int) and has_window else 1
@@ -259,8 +261,8 @@ def _is_at(axis: Axis, target: int) -> Procedure[bool | None]:
 
 def _turn(axis: Axis) -> Procedure[int]:
     """Return the counts of one turn of an endless axis (0x607B); 0 for an axis with ends."""
-    low = yield from read_if_present(axis.node, (0x607B, 1))
-    high = yield from read_if_present(axis.node, (0x607B, 2))
+    low = yield from read_if_present(axis.node, objects.MIN_POSITION_RANGE_LIMIT)
+    high = yield from read_if_present(axis.node, objects.MAX_POSITION_RANGE_LIMIT)
     return high - low + 1 if isinstance(low, int) and isinstance(high, int) and low < high else 0
 
 
@@ -276,8 +278,8 @@ def _limit_before(axis: Axis, target: int) -> Procedure[str]:
     all drives do so. So a limit is named if the target is beyond it in either way.
     """
     node = axis.node
-    low = yield from read_if_present(node, (0x607D, 1))
-    high = yield from read_if_present(node, (0x607D, 2))
+    low = yield from read_if_present(node, objects.MIN_SOFTWARE_POSITION_LIMIT)
+    high = yield from read_if_present(node, objects.MAX_SOFTWARE_POSITION_LIMIT)
     offset = yield from read_if_present(node, "0x607C")
     if not isinstance(low, int) or not isinstance(high, int) or low >= high:
         return ""
@@ -293,4 +295,4 @@ def _limit_before(axis: Axis, target: int) -> Procedure[str]:
 
 def read_position(axis: Axis) -> Procedure[float]:
     """Read the actual position (0x6064) by SDO; return it in the user's unit."""
-    return axis.from_counts((yield from read_int(axis.node, "0x6064")))
+    return axis.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
-from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.controlword import STAYS, command, command_held
@@ -98,7 +98,7 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
 
     In these modes a motion begins when bit 4 of the controlword rises. Raises ModeUnsupported if the drive has none of them.
     """
-    shown = yield from read_int(axis.node, "0x6061")
+    shown = yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)
     for mode in sorted(_STANDING, key=lambda each: each != shown):
         try:
             yield from set_mode(axis, mode)
@@ -124,7 +124,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     homing). Raises DriveFault, StateLost (the drive was enabled, and no longer is), NodeLost.
     """
     if not waive_check:
-        modes = yield from read_if_present(axis.node, "0x6502")
+        modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
         if isinstance(modes, int) and not supported(modes, mode):
             has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
             raise ModeUnsupported(f"{name_of(axis)} does not support {mode_name(mode)}: 0x6502 = 0x{modes:08X}, which is {has}")
@@ -133,20 +133,20 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
-    yield from write(axis.node, "0x6060", mode)
+    yield from write(axis.node, objects.MODES_OF_OPERATION, mode)
     watch: Watch[bool] = Watch(
         axis,
         mode_name(mode),
         accept_fault=state in FAULT_STATES,
         stays=state if state is State.OPERATION_ENABLED else None,
-        reads={MODES_OF_OPERATION_DISPLAY: POLL_INTERVAL},
+        reads={objects.MODES_OF_OPERATION_DISPLAY: POLL_INTERVAL},
     )
 
     def is_shown(statusword: int, heard_at: Time) -> bool | None:
-        refusal = watch.refusal(MODES_OF_OPERATION_DISPLAY)
+        refusal = watch.refusal(objects.MODES_OF_OPERATION_DISPLAY)
         if refusal is not None:
             raise refusal
-        return True if watch.heard(MODES_OF_OPERATION_DISPLAY) is not None and axis.mode == mode else None
+        return True if watch.heard(objects.MODES_OF_OPERATION_DISPLAY) is not None and axis.mode == mode else None
 
     try:
         yield from watch.until(is_shown, axis.settings.state_timeout)

@@ -19,12 +19,12 @@ from collections.abc import Callable, Mapping
 from typing import Final, Generic, TypeVar
 
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.cia402.objects import MODES_OF_OPERATION_DISPLAY, STATUSWORD
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
-from canopen_proto.multiplexer import Mux, split_mux
+from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.objects import read_int, value_of
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, StepTimeout, Wait, current_time
@@ -36,7 +36,7 @@ T = TypeVar("T")
 POLL_INTERVAL: Final = 10 * MILLISECOND
 """From the answer of an SDO read to the next read of the same object, as the manual's library polled."""
 
-_MODE: Final = MODES_OF_OPERATION_DISPLAY
+_MODE: Final = objects.MODES_OF_OPERATION_DISPLAY
 
 
 def read_statusword(axis: Axis) -> Procedure[int]:
@@ -44,7 +44,7 @@ def read_statusword(axis: Axis) -> Procedure[int]:
     now = yield from current_time()
     statusword = axis.fresh_statusword(now)
     if statusword is None:
-        statusword = yield from read_int(axis.node, "0x6041")
+        statusword = yield from read_int(axis.node, objects.STATUSWORD)
     return statusword
 
 
@@ -91,7 +91,7 @@ class Watch(Generic[T]):
         self._accept_fault = accept_fault
         self._mode = mode
         self._stays = stays
-        self._pauses: dict[Mux, Time] = {STATUSWORD: POLL_INTERVAL, **(reads or {})}
+        self._pauses: dict[Mux, Time] = {objects.STATUSWORD: POLL_INTERVAL, **(reads or {})}
         if mode is not None:
             self._pauses.setdefault(_MODE, FRESH)
         self._due: dict[Mux, Time] = {}  # mux -> when to read it by SDO
@@ -127,7 +127,7 @@ class Watch(Generic[T]):
                 result = yield from self._look(judge, now)
                 if result is not None:
                     return result
-                if now >= deadline and self.heard(STATUSWORD) is not None:
+                if now >= deadline and self.heard(objects.STATUSWORD) is not None:
                     seen = axis.describe()
                     raise StepTimeout(f"{name_of(axis)} did not reach {self.goal} within {timeout / SECOND:g} s: {seen}")
                 self._ask(now)
@@ -141,7 +141,7 @@ class Watch(Generic[T]):
 
     def _look(self, judge: Callable[[int, Time], T | None], now: Time) -> Procedure[T | None]:
         axis = self.axis
-        heard_at = self.heard(STATUSWORD)
+        heard_at = self.heard(objects.STATUSWORD)
         if heard_at is None:
             return None
         statusword = axis.statusword
@@ -171,7 +171,7 @@ class Watch(Generic[T]):
         for mux, due in self._due.items():
             if due <= now:
                 # Urgent: a wait for a drive must not queue behind a backup of it.
-                request_id = node.read(split_mux(mux), now, urgent=True)
+                request_id = node.read(mux, now, urgent=True)
                 self._open[request_id] = (mux, now)
                 self._due[mux] = NEVER
 
@@ -200,11 +200,11 @@ class Watch(Generic[T]):
         node = self.axis.node
         self._due[mux] = now + self._pauses[mux]
         if isinstance(report, SdoUploaded):
-            value_of(node, node.dictionary.variable(split_mux(mux)), report)
+            value_of(node, node.dictionary.variable(mux), report)
             self._timed_out.discard(mux)
             if mux == _MODE:
                 self._mode_seen = asked_at
-        elif mux == STATUSWORD or mux in self._timed_out:
+        elif mux == objects.STATUSWORD or mux in self._timed_out:
             raise SdoFailed(report, "reading")
         elif report.origin is AbortOrigin.PEER:
             self._refused[mux] = SdoFailed(report, "reading")

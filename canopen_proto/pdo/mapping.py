@@ -193,9 +193,9 @@ class Mapping:
     def find_component(self, key: Key) -> MappedEntry | None:
         """Whether the PDO carries an object: its entry, or None.
 
-        key: a name or label, (index, subindex), "6041:00", or an index alone, which stands for subindex 0 or else for the only
-        mapped subindex of that index. Of an object that is mapped twice, the first one is found. Raises LocalProtocolError where
-        a name or an index alone could mean several objects: picking one would be a guess.
+        key: a name or label, (index, subindex), a multiplexer, "6041:00", or an index alone, which stands for subindex 0 or else
+        for the only mapped subindex of that index. Of an object that is mapped twice, the first one is found. Raises
+        LocalProtocolError where a name or an index alone could mean several objects: picking one would be a guess.
         """
         position = self.position_of(key)
         return None if position is None else self.components[position]
@@ -211,7 +211,7 @@ class Mapping:
             index = int(number[1], 16)
             return self._of_index(index) if number[2] is None else self._of_mux(mux(index, int(number[2], 16)))
         if isinstance(key, int):
-            return self._of_index(key)
+            return self._of_index(key) if key <= 0xFFFF else self._of_mux(Mux(key))
         index, subindex = (key.index, key.subindex) if isinstance(key, Variable) else key
         return self._of_mux(mux(index, subindex))
 

@@ -26,7 +26,7 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
-from canopen_proto.multiplexer import Mux, index_of, mux
+from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.device_pdos import PdoDifference
 from canopen_proto.procedures.grip import NotHeldError
@@ -298,7 +298,7 @@ class Node(Peer):
     def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
         """Index and subindex of a key. An object that the dictionary lacks must be given by numbers."""
         if isinstance(key, int):
-            return key, subindex or 0
+            return place_of(key) if subindex is None else (key, subindex)
         if subindex is not None:
             raise LocalProtocolError(f"{key!r} is a whole object: a subindex goes with an index alone")
         if isinstance(key, tuple):

@@ -125,7 +125,7 @@ async def test_reads_by_type() -> None:
         assert number == dictionary.variable(0x1000).initial_of(5)
         assert text == dictionary.variable(0x1008).initial_of(5)
         assert await node.read_bytes("device_type") == number.to_bytes(4, "little")
-        assert await node.read_bytes(0x1018, 1) == await node.read_bytes((0x1018, 1))
+        assert await node.read_bytes(0x1018, 1) == await node.read_bytes((0x1018, 1)) == await node.read_bytes(0x101801)
         for read, key, wanted in (
             (node.read_int, 0x1008, "VISIBLE_STRING, not an integer"),
             (node.read_str, 0x1000, "UNSIGNED32, not text"),

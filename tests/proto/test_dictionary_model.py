@@ -79,6 +79,8 @@ def dictionary() -> ObjectDictionary:
         (" 60c2:0x2 ", TIME_INDEX),
         (0x6041, STATUSWORD),
         ((0x60C1, 1), IP_POSITION),
+        (mux(0x60C1, 1), IP_POSITION),
+        (mux(0x6041), STATUSWORD),
         (CONTROLWORD, CONTROLWORD),
         ("NMT", NMT),
     ],
@@ -100,6 +102,7 @@ def test_every_kind_of_key(dictionary: ObjectDictionary, key: Key, variable: Var
         (0x7000, "object 0x7000:00 is not in the dictionary (indices.csv)"),
         ((0x6040, 0x100), "object 0x6040:100 is not in the dictionary (indices.csv); controlword has subindex 0"),
         (0, "object 0x0000:00 is not in the dictionary (indices.csv)"),
+        (mux(0x60C1, 3), "object 0x60C1:03 is not in the dictionary (indices.csv); interpolation_data_record has subindex 1"),
         (0x60410, "object 0x60410:00 is not in the dictionary (indices.csv)"),
     ],
 )

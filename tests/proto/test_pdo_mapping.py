@@ -262,10 +262,24 @@ def test_find_component() -> None:
         ]
     )
     status = pdo.entries[0]
-    for key in ("statusword", "status", 0x6041, (0x6041, 0), "6041", "0x6041", "6041:00", "6041.0", " 0x6041:0x00 ", STATUS_WORD):
+    for key in (
+        "statusword",
+        "status",
+        0x6041,
+        (0x6041, 0),
+        "6041",
+        "0x6041",
+        "6041:00",
+        "6041.0",
+        " 0x6041:0x00 ",
+        0x604100,
+        STATUS_WORD,
+    ):
         assert pdo.find_component(key) is status
     assert pdo.find_component(0x60C1) is pdo.entries[1]  # the only subindex that is mapped
     assert pdo.find_component("60C1:01") is pdo.entries[1]
+    assert pdo.find_component(0x60C101) is pdo.entries[1]
+    assert pdo.find_component(0x60C102) is None
     assert pdo.find_component((0x60C1, 2)) is None  # peers ignore the subindex
     assert pdo.find_component(0x6001) is pdo.entries[4]  # subindex 0 is meant where it is mapped
     assert pdo.find_component((0x6000, 2)) is pdo.entries[3]

@@ -31,6 +31,7 @@ from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
 from canopen_master.motion.set_point_check import check_limits
 from canopen_master.silence import missing_frame
 from canopen_proto import drive
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
@@ -202,7 +203,7 @@ class DirectDrive:
     async def send_position(self, position: int) -> None:
         """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
         chain = next((each for each in self._master.chains if self._device in each.devices), None)
-        if chain is not None and self.node.remote.rpdo_of(0x60C1, 1) is not None:
+        if chain is not None and self.node.remote.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
             at = {device: device.desired_position for device in chain.devices} | {self._device: position}
             chain.set_positions(list(at.values()))  # the master's next cycle takes it along
             return
@@ -222,7 +223,7 @@ class DirectDrive:
 
     def _check(self, position: int) -> None:
         """Raise ValueRangeError or SetPointRefused for a set-point that the drive cannot hold, or that is beyond its limits."""
-        self.node.dictionary.variable((0x60C1, 1)).encode(position)
+        self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(position)
         interval = self.interval * MILLISECOND
         (since, start), (_, last) = self._taken[0], self._taken[-1]
         check_limits(self._device, last, position, interval)
@@ -260,7 +261,7 @@ class DirectDrive:
 
     def _use(self, description: PdoDescription, number: int | None, transmission_type: int = 1) -> None:
         mapping = Mapping.from_description(description)
-        if description.direction is Direction.TPDO or mapping.find_component((0x60C1, 1)) is None:
+        if description.direction is Direction.TPDO or mapping.find_component(objects.INTERPOLATION_SET_POINT) is None:
             return
         remote = self.node.remote
         key = routing_key(description.can_id(self.node.node_id))
@@ -270,8 +271,8 @@ class DirectDrive:
 
     def _set_interval(self, milliseconds: int) -> Procedure[None]:
         remote = self.node.remote
-        yield from write(remote, (0x60C2, 2), -3)
-        yield from write(remote, (0x60C2, 1), milliseconds)
+        yield from write(remote, objects.INTERPOLATION_TIME_INDEX, -3)
+        yield from write(remote, objects.INTERPOLATION_TIME_UNITS, milliseconds)
         if _SYNC_TIME_OUT in remote.dictionary:
             try:
                 yield from write(remote, _SYNC_TIME_OUT, 0)

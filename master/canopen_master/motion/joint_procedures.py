@@ -7,16 +7,7 @@ from typing import Final, TypeVar
 from canopen_master.motion.device import Device
 from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.cia402.objects import (
-    CONTROLWORD,
-    ERROR_CODE,
-    INTERPOLATION_SET_POINT,
-    MODES_OF_OPERATION_DISPLAY,
-    POSITION_ACTUAL_VALUE,
-    STATUSWORD,
-    TORQUE_ACTUAL_VALUE,
-    VELOCITY_ACTUAL_VALUE,
-)
+from canopen_proto.cia402 import objects
 from canopen_proto.dictionary import Direction, Key, PdoDescription
 from canopen_proto.drive import engage_brake, halt, shut_down, start_interpolation
 from canopen_proto.drive.following import following_limit
@@ -38,10 +29,11 @@ HEARTBEAT: Final = "0x1017"
 HEARTBEATS_PER_TIMEOUT: Final = 3
 """One lost or late frame does not make a lost node."""
 MAX_HEARTBEAT_MS: Final = 0xFFFF
-DRIVE_COMMANDS: Final = (CONTROLWORD, INTERPOLATION_SET_POINT)
+DRIVE_COMMANDS: Final = (objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT)
 """The objects that a chain sends to its joints in each cycle."""
 DRIVE_FEEDBACK: Final = (
-    STATUSWORD, MODES_OF_OPERATION_DISPLAY, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE, TORQUE_ACTUAL_VALUE, ERROR_CODE,
+    objects.STATUSWORD, objects.MODES_OF_OPERATION_DISPLAY, objects.ERROR_CODE,
+    objects.POSITION_ACTUAL_VALUE, objects.VELOCITY_ACTUAL_VALUE, objects.TORQUE_ACTUAL_VALUE,
 )  # fmt: skip
 """The objects that it hears from them."""
 
@@ -107,7 +99,7 @@ def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: boo
 def exchange_own(device: Device) -> Procedure[None]:
     """Exchange the PDOs that the joint's own dictionary describes; one of them must carry the set-points."""
     exchanged = yield from exchange_described(device.node.remote, DRIVE_COMMANDS, DRIVE_FEEDBACK)
-    if INTERPOLATION_SET_POINT in exchanged.missing:
+    if objects.INTERPOLATION_SET_POINT in exchanged.missing:
         source = device.node.dictionary.source or "its dictionary"
         raise ProcedureError(f"no RPDO that {source} describes for node {device.node.node_id} carries the set-points (0x60C1:01)")
     device.cyclic = exchanged.cyclic
@@ -118,7 +110,8 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
     node = device.node.remote
     yield from awake(device.node)
     yield from identify(device.axis)
-    yield from read_if_present(node, "0x6064")  # where it stands; PDOs keep it up to date from the first one on
+    # Where it stands; PDOs keep it up to date from the first one on
+    yield from read_if_present(node, objects.POSITION_ACTUAL_VALUE)
     yield from exchange
     is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
     if heartbeat_timeout and HEARTBEAT in node.dictionary and not is_guarded:
@@ -145,7 +138,7 @@ def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> P
 def stop(device: Device) -> Procedure[None]:
     """Halt the joint, and wait until it stands, also at the end of a fault reaction. Of a joint in fault, read the error code."""
     if device.has_fault:
-        yield from read_if_present(device.node.remote, "0x603F")
+        yield from read_if_present(device.node.remote, objects.ERROR_CODE)
     yield from halt(device.axis)
 
 
