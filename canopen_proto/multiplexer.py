@@ -48,6 +48,11 @@ def mux_text(multiplexer: Mux) -> str:
     return f"0x{multiplexer >> 8:04X}:{multiplexer & 0xFF:02X}"
 
 
-def mapped(entry: int) -> tuple[Mux, int]:
-    """Return the object, and its width in bits, that an entry of a PDO mapping parameter stands for. CiA 301 v4.2.0, 7.5.2.36"""
-    return mux(entry >> 16 & 0xFFFF, entry >> 8 & 0xFF), entry & 0xFF
+def mapping_entry(multiplexer: Mux, bits: int) -> int:
+    """Return the entry of a PDO mapping parameter for an object of so many bits, 0..0xFF. CiA 301 v4.2.0, 7.5.2.36"""
+    return multiplexer << 8 | bits
+
+
+def mapped(entry: int) -> tuple[int, int, int]:
+    """Return index, subindex and number of bits of the object that an entry of a PDO mapping parameter names."""
+    return entry >> 16 & 0xFFFF, entry >> 8 & 0xFF, entry & 0xFF

@@ -36,7 +36,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
-from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
+from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, subindex_of
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1
@@ -176,7 +176,7 @@ def _pdo(index: int, cob_id: int, subindices: tuple[int, ...], pdo: _Pdo) -> lis
     count = replace(communication.variables[0], default=subindices[-1])
     entries: dict[int, Value] = {0: len(pdo.entries)}
     for place, key in enumerate(pdo.entries, start=1):
-        entries[place] = key << 8 | _bit_length(key)
+        entries[place] = mapping_entry(key, _bit_length(key))
     return [
         Object.of(communication.name, [count, *fields], communication.object_type),
         standard_object(index + 0x200, highest=_MAPPED_OBJECTS, defaults=entries),

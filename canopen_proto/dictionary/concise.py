@@ -12,8 +12,8 @@ concise DCF of node n, a DOMAIN. Little-endian:
       size of the data      UNSIGNED32, bytes
       data                  as SDO carries it
 
-The manager writes the entries as they stand, so their order is part of it: `to_concise` takes it from download_order.py. One
-object may stand in it twice (a COB-ID: first invalid, later valid). One that is empty, or has 0 entries, configures nothing.
+The manager writes the entries in this order, so the order is part of the configuration; `download_order` makes one that devices
+accept. An object may occur twice (a COB-ID: first invalid, later valid). Empty data, or 0 entries, configure nothing.
 
 Source: CiA 302-3 v4.1.0, object 0x1F22.
 """
@@ -21,15 +21,12 @@ Source: CiA 302-3 v4.1.0, object 0x1F22.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Final
 
 from canopen_proto.compiling import mypyc_attr
-from canopen_proto.datatypes import Value
-from canopen_proto.dictionary.download_order import Write, download_order, settings_of
-from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.dictionary.download_order import Write
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.multiplexer import Mux
 
 MAX_CONCISE: Final = 16 << 20
 """Bytes of one concise DCF: as much as one SDO transfer brings (sdo.client.MAX_UPLOAD)."""
@@ -45,16 +42,6 @@ class ConciseError(LocalProtocolError, ValueError):
     def __init__(self, message: str, offset: int) -> None:
         super().__init__(message)
         self.offset = offset
-
-
-def to_concise(dictionary: ObjectDictionary, node_id: int, values: Mapping[Mux, Value] | None = None) -> bytes:
-    """The concise DCF that sets the device of that node-ID to these values, by mux; None: to what its DCF has configured.
-
-    Read-only objects, commands and the like are left out; see `download_order`, which also tells which. Raises what it raises,
-    and ConciseError where the whole is larger than MAX_CONCISE.
-    """
-    wanted = settings_of(dictionary, node_id) if values is None else values
-    return pack_concise(download_order(dictionary, wanted, node_id).writes)
 
 
 def pack_concise(entries: Iterable[Write]) -> bytes:
@@ -101,13 +88,3 @@ def from_concise(data: bytes) -> list[Write]:
     if at != len(data):
         raise ConciseError(f"byte {at}: {len(data) - at} bytes stand behind the last of {count} entries", at)
     return entries
-
-
-def values_of_concise(dictionary: ObjectDictionary, entries: Iterable[Write]) -> dict[Mux, Value]:
-    """What a device holds after these entries, by mux: the last one of each object counts.
-
-    Raises ObjectNotFound for an object that the dictionary does not have, ValueRangeError for data of a wrong length.
-    """
-    last = {(index, subindex): data for index, subindex, data in entries}
-    found = ((dictionary.variable(place), data) for place, data in last.items())
-    return {variable.mux: variable.decode(data) for variable, data in found}

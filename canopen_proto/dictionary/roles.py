@@ -30,7 +30,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.download_order import reason_to_leave_out
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_INVALID
-from canopen_proto.multiplexer import Mux, mux
+from canopen_proto.multiplexer import Mux, mapped, mux
 
 IO_PROFILE: Final = 401
 DRIVE_PROFILE: Final = 402
@@ -76,11 +76,6 @@ class Role(StrEnum):
     COMMAND = "command"
     """Writable, but no setting: commands, or kept out of a download by its ObjFlags."""
 
-    @property
-    def is_setting(self) -> bool:
-        """Whether a restore writes it."""
-        return self in (Role.COMMUNICATION, Role.APPLICATION)
-
 
 def role_of(
     dictionary: ObjectDictionary, variable: Variable, *, profile: int | None = None, carried: Collection[int] = ()
@@ -118,9 +113,9 @@ def profile_in(values: Mapping[Mux, Value]) -> int | None:
     return (device_type & _PROFILE_MASK) or None if isinstance(device_type, int) else None
 
 
-def carried_in(values: Mapping[Mux, Value]) -> frozenset[int]:
+def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
     """The muxes that the valid RPDOs carry of a device that holds these values. An RPDO of unknown COB-ID counts as valid."""
-    found: set[int] = set()
+    found: set[Mux] = set()
     for number in range(len(indices.RPDO_MAPPINGS)):
         count = values.get(mux(indices.RPDO_MAPPINGS.start + number))
         cob_id = values.get(mux(indices.RPDO_COMMUNICATION.start + number, 1), 0)
@@ -129,7 +124,7 @@ def carried_in(values: Mapping[Mux, Value]) -> frozenset[int]:
         for subindex in range(1, min(count, 64) + 1):
             entry = values.get(mux(indices.RPDO_MAPPINGS.start + number, subindex))
             if isinstance(entry, int):
-                found.add(entry >> 8)
+                found.add(mux(*mapped(entry)[:2]))
     return frozenset(found)
 
 

@@ -46,7 +46,7 @@ from canopen_proto.datatypes import (
 )
 from canopen_proto.dictionary import Filler, Key, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
+from canopen_proto.multiplexer import Mux, index_of, mapped, mapping_entry, mux, subindex_of
 
 MAX_BITS: Final = 64
 """A classical CAN frame carries 8 bytes."""
@@ -100,7 +100,7 @@ class MappedEntry:
     @classmethod
     def from_parameter(cls, parameter: int, dictionary: ObjectDictionary) -> MappedEntry:
         """The entry that a value of 0x1600:01 and the like stands for. Raises MappingError: no such object, or not so wide."""
-        index, subindex, bit_length = parameter >> 16 & 0xFFFF, parameter >> 8 & 0xFF, parameter & 0xFF
+        index, subindex, bit_length = mapped(parameter)
         if index <= LAST_DUMMY_INDEX:
             if subindex or index not in DUMMY_TYPES:
                 raise MappingError(f"0x{index:04X}:{subindex:02X} is no data type that a dummy entry may have")
@@ -118,7 +118,7 @@ class MappedEntry:
     @property
     def parameter(self) -> int:
         """The entry as it stands in a mapping parameter: index << 16 | subindex << 8 | bits."""
-        return self.mux << 8 | self.bit_length
+        return mapping_entry(self.mux, self.bit_length)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MappedEntry) and self.parameter == other.parameter and self.data_type == other.data_type
@@ -258,10 +258,6 @@ class Mapping:
             position += 1  # noqa: SIM113
         return values
 
-    def unpack_named(self, data: bytes) -> dict[str, Value]:
-        """The values by `labels`. Raises as `unpack` does."""
-        return dict(zip(self.labels, self.unpack(data), strict=True))
-
     # ---- values -> bytes ----
 
     def pack(self, values: Sequence[Value]) -> bytes:
@@ -287,25 +283,6 @@ class Mapping:
             return self.pack([store[mux] for mux in self.muxes])
         except KeyError:
             return self.pack([store.get(entry.mux, zero_of(entry.data_type)) for entry in self.components])
-
-    def pack_named(self, values: ReadOnlyDict[str, Value]) -> bytes:
-        """The PDO's bytes from values by name or label: all components and nothing else. An object that is mapped twice may be
-        given once, for both.
-
-        Raises LocalProtocolError for a name that the PDO does not carry and for a missing one: a control word that silently
-        went out as 0 would switch a drive off. Raises ValueRangeError as `pack` does.
-        """
-        given: dict[int, Value] = {}
-        for name, value in values.items():
-            position = self.position_of(name)
-            if position is None:
-                raise LocalProtocolError(f"{name!r} is not mapped to this PDO; it carries {', '.join(self.labels)}")
-            given[position] = value
-        of_object = {self.muxes[position]: value for position, value in reversed(given.items())}
-        missing = [label for label, mux in zip(self.labels, self.muxes, strict=True) if mux not in of_object]
-        if missing:
-            raise LocalProtocolError(f"no value was given for {', '.join(missing)}")
-        return self.pack([given.get(position, of_object[mux]) for position, mux in enumerate(self.muxes)])
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mapping) and self.entries == other.entries
@@ -337,7 +314,7 @@ def entries_of(parameters: Iterable[int], dictionary: ObjectDictionary) -> Itera
     For code that reads what a device does, even if the dictionary is not complete. Raises MappingError.
     """
     for parameter in parameters:
-        index, subindex, bits = parameter >> 16 & 0xFFFF, parameter >> 8 & 0xFF, parameter & 0xFF
+        index, subindex, bits = mapped(parameter)
         if index > LAST_DUMMY_INDEX and dictionary.get(index, subindex) is None and 0 < bits <= MAX_BITS:
             yield MappedEntry(index, subindex, bits, integer_type((bits + 7) // 8))
         else:

@@ -37,7 +37,7 @@ from canopen_proto.cob_id import check_cob_id
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Direction, Values
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID
-from canopen_proto.multiplexer import mux
+from canopen_proto.multiplexer import mapped, mux
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES, may_have_width, number_at
 from canopen_proto.pdo.multiplexed import (
@@ -143,7 +143,7 @@ class PdoRules:
             refusal = self._check_mapped(place.direction, entry)
             if refusal is not None:
                 return refusal
-        return AbortCode.PDO_LENGTH_EXCEEDED if sum(entry & 0xFF for entry in entries) > MAX_BITS else None
+        return AbortCode.PDO_LENGTH_EXCEEDED if sum(bits for _, _, bits in map(mapped, entries)) > MAX_BITS else None
 
     def _check_mode(self, place: PdoPlace) -> AbortCode | None:
         """Whether a PDO may be an MPDO in source address mode. CiA 301 v4.2.0, 7.2.3.2.2"""
@@ -164,7 +164,7 @@ class PdoRules:
 
     def _check_mapped(self, direction: Direction, entry: int) -> AbortCode | None:
         """Whether an entry can be part of a PDO of that direction."""
-        index, subindex, bit_length = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        index, subindex, bit_length = mapped(entry)
         if 0 < index <= LAST_DUMMY_INDEX:
             dummy = DUMMY_TYPES.get(index)
             if direction != Direction.RPDO or subindex or dummy is None or not may_have_width(dummy, bit_length):

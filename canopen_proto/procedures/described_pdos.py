@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
-from canopen_proto.multiplexer import Mux, mapped
+from canopen_proto.multiplexer import Mux, mapped, mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, PdoSettings, place_of
 from canopen_proto.procedures.configure_pdo import configure_pdo, read_pdo
@@ -82,8 +82,8 @@ class Exchanged(NamedTuple):
         tpdos = (each for each in self.pdos if each.direction is Direction.TPDO and each.transmission_type in CYCLIC_TYPES)
         cyclic: dict[Mux, int] = {}
         for tpdo in tpdos:
-            for mux in _muxes(tpdo):
-                cyclic[mux] = min(tpdo.transmission_type, cyclic.get(mux, CYCLIC_TYPES.stop))
+            for each in _muxes(tpdo):
+                cyclic[each] = min(tpdo.transmission_type, cyclic.get(each, CYCLIC_TYPES.stop))
         return cyclic
 
 
@@ -137,4 +137,4 @@ def _initial(dictionary: ObjectDictionary, index: int, subindex: int, node_id: i
 
 
 def _muxes(pdo: PdoSettings) -> set[Mux]:
-    return {mapped(entry)[0] for entry in pdo.entries}
+    return {mux(index, subindex) for index, subindex, _ in map(mapped, pdo.entries)}

@@ -15,6 +15,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.machine import Time
+from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import Mapping, MappingError, entries_of
 from canopen_proto.pdo.settings import PdoSettings, place_of
 from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
@@ -104,5 +105,5 @@ def _exchange(node: RemoteNode, settings: PdoSettings) -> Procedure[None]:
 def _text(settings: PdoSettings | None) -> str:
     if settings is None:
         return "not in use"
-    objects = ", ".join(f"{entry >> 16:04X}:{entry >> 8 & 0xFF:02X}/{entry & 0xFF}" for entry in settings.entries)
+    objects = ", ".join(f"{index:04X}:{subindex:02X}/{bits}" for index, subindex, bits in map(mapped, settings.entries))
     return f"0x{key_of_cob_id(settings.cob_id) & 0x1FFF_FFFF:X} with {objects}"

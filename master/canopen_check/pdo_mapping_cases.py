@@ -31,6 +31,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.multiplexer import mapped, mapping_entry, mux
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.mapping import LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import COB_ID
@@ -69,7 +70,7 @@ def default_mappings(bench: Bench) -> Procedure[str]:
                 _check_entry(bench, pdo, entry)
             except Violation as violation:
                 bench.notes.fail(violation)
-            bits += entry & 0xFF
+            bits += mapped(entry)[2]
             count += 1
         expect(bits <= MAX_BITS, f"{pdo} carries {bits} bits")
 
@@ -78,7 +79,7 @@ def default_mappings(bench: Bench) -> Procedure[str]:
 
 
 def _check_entry(bench: Bench, pdo: Pdo, entry: int) -> None:
-    index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+    index, subindex, bits = mapped(entry)
     if index <= LAST_DUMMY_INDEX and pdo.direction is Direction.RPDO:
         return
     variable = bench.dictionary.get(index, subindex)
@@ -180,13 +181,13 @@ def too_long(bench: Bench) -> Procedure[str]:
     def look(pdo: Pdo) -> Procedure[None]:
         widest = max(_candidates(bench, pdo.direction), key=lambda variable: variable.bit_length or 0)
         entry = entry_of(widest)
-        count = MAX_BITS // (entry & 0xFF) + 1
+        count = MAX_BITS // mapped(entry)[2] + 1
         entries = [entry] * count
         if bench.dictionary.get(pdo.mapping, count) is None:
-            entries = [entry & ~0xFF | (MAX_BITS + 8)]
+            entries = [mapping_entry(widest.mux, MAX_BITS + 8)]
         yield from destroy(bench, pdo)
         refusal = yield from try_mapping(bench, pdo, entries)
-        expect_refusal(refusal, TOO_LONG, f"{sum(each & 0xFF for each in entries)} bits in {pdo}")
+        expect_refusal(refusal, TOO_LONG, f"{sum(bits for _, _, bits in map(mapped, entries))} bits in {pdo}")
 
     yield from for_each(bench, pdos, look)
     return f"{len(pdos)} PDOs"
@@ -237,7 +238,7 @@ def map_dummy(bench: Bench) -> Procedure[str]:
     pdo, variable = pdos[0], found[0]
     yield from set_up(bench, pdo, 255)
     yield from destroy(bench, pdo)
-    refusal = yield from try_mapping(bench, pdo, [DUMMY << 16 | 16, entry_of(variable)])
+    refusal = yield from try_mapping(bench, pdo, [mapping_entry(mux(DUMMY), 16), entry_of(variable)])
     if refusal is not None:
         does_not_apply(f"dummy objects are not supported: 0x{refusal:08X}")
     yield from create(bench, pdo)

@@ -12,6 +12,7 @@ from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
 from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.multiplexer import mapped, mapping_entry
 from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import (
     COB_ID,
@@ -108,14 +109,14 @@ def key_of(bench: Bench, pdo: Pdo) -> RoutingKey:
 def length_of(bench: Bench, pdo: Pdo) -> int:
     """Return the number of bytes that a PDO carries by default."""
     count = bench.default(pdo.mapping)
-    bits = sum(bench.default(pdo.mapping, subindex) & 0xFF for subindex in range(1, count + 1))
+    bits = sum(mapped(bench.default(pdo.mapping, subindex))[2] for subindex in range(1, count + 1))
     return (bits + 7) // 8
 
 
 def mapped_variable(bench: Bench, pdo: Pdo) -> Variable | None:
     """Return the first object that a PDO carries by default."""
-    entry = bench.default(pdo.mapping, 1)
-    return bench.dictionary.get(entry >> 16, entry >> 8 & 0xFF)
+    index, subindex, _ = mapped(bench.default(pdo.mapping, 1))
+    return bench.dictionary.get(index, subindex)
 
 
 def destroy(bench: Bench, pdo: Pdo) -> Procedure[None]:
@@ -171,7 +172,7 @@ def try_entries(bench: Bench, pdo: Pdo, entries: Sequence[int]) -> Procedure[int
 def entry_of(variable: Variable) -> int:
     """Return the mapping entry of an object in its full width."""
     assert variable.bit_length is not None
-    return variable.mux << 8 | variable.bit_length
+    return mapping_entry(variable.mux, variable.bit_length)
 
 
 def process_objects(bench: Bench, access: Sequence[Access], *, mappable: bool = True) -> list[Variable]:

@@ -15,6 +15,7 @@ from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary.model import Direction, Object, ObjectType, Variable
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX
 from canopen_proto.pdo.multiplexed import MpdoMode
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, mapping_index, place_of
@@ -117,7 +118,7 @@ def transmission_text(number: Number | None) -> str:
 
 
 def _entry(subject: Subject, entry: Number) -> PdoEntry:
-    index, subindex, bits = entry.value >> 16 & 0xFFFF, entry.value >> 8 & 0xFF, entry.value & 0xFF
+    index, subindex, bits = mapped(entry.value)
     if index <= LAST_DUMMY_INDEX:
         dummy = DUMMY_TYPES.get(index)
         return PdoEntry(f"{index:04X}", "" if dummy is None else dummy.name, bits, True)

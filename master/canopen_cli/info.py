@@ -22,6 +22,7 @@ from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
 from canopen_proto.procedures.objects import ABSENT
@@ -164,11 +165,12 @@ async def _add_pdos(session: Session, node: Node, facts: Facts) -> None:
 
 
 def _pdo(settings: PdoSettings, description: DeviceDescription | None) -> tuple[dict[str, Any], str]:
-    objects = [f"{entry >> 16:04X}:{entry >> 8 & 0xFF:02X}" for entry in settings.entries]
+    entries = [mapped(entry) for entry in settings.entries]
+    objects = [f"{index:04X}:{subindex:02X}" for index, subindex, _ in entries]
     can_id = settings.cob_id & 0x1FFFFFFF
     raw = {"can_id": can_id, "transmission_type": settings.transmission_type, "objects": objects}
     dictionary = None if description is None else description.dictionary
-    called = [_object_name(dictionary, entry >> 16, entry >> 8 & 0xFF) for entry in settings.entries]
+    called = [_object_name(dictionary, index, subindex) for index, subindex, _ in entries]
     names = [name if called.count(name) == 1 else f"{place} {name}" for name, place in zip(called, objects, strict=True)]
     return raw, f"0x{can_id:X}, type {settings.transmission_type}: {', '.join(names) or 'nothing'}"
 

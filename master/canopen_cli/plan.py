@@ -21,6 +21,7 @@ from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
+from canopen_proto.multiplexer import mapped
 from canopen_transports import parse_bitrate
 from canopen_transports.locator import bitrate_text
 from canopen_transports.wire import QueueOrder
@@ -132,7 +133,7 @@ def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Sc
     ]:
         cob_id, kind, inhibit_100us, timer_ms = (_number(description.dictionary, index, each, node_id) for each in (1, 2, 3, 5))
         count = _number(description.dictionary, index + 0x200, 0, node_id)
-        bits = sum(_number(description.dictionary, index + 0x200, entry, node_id) & 0xFF for entry in range(1, count + 1))
+        bits = sum(mapped(_number(description.dictionary, index + 0x200, entry, node_id))[2] for entry in range(1, count + 1))
         can_id, size = cob_id & 0x7FF, (bits + 7) // 8
         distance = inhibit_100us * 100 * MICROSECOND or timer_ms * MILLISECOND
         if cob_id & COB_ID_INVALID or not 0 < bits <= 64:

@@ -10,7 +10,7 @@ import pytest
 from canopen_data.descriptions import load_description
 from canopen_proto.datatypes import Value, is_integer, range_of
 from canopen_proto.dictionary import ObjectDictionary, Variable
-from canopen_proto.dictionary.roles import roles_in
+from canopen_proto.dictionary.roles import Role, roles_in
 from canopen_proto.procedures.backup import same_value
 from tests.cli.backup_world import NODE, lasting
 from tests.cli.cli_support import runner
@@ -30,7 +30,11 @@ def changes(dictionary: ObjectDictionary, values: dict[int, Value]) -> Iterator[
     roles = roles_in(dictionary, values)
     for variable in dictionary:
         value = values.get(variable.mux)
-        if not roles[variable.mux].is_setting or not variable.access.readable or not isinstance(value, int):
+        if (
+            roles[variable.mux] not in (Role.COMMUNICATION, Role.APPLICATION)
+            or not variable.access.readable
+            or not isinstance(value, int)
+        ):
             continue
         bounds = range_of(variable.data_type)
         if bounds is None or not is_integer(variable.data_type):

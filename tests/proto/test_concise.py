@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.datatypes import DataType, ValueRangeError
-from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary import concise as module
-from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise, to_concise, values_of_concise
-from canopen_proto.multiplexer import mux
+from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise
+from canopen_proto.dictionary.download_order import download_order, settings_of
 from tests.builds import replaces_what_is_compiled
 
 HEARTBEAT = Variable(0x1017, 0, "producer heartbeat time", DataType.UNSIGNED16, configured=500)
@@ -22,14 +22,10 @@ LITERAL = "02000000 1710 00 02000000 F401 0020 00 03000000 61726D"
 
 def test_as_the_standard_lays_it_out() -> None:
     data = bytes.fromhex(LITERAL)
-    assert to_concise(DICTIONARY, 5) == data
-    assert from_concise(data) == [(0x1017, 0, b"\xf4\x01"), (0x2000, 0, b"arm")]
-    assert values_of_concise(DICTIONARY, from_concise(data)) == {mux(0x1017): 500, mux(0x2000): "arm"}
-
-
-def test_given_values_take_the_place_of_the_configured_ones() -> None:
-    assert to_concise(DICTIONARY, 5, {mux(0x2001): 7}).hex(" ") == "01 00 00 00 01 20 00 01 00 00 00 07"
-    assert to_concise(DICTIONARY, 5, {}) == bytes(4)
+    writes = download_order(DICTIONARY, settings_of(DICTIONARY, 5), 5).writes
+    assert writes == ((0x1017, 0, b"\xf4\x01"), (0x2000, 0, b"arm"))
+    assert pack_concise(writes) == data
+    assert tuple(from_concise(data)) == writes
 
 
 @pytest.mark.parametrize("data", [b"", bytes(4)])
@@ -67,13 +63,6 @@ def test_both_ways_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_impossible_place_is_the_callers_fault(place: tuple[int, int]) -> None:
     with pytest.raises(ConciseError, match="entry 2: there is no object"):
         pack_concise([(0x2000, 0, b""), (*place, b"")])
-
-
-def test_entries_that_do_not_fit_the_dictionary() -> None:
-    with pytest.raises(ObjectNotFound):
-        values_of_concise(DICTIONARY, [(0x3000, 0, b"")])
-    with pytest.raises(ValueRangeError, match="producer heartbeat time"):
-        values_of_concise(DICTIONARY, [(0x1017, 0, b"\x00")])
 
 
 @given(st.lists(st.tuples(st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.binary(max_size=20)), max_size=10))

@@ -10,6 +10,7 @@ from canopen_proto.dictionary.model import Object, ObjectDictionary
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import NEVER
+from canopen_proto.multiplexer import mapped
 from tests.proto.drive_bench import Bench
 
 SHAPES = list(Shape)
@@ -48,12 +49,13 @@ def test_each_pdo_maps_objects_that_it_may_carry(shape: Shape) -> None:
         for place in range(1, int(values.read((index, 0))) + 1):  # type: ignore[arg-type]
             entry = values.read((index, place))
             assert isinstance(entry, int)
-            variable = dictionary.get(entry >> 16, entry >> 8 & 0xFF)
+            *place_of_object, bit_length = mapped(entry)
+            variable = dictionary.get(*place_of_object)
             assert variable is not None
             assert variable.pdo_mappable
             assert variable.access.writable is (index < 0x1A00)
-            assert variable.bit_length == entry & 0xFF
-            bits += entry & 0xFF
+            assert variable.bit_length == bit_length
+            bits += bit_length
         assert bits <= 64
 
 

@@ -48,8 +48,8 @@ def test_the_drives_default_tpdo() -> None:
     assert tpdo.parameters == (0x60410010, 0x60770010, 0x60640020)
     assert tpdo.unpack(data) == (0x1237, -2, 10000)
     assert tpdo.pack((0x1237, -2, 10000)) == data
-    assert tpdo.unpack_named(data) == {"statusword": 0x1237, "torque_actual_value": -2, "position_actual_value": 10000}
-    assert tpdo.pack_named({"status": 0x1237, "6077": -2, "0x6064:00": 10000}) == data
+    assert tpdo.labels == ("statusword", "torque_actual_value", "position_actual_value")
+    assert [tpdo.position_of(key) for key in ("status", "6077", "0x6064:00")] == [0, 1, 2]
     store: dict[int, Value] = {}
     assert tpdo.unpack_into(store, data) == (0x1237, -2, 10000)
     assert store == {0x604100: 0x1237, 0x607700: -2, 0x606400: 10000}
@@ -212,14 +212,6 @@ def test_the_number_of_values_counts(values: tuple[int, ...]) -> None:
             pdo.pack(values)
 
 
-def test_pack_named_wants_all_components_and_no_other() -> None:
-    pdo = mapping((U16, 16), (U8, 8))
-    with pytest.raises(LocalProtocolError, match="no value was given for v1"):
-        pdo.pack_named({"v0": 1})
-    with pytest.raises(LocalProtocolError, match="'v2' is not mapped to this PDO; it carries v0, v1"):
-        pdo.pack_named({"v0": 1, "v1": 2, "v2": 3})
-
-
 def test_what_a_store_lacks_is_sent_as_zero() -> None:
     pdo = mapping((U16, 15), (BOOLEAN, 1), (TEXT, 16), (REAL32, 32))
     assert pdo.pack_from({}) == bytes(8)
@@ -233,15 +225,14 @@ def test_an_object_mapped_twice() -> None:
     assert pdo.unpack_into(store, b"\1\2") == (1, 2)
     assert store == {0x200000: 2}
     assert pdo.position_of("v") == 0
-    assert pdo.unpack_named(b"\1\2") == {"2000:00": 1, "2000:00#2": 2}
-    assert pdo.pack_named({"v": 7}) == b"\7\7"
-    assert pdo.pack_named({"2000:00#2": 8, "v": 7}) == b"\7\10"
+    assert pdo.labels == ("2000:00", "2000:00#2")
+    assert pdo.position_of("2000:00#2") == 1
+    assert pdo.pack_from({0x200000: 7}) == b"\7\7"
 
 
 def test_entries_of_an_array_that_share_a_name() -> None:
     pdo = Mapping([entry(0x6401, 1, 16, I16, "analogue_input"), entry(0x6401, 2, 16, I16, "analogue_input")])
-    assert pdo.unpack_named(hex_of("0100 0200")) == {"6401:01": 1, "6401:02": 2}
-    assert pdo.pack_named({"6401:02": 2, "6401:01": 1}) == hex_of("0100 0200")
+    assert pdo.labels == ("6401:01", "6401:02")
     assert pdo.position_of("6401:02") == 1
     with pytest.raises(LocalProtocolError, match=r"'analogue_input': name one, as '6401:01' \(6401:01, 6401:02\)"):
         pdo.position_of("analogue_input")
@@ -425,7 +416,6 @@ def test_pack_gives_back_what_was_unpacked(pdo: Mapping, data: bytes) -> None:
     store: dict[int, Value] = {}
     pdo.unpack_into(store, data)
     assert pdo.pack_from(store) == bytes_of(kept)
-    assert pdo.pack_named(pdo.unpack_named(data)) == bytes_of(kept)
 
 
 @st.composite
@@ -437,12 +427,9 @@ def mappings_of_like_names(draw: st.DrawFn) -> Mapping:
     return Mapping(entry(index, sub, 8, U8, name, alias) for (index, sub), name, alias in draw(several))
 
 
-@given(mappings_of_like_names(), st.binary(min_size=8, max_size=8))
-def test_whatever_the_names_no_two_components_collide(pdo: Mapping, data: bytes) -> None:
-    named = pdo.unpack_named(data)
-    assert tuple(named.values()) == pdo.unpack(data)
+@given(mappings_of_like_names())
+def test_whatever_the_names_no_two_components_collide(pdo: Mapping) -> None:
     assert [pdo.position_of(label) for label in pdo.labels] == list(range(len(pdo.components)))
-    assert pdo.pack_named(named) == data[: pdo.byte_length]
 
 
 @given(mappings(), st.data())

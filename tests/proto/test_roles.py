@@ -39,7 +39,6 @@ def test_the_objects_of_an_io_device() -> None:
         FACTORY << 8: Role.COMMAND,
     }
     assert {key: found[key] for key in expected} == expected
-    assert {each for each in Role if each.is_setting} == {Role.COMMUNICATION, Role.APPLICATION}
 
 
 def test_what_an_rpdo_carries_is_process_data_only_while_it_is_valid() -> None:

@@ -16,6 +16,7 @@ from canopen_data.findings import Finding
 from canopen_proto import indices
 from canopen_proto.dictionary.model import Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import DUMMY_TYPES, LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES, may_have_width
 from canopen_proto.pdo.multiplexed import MpdoMode
@@ -105,7 +106,7 @@ def _check_mapping(subject: Subject, place: PdoPlace, index: int) -> Iterator[Fi
         yield subject.of_value("pdo-entries", standing[0], text)
     bits = 0
     for variable, entry in entries_of(subject, index):
-        bits += entry.value & 0xFF
+        bits += mapped(entry.value)[2]
         yield from _check_entry(subject, place, variable, entry.value)
     if bits > MAX_BITS:
         text = f"{place.direction}{place.number} has {bits} bits; {MAX_BITS} is the most"
@@ -113,36 +114,36 @@ def _check_mapping(subject: Subject, place: PdoPlace, index: int) -> Iterator[Fi
 
 
 def _check_entry(subject: Subject, place: PdoPlace, variable: Variable, entry: int) -> Iterator[Finding]:
-    index, subindex, bits = entry >> 16 & 0xFFFF, entry >> 8 & 0xFF, entry & 0xFF
+    index, subindex, bits = mapped(entry)
     if entry == 0:
         yield subject.of_value("pdo-gap", variable, "the entry is counted, but maps nothing")
         return
     if index <= LAST_DUMMY_INDEX:
         yield from _check_dummy(subject, place, variable, entry)
         return
-    mapped = subject.dictionary.get(index, subindex)
+    target = subject.dictionary.get(index, subindex)
     where = f"0x{entry:08X} maps {index:04X}:{subindex:02X}"
-    if mapped is None:
+    if target is None:
         yield subject.of_value("pdo-object", variable, f"{where}, which is not in the file")
         return
-    where = f"{where} ({mapped.name})"
+    where = f"{where} ({target.name})"
     into = "an RPDO" if place.direction is Direction.RPDO else "a TPDO"
-    if not (mapped.access.writable if place.direction is Direction.RPDO else mapped.access.readable):
-        yield subject.of_value("pdo-access", variable, f"{where} into {into}, but it is {mapped.access}")
-    elif mapped.access == _ONE_WAY[place.direction]:
-        yield subject.of_value("pdo-direction", variable, f"{where} into {into}, but it is {mapped.access}")
-    elif not mapped.pdo_mappable:
+    if not (target.access.writable if place.direction is Direction.RPDO else target.access.readable):
+        yield subject.of_value("pdo-access", variable, f"{where} into {into}, but it is {target.access}")
+    elif target.access == _ONE_WAY[place.direction]:
+        yield subject.of_value("pdo-direction", variable, f"{where} into {into}, but it is {target.access}")
+    elif not target.pdo_mappable:
         yield subject.of_value("pdo-not-mappable", variable, f"{where}, whose PDOMapping is 0")
-    if not may_have_width(mapped.data_type, bits):
-        has = "cannot be mapped so" if mapped.bit_length is None else f"has {mapped.bit_length}"
-        text = f"{where} with {bits} bits; its type {mapped.data_type.name} {has}"
+    if not may_have_width(target.data_type, bits):
+        has = "cannot be mapped so" if target.bit_length is None else f"has {target.bit_length}"
+        text = f"{where} with {bits} bits; its type {target.data_type.name} {has}"
         yield subject.of_value("pdo-bits", variable, text)
-    elif mapped.bit_length is not None and bits < mapped.bit_length:
-        yield subject.of_value("pdo-part", variable, f"{where} with {bits} bits; it has {mapped.bit_length}")
+    elif target.bit_length is not None and bits < target.bit_length:
+        yield subject.of_value("pdo-part", variable, f"{where} with {bits} bits; it has {target.bit_length}")
 
 
 def _check_dummy(subject: Subject, place: PdoPlace, variable: Variable, entry: int) -> Iterator[Finding]:
-    index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+    index, subindex, bits = mapped(entry)
     data_type = DUMMY_TYPES.get(index)
     dummies = subject.description.dummies
     where = f"0x{entry:08X}"
