@@ -9,21 +9,25 @@ class Explained:
     """The base of errors and reports that explain themselves. `str` gives the screen for people; the fields are for programs.
 
     code: such as "CO201"; docs/errors.md lists them. failed: what failed. seen: what was observed. cause: the likely causes, best
-    first. tries: what to do next, best first; commands stand in them as they are typed.
+    first. also: what else went wrong, or was done. tries: what to do next, best first; commands stand in them as they are typed.
     """
 
-    def __init__(self, code: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+    def __init__(
+        self, code: str, failed: str, *, seen: str = "", cause: str = "", also: Iterable[str] = (), tries: Iterable[str] = ()
+    ) -> None:
         self.code = code
         self.failed = failed
         self.seen = seen
         self.cause = cause
+        self.also = list(also)
         self.tries = tuple(tries)
 
     def __str__(self) -> str:
-        lines = [f"{self.code}: {self.failed}"]
-        if self.seen:
-            lines.append(f"  seen:  {self.seen}")
-        if self.cause:
-            lines.append(f"  cause: {self.cause}")
-        lines += [f"  {'or:  ' if number else 'try: '}  {step}" for number, step in enumerate(self.tries)]
-        return "\n".join(lines)
+        return "\n".join([f"{self.code}: {self.failed}", *(f"  {label} {text}" for label, text in self.details())])
+
+    def details(self) -> list[tuple[str, str]]:
+        """Return the lines below the first one, as (label, text)."""
+        rows = [("seen: ", self.seen)] if self.seen else []
+        rows += [("cause:", self.cause)] if self.cause else []
+        rows += [("also: ", text) for text in self.also]
+        return rows + [("or:   " if number else "try:  ", text) for number, text in enumerate(self.tries)]

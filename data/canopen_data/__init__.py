@@ -21,6 +21,7 @@ from typing import Final
 from canopen_data.csv import load_csv
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.explained import Explained
 
 __all__ = [
     "CHAIN_FILES",
@@ -41,17 +42,17 @@ DICTIONARY_FILES: Final = ("indices.csv", "constants.csv", "PDOs.csv")
 CHAIN_FILES: Final = ("single_device.csv", "multiple_devices.csv")
 ENVIRONMENT_VARIABLE: Final = "CANOPEN_DATA"
 
+BRING_BACK: Final = "`canopen data init --force` replaces your files by the installed ones"
+
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
 """Bytes. A larger file is not a data file (perhaps a log or a device node) and would only fill the memory."""
 
 
-class DataError(Exception):
-    """A data file or folder that cannot be used. hint: what to try."""
+class DataError(Explained, Exception):
+    """A data file or folder cannot be used. For the fields see Explained."""
 
-    def __init__(self, message: str, hint: str) -> None:
-        super().__init__(f"{message}; {hint}")
-        self.message = message
-        self.hint = hint
+    def __init__(self, failed: str, *tries: str) -> None:
+        super().__init__("CO330", failed, tries=tries)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def user_directory(directory: str | Path | None = None) -> Path | None:
 def read(name: str, directory: str | Path | None = None) -> DataFile:
     """Return a data file by its name: the user's own, else the installed one.
 
-    Raises DataError if there is neither (its hint lists the installed ones), or if it cannot be read.
+    Raises DataError if there is neither (it lists the installed ones), or if it cannot be read.
     """
     folder = user_directory(directory)
     installed = name in (*DICTIONARY_FILES, *CHAIN_FILES)
@@ -109,7 +110,7 @@ def read(name: str, directory: str | Path | None = None) -> DataFile:
     if text is None:
         searched = f" in {folder}" if folder is not None else ""
         known = ", ".join((*DICTIONARY_FILES, *CHAIN_FILES))
-        raise DataError(f"there is no data file {name!r}{searched}", f"installed are {known}")
+        raise DataError(f"there is no data file {name!r}{searched}", f"use one of {known}")
     return DataFile(name, text, f"installed {name}")
 
 
@@ -135,7 +136,7 @@ def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictiona
     except DictionaryError as error:
         own = [each for each in error.findings if each.source in (notice.source for notice in notices)]
         if own or not notices:
-            raise DictionaryError(own or error.findings) from None
+            raise DictionaryError(own or error.findings, "correct the file", BRING_BACK) from None
         files = [_without(each, error.findings, notices) for each in files]
         dictionary, warnings = _load(files)
     return dictionary, notices + warnings
@@ -228,7 +229,7 @@ def content_of(path: Path | Traversable, source: str) -> bytes | None:
         reason = error.strerror if isinstance(error, OSError) else error
         raise DataError(f"cannot read {source}: {reason}", "check that it is a file and that you may read it") from None
     if len(content) > MAX_FILE_SIZE:
-        raise DataError(f"{source} is larger than {MAX_FILE_SIZE // 1024**2} MiB", "it cannot be a data file; check its name")
+        raise DataError(f"{source} is larger than {MAX_FILE_SIZE // 1024**2} MiB", "check its name: no data file is so large")
     return content
 
 

@@ -38,7 +38,7 @@ def read_file(path: str | Path) -> bytes:
     if content is None and str(path) in samples():
         content = content_of(_SAMPLES / str(path), f"installed {path}")
     if content is None:
-        raise DataError(f"there is no file {str(own)!r}", f"check the path; samples that always work are {', '.join(samples())}")
+        raise DataError(f"there is no file {str(own)!r}", "check the path", f"use a sample: {', '.join(samples())}")
     return content
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
+from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
 
-MAX_SHOWN: Final = 12
-"""Errors listed in the text of one exception; the rest is counted (a binary file read by mistake has thousands)."""
+MAX_SHOWN: Final = 10
+"""Errors listed in the text of one exception. The rest is counted: a binary file read by mistake has thousands."""
 
 
 class Severity(StrEnum):
@@ -38,14 +39,15 @@ class Finding:
         return f"{where}: {self.severity}: {self.message} [{self.code}]"
 
 
-class DictionaryError(LocalProtocolError, ValueError):
-    """A description that cannot be used. Holds every error found; the text lists the first ones, each with its place."""
+class DictionaryError(Explained, LocalProtocolError, ValueError):
+    """A description cannot be used. findings: every error found. The text lists the first ones, each with its place."""
 
-    def __init__(self, findings: Iterable[Finding]) -> None:
+    def __init__(self, findings: Iterable[Finding], *tries: str) -> None:
         self.findings: tuple[Finding, ...] = tuple(findings)
-        shown = [str(each) for each in self.findings[:MAX_SHOWN]]
-        hidden = len(self.findings) - len(shown)
-        super().__init__("\n".join([*shown, f"... and {hidden} more"] if hidden else shown))
+        first, *rest = [str(each) for each in self.findings[:MAX_SHOWN]]
+        hidden = len(self.findings) - MAX_SHOWN
+        also = [*rest, f"{hidden} more errors"] if hidden > 0 else rest
+        super().__init__("CO301", first, also=also, tries=tries or ("correct the file",))
 
     @property
     def source(self) -> str:

@@ -112,7 +112,7 @@ def _put_to_rest(stream: IO[str]) -> None:
 
 def _show(settings: Settings, problem: Problem) -> int:
     if settings.late is not None and settings.late is not problem:
-        problem.more.append(f"{settings.late.failed}: {settings.late.seen}")
+        problem.also.append(f"{settings.late.failed}: {settings.late.seen}")
     try:
         settings.screen().problem(problem.on_bus(settings.bus))
     except BrokenPipeError:  # it may have been the problem itself

@@ -193,7 +193,7 @@ class Demonstration:
             if _nobody_reads(error):
                 raise BrokenPipeError from error
             problem = problem_of(error)
-            problem.more += self.story()
+            problem.also += self.story()
             if problem.code == CHAIN_FAULT:
                 problem.tries = self._after_fault(problem.node)
             raise problem from error

@@ -48,7 +48,7 @@ def open_description(path: str, encoding: str = "") -> DescriptionFile:
     try:
         data = read_file(path)
     except DataError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO330", error.message, tries=(error.hint,)) from error
+        raise Problem(ExitCode.BAD_FILE, error.code, error.failed, tries=error.tries) from error
     description = read_description(data, path, encoding=encoding)
     if not description.dictionary.objects:
         first = next((each for each in description.findings if each.severity is Severity.ERROR), None)

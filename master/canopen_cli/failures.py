@@ -33,7 +33,7 @@ from canopen_transports.log_files import LogFileError
 def problem_of(error: BaseException) -> Problem:
     """Return the Problem for an exception. An exception that nobody foresaw is CO900: our own mistake."""
     if isinstance(error, Problem):
-        error.more += [note for note in getattr(error, "__notes__", ()) if note not in error.more]
+        error.also += [note for note in getattr(error, "__notes__", ()) if note not in error.also]
         return error
     if isinstance(error, BaseExceptionGroup):
         return _of_group(error)
@@ -46,7 +46,7 @@ def problem_of(error: BaseException) -> Problem:
             cause="a mistake in this program, not yours",
             tries=("the same with -vv, and report what it shows",),
         )
-    problem.more += getattr(error, "__notes__", [])
+    problem.also += getattr(error, "__notes__", [])
     problem.__cause__ = error
     return problem
 
@@ -55,7 +55,7 @@ def _of_group(group: BaseExceptionGroup[BaseException]) -> Problem:
     """Return the Problem for the first error that matters, and mention the others in it."""
     problems = sorted((problem_of(each) for each in group.exceptions), key=lambda each: each.exit_code is ExitCode.INTERNAL)
     first, rest = problems[0], problems[1:]
-    first.more += [f"{each.code}: {each.failed}" for each in rest if each.failed != first.failed]
+    first.also += [f"{each.code}: {each.failed}" for each in rest if each.failed != first.failed]
     return first
 
 
@@ -69,7 +69,7 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
-        case errors.ChainFileError():
+        case errors.ChainFileError() | DataError() | DictionaryError():
             return _spoken(error, ExitCode.BAD_FILE)
         case errors.UnknownChain() | errors.SetPointRefused():
             return _spoken(error, ExitCode.USAGE)
@@ -81,15 +81,6 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _of_sdo(error)
         case ProcedureError():
             return _of_procedure(error)
-        case DataError():
-            return Problem(ExitCode.BAD_FILE, "CO330", error.message, tries=(error.hint,))
-        case DictionaryError():
-            first, *rest = [str(each) for each in error.findings]
-            shown = [*rest[:8], f"and {len(rest) - 8} more"] if len(rest) > 9 else rest
-            hint = "correct the file; `canopen data init --force` brings the installed one back"
-            problem = Problem(ExitCode.BAD_FILE, "CO301", first, tries=(hint,))
-            problem.more += shown
-            return problem
         case NotInDictionary():
             failed, _, hint = str(error).partition("; ")
             return usage("CO302", failed, tries=(hint,) if hint else ())
@@ -149,6 +140,7 @@ def _spoken(error: Explained, exit_code: ExitCode) -> Problem:
         error.failed,
         seen=error.seen,
         cause=error.cause,
+        also=error.also,
         tries=advice(error.tries),
         node=getattr(error, "node_id", None),
         index=getattr(error, "index", None),

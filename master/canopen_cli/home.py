@@ -70,7 +70,7 @@ def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int 
     except Exception as error:  # noqa: BLE001 - raised again, with a note of what was done
         problem = problem_of(error)
         if isinstance(problem.__cause__, StepTimeout):
-            problem.more += _story(all_stand(error))
+            problem.also += _story(all_stand(error))
             problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {limit / SECOND:g} s)")
         raise problem from problem.__cause__
     if settings.json:

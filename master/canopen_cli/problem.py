@@ -72,27 +72,14 @@ class Problem(Explained, Exception):
         index: int | None = None,
         subindex: int | None = None,
         abort: int | None = None,
+        also: Iterable[str] = (),
     ) -> None:
-        super().__init__(code, failed, seen=seen, cause=cause, tries=tries)
+        super().__init__(code, failed, seen=seen, cause=cause, also=also, tries=tries)
         self.exit_code = exit_code
         self.node = node
         self.index = index
         self.subindex = subindex
         self.abort = abort
-        self.more: list[str] = []
-        """More lines: what was done with the drives, and what else went wrong."""
-
-    def __str__(self) -> str:
-        lines = [f"{self.code}: {self.failed}"]
-        lines += [f"  {label} {text}" for label, text in self.details()]
-        return "\n".join(lines)
-
-    def details(self) -> list[tuple[str, str]]:
-        """Return the lines below the first, as (label, text)."""
-        rows = [("seen: ", self.seen)] if self.seen else []
-        rows += [("cause:", self.cause)] if self.cause else []
-        rows += [("also: ", text) for text in self.more]
-        return rows + [("or:   " if number else "try:  ", text) for number, text in enumerate(self.tries)]
 
     def on_bus(self, bus: str | None) -> Problem:
         """Add the bus of -b to each command that it advises, so that the next command asks the same bus. Returns itself."""
@@ -112,7 +99,7 @@ class Problem(Explained, Exception):
             "message": self.failed,
             "seen": self.seen,
             "cause": [self.cause] if self.cause else [],
-            "also": self.more,
+            "also": self.also,
             "try": list(self.tries),
         }
 

@@ -144,7 +144,7 @@ def told(error: Exception, so_far: Sequence[Restoration], path: str) -> Problem:
         )
     else:
         problem = problem_of(reason)
-    problem.more += story(so_far)
+    problem.also += story(so_far)
     begun = found.state is NmtState.PRE_OPERATIONAL
     tries = [f"canopen restore {node_id} {path} --dry-run    (what is still to be written)"] if begun else []
     if begun and problem.index is not None and problem.exit_code in (ExitCode.SDO_ABORT, ExitCode.VERIFY_MISMATCH):

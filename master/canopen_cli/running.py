@@ -142,11 +142,11 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
 def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
     name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
     problem = Problem(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
-    problem.more = story(all_stand(failure)) + notes_of(failure)
+    problem.also = story(all_stand(failure)) + notes_of(failure)
     errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure
     if errors is not None and not isinstance(errors, trio.Cancelled):
         reason = problem_of(errors)
-        problem.more += [f"{reason.code}: {reason.failed}", *(text for text in reason.more if text not in problem.more)]
+        problem.also += [f"{reason.code}: {reason.failed}", *(text for text in reason.also if text not in problem.also)]
         problem.seen, problem.cause, problem.tries = reason.seen, reason.cause, reason.tries
         problem.__cause__ = errors
     return problem

@@ -129,11 +129,11 @@ class ChainFileError(MasterError, ValueError):
     def __init__(self, source: str, problems: Iterable[tuple[int, int, str]]) -> None:
         self.source = source
         self.problems = tuple(problems)
-        first = self.problems[0]
-        more = "\n".join(f"         {source}:{line}:{column}: {text}" for line, column, text in self.problems[1:])
+        first, *rest = [f"{source}:{line}:{column}: {text}" for line, column, text in self.problems]
         super().__init__(
             CHAIN_FILE,
-            f"{source}:{first[0]}:{first[1]}: {first[2]}" + (f"\n{more}" if more else ""),
+            first,
+            also=rest,
             tries=("a line is: CHAIN, then for each joint NAME BUS NODE-ID, as in: chain1 joint1 /dev/pcan32 12",),
         )
 

@@ -105,7 +105,7 @@ def test_a_chain_error_has_the_status_of_its_cause() -> None:
 def test_notes_are_told_too() -> None:
     error = ProcedureError("drive 5 did not: x")
     error.add_note("not confirmed to stand: joint1")
-    assert problem_of(error).more == ["not confirmed to stand: joint1"]
+    assert problem_of(error).also == ["not confirmed to stand: joint1"]
     assert notes_of(ExceptionGroup("two", [error, ValueError()])) == ["not confirmed to stand: joint1"]
     assert notes_of(None) == []
 
@@ -114,13 +114,13 @@ def test_of_several_errors_the_one_that_is_not_ours_comes_first() -> None:
     group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveFault("drive 5 is in fault: x")])])
     problem = problem_of(group)
     assert problem.code == "CO402"
-    assert "CO900" in problem.more[0]
+    assert "CO900" in problem.also[0]
 
 
 def test_many_findings_are_cut() -> None:
     problem = problem_of(DictionaryError(Finding(Severity.ERROR, "x", f"wrong {n}", "a.csv", n, 1) for n in range(1, 40)))
     assert "a.csv:1:1" in problem.failed
-    assert problem.more[-1] == "and 30 more"
+    assert problem.also[-1] == "29 more errors"
     assert len(str(problem).splitlines()) < 14
 
 
@@ -313,6 +313,6 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
         run(Settings(), Screen(), command)
     problem = caught.value
     assert problem.exit_code is ExitCode.INTERRUPTED
-    assert "CO402: drive 5 is in fault" in problem.more
+    assert "CO402: drive 5 is in fault" in problem.also
     assert problem.seen == "it burns"
     assert problem.tries == ("water",)

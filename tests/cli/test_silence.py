@@ -191,7 +191,7 @@ def test_a_note_on_a_problem_is_told_once() -> None:
     problem = Problem(ExitCode.NO_ANSWER, "CO201", "no answer")
     problem.add_note("not confirmed to stand: joint1")
     for _ in range(2):
-        assert problem_of(problem).more == ["not confirmed to stand: joint1"]
+        assert problem_of(problem).also == ["not confirmed to stand: joint1"]
 
 
 # ---- what the next step speaks of ----

@@ -213,7 +213,11 @@ def test_errors_in_a_users_file_name_its_path(tmp_path: Path) -> None:
     (tmp_path / "PDOs.csv").write_text("")
     with pytest.raises(DictionaryError) as caught:
         canopen_data.load_dictionary(tmp_path)
-    assert str(caught.value) == f"{tmp_path / 'indices.csv'}:2:1: error: 'statusword' is in line 1 already [duplicate-alias]"
+    assert str(caught.value).splitlines() == [
+        f"CO301: {tmp_path / 'indices.csv'}:2:1: error: 'statusword' is in line 1 already [duplicate-alias]",
+        "  try:   correct the file",
+        "  or:    `canopen data init --force` replaces your files by the installed ones",
+    ]
 
 
 def test_the_issues_example_by_names(dictionary: ObjectDictionary) -> None:
@@ -234,9 +238,9 @@ def test_a_chain_file_by_path_by_name_and_a_users_one(tmp_path: Path, home: Path
     assert canopen_data.read_chain_file("my.csv").text == by_path.text
     with pytest.raises(DataError) as caught:
         canopen_data.read_chain_file("no.csv", tmp_path)
-    assert caught.value.message == f"there is no data file 'no.csv' in {tmp_path}"
-    assert caught.value.hint == "installed are indices.csv, constants.csv, PDOs.csv, single_device.csv, multiple_devices.csv"
-    with pytest.raises(DataError, match=r"there is no data file '__init__\.py'; installed are"):
+    assert (caught.value.code, caught.value.failed) == ("CO330", f"there is no data file 'no.csv' in {tmp_path}")
+    assert caught.value.tries == ("installed are indices.csv, constants.csv, PDOs.csv, single_device.csv, multiple_devices.csv",)
+    with pytest.raises(DataError, match=r"there is no data file '__init__\.py'\n  try:   installed are"):
         canopen_data.read("__init__.py")
 
 
@@ -244,7 +248,7 @@ def test_a_chain_file_by_path_by_name_and_a_users_one(tmp_path: Path, home: Path
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DataError, match=r"the data folder .*/nowhere does not exist; `canopen data init` makes one"):
+    with pytest.raises(DataError, match=r"the data folder .*/nowhere does not exist\n  try:   `canopen data init` makes one"):
         canopen_data.load_dictionary(tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="is not a folder"):
@@ -256,10 +260,12 @@ def test_a_folder_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_files_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "indices.csv").mkdir()
-    with pytest.raises(DataError, match=r"cannot read .*indices\.csv: .*; check that it is a file and that you may read it"):
+    with pytest.raises(
+        DataError, match=r"cannot read .*indices\.csv: .*\n  try:   check that it is a file and that you may read it"
+    ):
         canopen_data.load_dictionary(tmp_path)
     (tmp_path / "PDOs.csv").write_bytes(b"# f\xfcr\n")
-    with pytest.raises(DataError, match=r"PDOs\.csv is not UTF-8 text: line 1 has the byte 0xFC; save it as UTF-8"):
+    with pytest.raises(DataError, match=r"PDOs\.csv is not UTF-8 text: line 1 has the byte 0xFC\n  try:   save it as UTF-8"):
         canopen_data.read("PDOs.csv", tmp_path)
     with pytest.raises(DataError, match="cannot read .*: embedded null byte"):
         canopen_data.read("a\0b", tmp_path)
@@ -276,7 +282,7 @@ def test_without_a_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "home", no_home)
     monkeypatch.setattr(Path, "expanduser", no_home)
     assert canopen_data.load_dictionary()[0].source == "installed indices.csv"
-    with pytest.raises(DataError, match=r"there is no home folder; name a folder, or set \$CANOPEN_DATA"):
+    with pytest.raises(DataError, match=r"there is no home folder\n  try:   name a folder, or set \$CANOPEN_DATA"):
         canopen_data.init()
     with pytest.raises(DataError, match="there is no home folder for ~/data"):
         canopen_data.init("~/data")
@@ -309,7 +315,7 @@ def test_init_never_overwrites_without_force(tmp_path: Path, monkeypatch: pytest
 def test_init_where_nothing_can_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for target in (tmp_path / "file", tmp_path / "file" / "below", "a\0b"):
-        with pytest.raises(DataError, match="cannot copy the data files to .*; `canopen data init --to FOLDER`"):
+        with pytest.raises(DataError, match="cannot copy the data files to .*\n  try:   `canopen data init --to FOLDER`"):
             canopen_data.init(target)
 
 

@@ -318,7 +318,7 @@ def test_strict_raises_the_first_error() -> None:
     assert read_eds(VAR + "Colour=x\n", strict=True).dictionary.objects
     with pytest.raises(DictionaryError) as caught:
         read_eds(VAR + "DefaultValue=a\n[2000]\n", "x.eds", strict=True)
-    assert str(caught.value) == "x.eds:6:14: error: in [2000]: DefaultValue 'a' is not a number; left out [value]"
+    assert caught.value.failed == "x.eds:6:14: error: in [2000]: DefaultValue 'a' is not a number; left out [value]"
 
 
 def test_text_and_bytes_are_the_same() -> None:

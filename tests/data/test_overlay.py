@@ -110,7 +110,7 @@ def test_an_empty_side_file_changes_nothing() -> None:
 def test_a_text_that_is_no_toml(text: str, error: str) -> None:
     with pytest.raises(DictionaryError) as caught:
         lay_over(DICTIONARY, text, "u.toml")
-    assert str(caught.value) == f"u.toml:{error} [toml]"
+    assert caught.value.failed == f"u.toml:{error} [toml]"
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_a_text_that_is_no_toml(text: str, error: str) -> None:
 def test_what_is_wrong_is_named(text: str, error: str) -> None:
     with pytest.raises(DictionaryError) as caught:
         lay_over(DICTIONARY, text, "u.toml")
-    assert str(caught.value) == f"u.toml: error: {error} [overlay]"
+    assert caught.value.failed == f"u.toml: error: {error} [overlay]"
 
 
 @pytest.mark.parametrize("value", ["16", "-1", "true", "'x'", "{mask = 0}", "{mask = 1, value = 2}", "{mask = 1, x = 2}", "{}"])

@@ -59,7 +59,7 @@ def test_a_plant() -> None:
 def test_what_is_wrong(text: str, error: str) -> None:
     with pytest.raises(DictionaryError) as caught:
         parse_plant(text, "p.toml")
-    assert str(caught.value) == error
+    assert caught.value.failed == error
 
 
 @pytest.mark.parametrize(
