@@ -69,7 +69,7 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
-        case errors.ChainFileError() | DataError() | DictionaryError():
+        case errors.ChainFileError() | DataError() | DictionaryError() | LogFileError():
             return _spoken(error, ExitCode.BAD_FILE)
         case errors.UnknownChain() | errors.SetPointRefused():
             return _spoken(error, ExitCode.USAGE)
@@ -92,8 +92,6 @@ def _of_expected(error: BaseException) -> Problem | None:
             return Problem(
                 ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
             )
-        case LogFileError():
-            return _spoken(error, ExitCode.BAD_FILE)
         case PermissionError():
             return Problem(ExitCode.PERMISSION, "CO109", str(error))
         case click.UsageError():
