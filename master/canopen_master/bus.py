@@ -23,7 +23,7 @@ bus comes back, would make a drive jump. Requests meanwhile time out, and their 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import trio
@@ -40,6 +40,7 @@ from canopen_transports import (
     EagerTransport,
     FilteringTransport,
     FrameNotSent,
+    PushingTransport,
     Received,
     ReceiveOverrun,
     Report,
@@ -57,6 +58,7 @@ SDO_GUARD: Final = 300 * MICROSECOND
 """Before a SYNC no SDO frame is begun: the longest frame takes 270 us at 500 kbit/s, and a frame under way delays the SYNC."""
 
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
+_BUS_OFF: Final = BusState.BUS_OFF
 
 
 class FramesLost(Event):
@@ -162,8 +164,8 @@ class Bus:
             elif not (eager and self._send_at_once(frame)):
                 eager = False
                 first.append(frame)
-        if eager:
-            while sdo and self._until_sync(now) > SDO_GUARD and self._send_at_once(sdo[0]):
+        if eager and sdo and self._until_sync(now) > SDO_GUARD:
+            while sdo and self._send_at_once(sdo[0]):
                 sdo.popleft()
         if not (first or sdo):
             return True
@@ -192,16 +194,26 @@ class Bus:
             return await self._batch.receive_many(MAX_BATCH)
         return (await self.transport.receive(),)
 
-    def take_in(self, item: Received | Report, now: Time) -> None:
-        """Hand a frame to the network, or tell a report. Events: FramesLost, BusChanged, FramesNotSent, and the network's."""
-        if isinstance(item, tuple):
-            if self.state is BusState.BUS_OFF:
-                self.change(BusState.ACTIVE, "a frame was received")
-            self.network.receive(item[0], now, item[1])
-        elif isinstance(item, ReceiveOverrun):
-            self.network.out.events.append(FramesLost(0, item.lost, item.seen))
-        elif isinstance(item, BusStateChanged):
-            self.change(item.state, item.seen)
+    def push_to(self, receiver: Callable[[Received], None] | None) -> None:
+        """Let a transport that can do so push the frames to `receiver`; None: end this."""
+        if isinstance(self.transport, PushingTransport):
+            self.transport.push_to(receiver)
+
+    def take_in(self, received: Iterator[Received | Report], now: Time) -> None:
+        """Hand frames to the network, and tell reports. Events: FramesLost, BusChanged, FramesNotSent, and the network's.
+
+        After an exception, a bug of the core, `received` still has what comes behind the item that has caused it.
+        """
+        network = self.network
+        for item in received:
+            if isinstance(item, tuple):
+                if self.state is _BUS_OFF:
+                    self.change(BusState.ACTIVE, "a frame was received")
+                network.receive(item[0], now, item[1])
+            elif isinstance(item, ReceiveOverrun):
+                network.out.events.append(FramesLost(0, item.lost, item.seen))
+            elif isinstance(item, BusStateChanged):
+                self.change(item.state, item.seen)
 
     def change(self, state: BusState, reason: str) -> None:
         """The transport reports a change. Events: FramesNotSent, BusChanged."""

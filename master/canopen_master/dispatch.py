@@ -142,6 +142,8 @@ class Dispatcher:
         is_of_request, watchers = told
         if is_of_request:
             self._tell_waiter(bus, event)
+        if not watchers:
+            return
         failure: Exception | None = None
         for watcher in watchers:
             if (watcher.bus is None or watcher.bus is bus) and watcher.node_id in (0, event.node_id):

@@ -59,7 +59,7 @@ class Participant:
         for name, transport in transports.items():
             self._add_bus(name, transport)
         self._own_buses = tuple(self.buses.values())
-        self._pump = Pump(self._own_buses, self)
+        self._pump = Pump(self._own_buses, self._dispatcher.dispatch, self.on_failure)
         self.runner = self._own_buses[0].network.runner
         self._root = self._own_buses[0].network.out.root
         for alias, name in (aliases or {}).items():
@@ -273,9 +273,6 @@ class Participant:
         self._dispatcher.unwatch(watcher)
 
     # ---- what the pump tells ----
-
-    def on_event(self, bus: Bus, event: Event) -> None:
-        self._dispatcher.dispatch(bus, event)
 
     def _on_procedure_ended(self, outcome: Outcome) -> None:
         self._procedures.discard(outcome.request_id)

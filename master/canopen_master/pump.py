@@ -7,6 +7,8 @@ The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending 
 
 - one task per bus receives frames, one per bus sends them, and one for all buses keeps the time. Delivery needs no task: events
   go into bounded queues and wake tasks, which neither blocks nor calls anybody's code;
+- a bus inside this process pushes its frames (`PushingTransport`): they are taken in within the turn of the participant that
+  sends them, and no task is woken. A read of a simulated device so costs one round of the scheduler: the caller's own;
 - whatever mutates a machine (a frame, a deadline, a command of any task) is followed by `pump`, at once and without a checkpoint
   between: it drains all networks until none has anything more to say. A task that is cancelled can so never leave the core ahead
   of the wire, nor the wire ahead of the core;
@@ -30,7 +32,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import Final, Protocol
+from functools import partial
+from typing import Final, TypeAlias
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -55,14 +58,11 @@ QUIET_TICKS: Final = 3
 """A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
 
 
-class Listener(Protocol):
-    """The owner of a pump: it is told of each event, and of a failure."""
+OnEvent: TypeAlias = Callable[[Bus, Event], None]
+"""An event came out of a bus's network. May mutate machines; must not block. What it raises goes to `OnFailure`."""
 
-    def on_event(self, bus: Bus, event: Event) -> None:
-        """An event came out of a bus's network. May mutate machines; must not block. What it raises goes to `on_failure`."""
-
-    def on_failure(self, bus: Bus | None, error: Exception) -> None:
-        """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
+OnFailure: TypeAlias = Callable[[Bus | None, Exception], None]
+"""A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
 
 
 class _LastLook(trio.abc.Instrument):
@@ -83,17 +83,20 @@ class _LastLook(trio.abc.Instrument):
 class Pump:
     """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
+    on_event, on_failure: called with what the networks report, and with what goes wrong.
     quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
     """
 
-    def __init__(self, buses: Sequence[Bus], listener: Listener, quiet_ticks: int = QUIET_TICKS) -> None:
+    def __init__(self, buses: Sequence[Bus], on_event: OnEvent, on_failure: OnFailure, quiet_ticks: int = QUIET_TICKS) -> None:
         self.buses = tuple(buses)
-        self._listener = listener
+        self._on_event = on_event
+        self._on_failure = on_failure
         self._quiet_ticks = quiet_ticks
         self._scope = trio.CancelScope(shield=True)
         self._alarm: Alarm | None = None
         self._is_pumping = False
         self._received = 0
+        self._outs = tuple((bus, bus.network.out) for bus in self.buses)
         self._clock = trio.lowlevel.current_clock()
         self._filtered = tuple(bus for bus in self.buses if bus.is_filtered)
         self._renew_filters()
@@ -114,14 +117,14 @@ class Pump:
             busy = True
             while busy:
                 busy = False
-                for bus in self.buses:
-                    out = bus.network.out
+                for bus, out in self._outs:
                     if out.frames or out.events:
                         busy = True
                         self._take(bus, now)
         finally:
             self._is_pumping = False
-        self._renew_filters()
+        if self._filtered:
+            self._renew_filters()
         self._set_alarm()
 
     def _renew_filters(self) -> None:
@@ -138,9 +141,9 @@ class Pump:
             self._fail(bus, error, "send")
         for each in events:
             try:
-                self._listener.on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
+                self._on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
             except Exception as error:  # noqa: BLE001 - it must reach the user, but the other events be told before
-                self._listener.on_failure(None, error)
+                self._on_failure(None, error)
 
     def stop(self) -> None:
         """End the tasks. Queued frames are not sent: call `flush` before."""
@@ -160,11 +163,14 @@ class Pump:
             with self._scope:
                 async with trio.open_nursery() as nursery:
                     for bus in self.buses:
+                        bus.push_to(partial(self._pushed, bus))
                         nursery.start_soon(self._receive, bus)
                         nursery.start_soon(self._send, bus)
                     nursery.start_soon(self._keep_time)
                     task_status.started()
         finally:
+            for bus in self.buses:
+                bus.push_to(None)
             trio.lowlevel.remove_instrument(last_look)
 
     @enable_ki_protection
@@ -178,17 +184,25 @@ class Pump:
                 self._received += len(received)
                 self._take_in(bus, received, self.now())
 
+    @enable_ki_protection
+    def _pushed(self, bus: Bus, received: Received) -> None:
+        if not bus.failed:
+            self._received += 1
+            self._take_in(bus, (received,), self.now())
+
     def _take_in(self, bus: Bus, received: Sequence[Received | Report], now: Time) -> None:
         """Hand over all that came, and pump once."""
+        left = iter(received)
         try:
-            for item in received:
+            while True:
                 try:
-                    bus.take_in(item, now)
+                    bus.take_in(left, now)
+                    break
                 except Exception as error:  # noqa: BLE001 - as in `_turn`, but the rest of the frames shall be heard
-                    self._listener.on_failure(None, error)
+                    self._on_failure(None, error)
             self.pump(now)
         except Exception as error:  # noqa: BLE001 - as in `_turn`
-            self._listener.on_failure(None, error)
+            self._on_failure(None, error)
 
     @enable_ki_protection
     async def _send(self, bus: Bus) -> None:
@@ -251,7 +265,7 @@ class Pump:
             mutate(*args)
             self.pump()
         except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
-            self._listener.on_failure(None, error)
+            self._on_failure(None, error)
 
     def _fail(self, bus: Bus, error: Exception, doing: str) -> None:
         if bus.failed:
@@ -263,4 +277,4 @@ class Pump:
             name = getattr(bus.transport, "locator", bus.name)
             cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
             error.__cause__ = cause
-        self._listener.on_failure(bus, error)
+        self._on_failure(bus, error)

@@ -107,7 +107,7 @@ class Host:
     ) -> None:
         network = Network()
         self._bus = Bus(getattr(transport, "locator", "bus"), transport, network)
-        self._pump = Pump((self._bus,), self, PATIENCE)
+        self._pump = Pump((self._bus,), self.on_event, self.on_failure, PATIENCE)
         self._on_event = on_event
         self._keeper = ParameterKeeper() if keeper is None else keeper
         self._say = say

@@ -196,7 +196,7 @@ async def test_a_stalled_process_finds_the_heartbeats_that_came_meanwhile() -> N
             clock = trio.lowlevel.current_clock()
             assert isinstance(clock, trio.testing.MockClock)
             for _ in range(20):
-                for member in peer._members:
+                for member in peer._line.members:
                     if member is not peer:
                         member._queue.put((Frame(0x703, b"\x05"), None))
                         member._queue.wake()

@@ -8,6 +8,7 @@ from canopen_master.bus import MAX_SEND_QUEUE
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
+from canopen_proto.sdo.events import SdoUploaded
 from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, Report, VirtualTransport, open_transport
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
@@ -63,6 +64,16 @@ async def test_lost_frames_are_reported_and_the_master_goes_on() -> None:
             assert report.lost == 7
             assert "4 frames" in report.reason
         assert await master.node(3).read("statusword") == 0x240
+
+
+@virtual_time
+async def test_a_device_in_this_process_answers_in_the_turn_of_the_request() -> None:
+    async with simulated(3), open_master(BUS) as master:
+        remote = master.node(3).remote
+        await master.node(3).read("statusword")
+        with master.events(SdoUploaded) as events:
+            master.node(3).begin(lambda now: remote.read("statusword", now))
+            assert [event.data for event in events.take()] == [b"\x40\x02"]  # and no other task has run
 
 
 class Away:

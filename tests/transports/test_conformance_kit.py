@@ -222,6 +222,20 @@ class TakesThoughCancelled(Shown):  # type: ignore[misc]
         return taken
 
 
+class PushesPastOthers(Shown):  # type: ignore[misc]
+    receiver: Callable[[Any], None] | None = None
+
+    def push_to(self, receiver: Callable[[Any], None] | None) -> None:
+        self.receiver = receiver
+
+    async def send(self, frame: Frame) -> None:
+        for member in self.bus:
+            if member is not self and member.receiver is not None:
+                member.receiver((frame, 0))
+                return
+        await super().send(frame)
+
+
 class FiltersByIdentifierOnly(Shown):  # type: ignore[misc]
     filtered = True
     wanted: set[int] | None = None
@@ -284,6 +298,7 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (Overtakes, "eager_send", "from place"),
         (TakesTooMuch, "many_at_once", "receive_many\\(1\\) returned 2 items"),
         (TakesThoughCancelled, "many_at_once", "missing"),
+        (PushesPastOthers, "pushed_frames", "pushed past others"),
         (FiltersByIdentifierOnly, "filters", "came instead of"),
         (GoesOnCyclically, "cyclic_frames", "after they were stopped"),
     ],

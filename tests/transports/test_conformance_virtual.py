@@ -92,7 +92,11 @@ SITES = {
 APPLY = [
     (name, case)
     for name, site in SITES.items()
-    for case in cases(site, hears_only=name == "replayed", optional=("eager_send", "many_at_once"))
+    for case in cases(
+        site,
+        hears_only=name == "replayed",
+        optional=("eager_send", "many_at_once", *(["pushed_frames"] if name.startswith("virtual") else [])),
+    )
 ]
 
 

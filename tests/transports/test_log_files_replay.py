@@ -265,7 +265,7 @@ class Slow(VirtualTransport):
         if self.failing:
             raise TransportError("CO111", self.locator, "gone")
         if self.has_room:
-            for member in self._members:
+            for member in self._line.members:
                 if member is not self:
                     member._queue.put((frame, None))
                     member._queue.wake()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import trio
 import trio.testing
 
 from canopen_proto.frame import Frame
-from canopen_transports import ReceiveOverrun, Transport, VirtualTransport, open_transport
+from canopen_transports import Received, ReceiveOverrun, Transport, VirtualTransport, open_transport
 from canopen_transports.conformance.frames import number_of, numbered
+from canopen_transports.virtual import MAX_PUSHED
 from tests.transports.support import reported, run, trio_test
 
 
@@ -80,7 +83,7 @@ def test_runs_do_not_share_buses() -> None:
 
     async def another_run() -> None:
         member = VirtualTransport("a")
-        assert len(member._members) == 1
+        assert len(member._line.members) == 1
 
     trio.run(join_and_forget)
     run(another_run)
@@ -97,6 +100,43 @@ async def test_time_stamps_are_trios_clock_and_the_same_for_all() -> None:
     second = await two.receive()
     assert first[0] == first[1] == (Frame.parse("080#"), round(start * 1e9))
     assert second[1] == first[0][1] + 250_000_000
+
+
+@trio_test()
+async def test_what_is_pushed_may_be_answered_at_once_and_all_hear_one_order() -> None:
+    asking, answering, spy = (VirtualTransport("a") for _ in range(3))
+    heard: list[int] = []
+
+    def answer(received: Received) -> None:
+        number = number_of(received[0])
+        if number < 10:
+            assert answering.send_nowait(numbered(number + 10))
+
+    answering.push_to(answer)
+    asking.push_to(lambda received: heard.append(number_of(received[0])))
+    for number in (1, 2):
+        assert asking.send_nowait(numbered(number))
+    assert heard == [11, 12]
+    assert await _numbers(spy, 4) == [1, 11, 2, 12]
+
+
+@trio_test()
+async def test_an_endless_talk_lets_other_tasks_run() -> None:
+    one, other = VirtualTransport("a"), VirtualTransport("a")
+    pushed: list[int] = []
+
+    def answer_to(member: VirtualTransport) -> Callable[[Received], None]:
+        def answer(received: Received) -> None:
+            pushed.append(number_of(received[0]))
+            member.send_nowait(numbered(len(pushed)))
+
+        return answer
+
+    one.push_to(answer_to(one))
+    other.push_to(answer_to(other))
+    one.send_nowait(numbered(0))
+    assert pushed == list(range(MAX_PUSHED))
+    assert await _numbers(other, 1) == [MAX_PUSHED]
 
 
 @trio_test()

@@ -15,7 +15,7 @@ A transport knows no CANopen. It carries `Frame`s between one participant and on
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame, RoutingKey
@@ -85,6 +85,18 @@ class BatchTransport(Protocol):
 
 
 @runtime_checkable
+class PushingTransport(Protocol):
+    """The additional method of a transport that can hand over a frame in the very turn in which it is sent."""
+
+    def push_to(self, receiver: Callable[[Received], None] | None) -> None:
+        """Call `receiver` with each frame that comes, as long as no other waits before it. None: end this.
+
+        A frame that comes right behind many others need not be pushed: it comes by `receive`, as reports do. The receiver may
+        send, but must not raise.
+        """
+
+
+@runtime_checkable
 class CyclicTransport(Protocol):
     """The additional methods of a transport that sends cyclic frames by itself. sends_sync: whether it shall send the SYNC."""
 
@@ -102,6 +114,8 @@ class CyclicTransport(Protocol):
 
 def check_frame(frame: Frame) -> None:
     """ValueError unless classical CAN can carry the frame. (`Frame` itself does not check: it stands in hot paths.)"""
+    if not frame.flags and 0 <= frame.can_id <= MAX_STANDARD_ID and frame.dlc == len(frame.data) <= MAX_LENGTH:
+        return  # nearly all of them
     extended = frame.flags & EXTENDED
     limit = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
     if not 0 <= frame.can_id <= limit:

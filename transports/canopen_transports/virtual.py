@@ -11,7 +11,9 @@ and faults: see virtual_wire.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final
 
 import trio
 
@@ -22,7 +24,37 @@ from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
 from canopen_transports.virtual_wire import WireTransport, open_wire
 
-_buses: trio.lowlevel.RunVar[dict[str, list[VirtualTransport]]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
+MAX_PUSHED: Final = 64
+"""Frames that are pushed in a row: what comes on top waits in the queues, so that other tasks get their turn."""
+
+_buses: trio.lowlevel.RunVar[dict[str, _Line]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
+
+
+class _Line:
+    """What the members of one bus share: who they are, and the frames under way."""
+
+    def __init__(self) -> None:
+        self.members: tuple[VirtualTransport, ...] = ()
+        self._under_way: deque[tuple[VirtualTransport, Received]] = deque()
+        self._is_carrying = False
+
+    def carry(self, sender: VirtualTransport, received: Received) -> None:
+        """Hand a frame to all but its sender, then those that a receiver sends when it gets one: one order for all."""
+        under_way = self._under_way
+        under_way.append((sender, received))
+        if self._is_carrying:
+            return  # called by what a receiver does: the loop below takes it
+        self._is_carrying = True
+        room = MAX_PUSHED
+        try:
+            while under_way:
+                sender, received = under_way.popleft()
+                for member in self.members:
+                    if member is not sender:
+                        member.take(received, room > 0)
+                room -= 1
+        finally:
+            self._is_carrying = False
 
 
 class VirtualTransport(trio.abc.AsyncResource):
@@ -38,8 +70,9 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._closed = False
         self._clock = trio.lowlevel.current_clock()
         self._queue = ReceiveQueue(self.locator, queue_size)
-        self._members = _names().setdefault(name, [])
-        self._members.append(self)
+        self._receiver: Callable[[Received], None] | None = None
+        self._line = _names().setdefault(name, _Line())
+        self._line.members += (self,)
 
     async def send(self, frame: Frame) -> None:
         """Put the frame into the queue of every other member. Never waits for them: CAN has no back-pressure."""
@@ -58,11 +91,19 @@ class VirtualTransport(trio.abc.AsyncResource):
     def _hand_over(self, frame: Frame) -> None:
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
-        received = (frame, round(self._clock.current_time() * 1e9))
-        for member in self._members:
-            if member is not self:
-                member._queue.put(received)
-                member._queue.wake()
+        self._line.carry(self, (frame, round(self._clock.current_time() * 1e9)))
+
+    def take(self, received: Received, at_once: bool) -> None:
+        """A frame has come: push it, if that is wanted and nothing waits before it, else queue it."""
+        if at_once and self._receiver is not None and self._queue.is_empty():
+            self._receiver(received)
+        else:
+            self._queue.put(received)
+            self._queue.wake()
+
+    def push_to(self, receiver: Callable[[Received], None] | None) -> None:
+        """Call `receiver` with each frame, MAX_PUSHED in a row, until None is given."""
+        self._receiver = receiver
 
     async def receive(self) -> Received | Report:
         """The next frame that another member sent, or a report."""
@@ -76,8 +117,10 @@ class VirtualTransport(trio.abc.AsyncResource):
         """Leave the bus; the last one to leave takes it down."""
         if not self._closed:
             self._closed = True
-            self._members.remove(self)
-            if not self._members:
+            self._receiver = None
+            line = self._line
+            line.members = tuple(member for member in line.members if member is not self)
+            if not line.members:
                 del _buses.get()[self._name]
             self._queue.close()
         await trio.lowlevel.checkpoint()
@@ -98,7 +141,7 @@ async def open_virtual(
     return VirtualTransport(name) if member is None else member
 
 
-def _names() -> dict[str, list[VirtualTransport]]:
+def _names() -> dict[str, _Line]:
     """The instant buses of this run."""
     try:
         return _buses.get()

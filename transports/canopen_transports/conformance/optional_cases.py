@@ -1,4 +1,5 @@
-"""What only some transports can do: see `EagerTransport`, `BatchTransport`, `FilteringTransport` and `CyclicTransport`."""
+"""What only some transports can do: see `EagerTransport`, `BatchTransport`, `PushingTransport`, `FilteringTransport` and
+`CyclicTransport`."""
 
 from __future__ import annotations
 
@@ -14,7 +15,14 @@ from canopen_transports.conformance.bench import HEAR_TIME, Bench
 from canopen_transports.conformance.case import Case, case
 from canopen_transports.conformance.expectations import NotApplicable, Violation, expect, expect_numbers
 from canopen_transports.conformance.frames import END, IMPOSSIBLE, number_of, numbered
-from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, FilteringTransport, Transport
+from canopen_transports.transport import (
+    BatchTransport,
+    CyclicTransport,
+    EagerTransport,
+    FilteringTransport,
+    PushingTransport,
+    Transport,
+)
 
 EAGER: Final = 500
 """Frames; more than any transmit queue holds."""
@@ -72,6 +80,32 @@ async def many_at_once(bench: Bench) -> None:
 
 
 @case
+async def pushed_frames(bench: Bench) -> None:
+    """push_to hands over each frame once and in order: behind those that wait, which come by receive, until it is ended."""
+    one, other = await bench.members(2)
+    if not isinstance(other, PushingTransport):
+        raise NotApplicable("it has no push_to")
+    pushed: list[int] = []
+
+    async def send(numbers: range) -> None:
+        for number in numbers:
+            await one.send(numbered(number))
+
+    await send(range(10))
+    other.push_to(lambda received: pushed.append(number_of(received[0])))
+    await send(range(10, 20))
+    expect_numbers(pushed, [], "frames that were pushed past others")
+    expect_numbers(await bench.numbers(other, 20), list(range(20)), "what waited")
+    await send(range(20, EAGER))
+    left = EAGER - 20 - len(pushed)
+    heard = pushed + (await bench.numbers(other, left) if left else [])
+    expect_numbers(heard, list(range(20, EAGER)), "what was pushed, and what came by receive behind that")
+    other.push_to(None)
+    await send(range(10))
+    expect_numbers(await bench.numbers(other, 10), list(range(10)), "what came when nothing was pushed any longer")
+
+
+@case
 async def filters(bench: Bench) -> None:
     """A filter lets through what it names, 11 and 29 bits and remote frames apart, until it is changed or taken away."""
     one, other = await bench.members(2)
@@ -118,4 +152,4 @@ async def cyclic_frames(bench: Bench) -> None:
         await bench.numbers_until_end(one)
 
 
-CASES: Final[tuple[Case, ...]] = (eager_send, many_at_once, filters, cyclic_frames)
+CASES: Final[tuple[Case, ...]] = (eager_send, many_at_once, pushed_frames, filters, cyclic_frames)
