@@ -168,13 +168,15 @@ class AxisGrip(Protocol):
 class Axis:
     """One drive as its master sees it; see this module's text. Properties show what was heard; they send nothing.
 
-    settings: the settings in force; open ones are filled in once `is_identified`. grip: takes hold before the drive is enabled,
-    and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which starts a
-    motion; OBEYED once the drive has shown that it took it.
+    settings: the settings in force; open ones are filled in once `is_identified`; may be set. has_scale: whether the user's unit
+    is known; else it is the count. grip: takes hold before the drive
+    is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which
+    starts a motion; OBEYED once the drive has shown that it took it.
     """
 
     __slots__ = (
-        "_given", "_is_homed", "_set_points", "_was_homed", "grip", "is_identified", "node", "settings", "started_at", "state",
+        "_direction", "_given", "_greatest", "_heard_at", "_is_homed", "_least", "_offset", "_scale", "_set_points", "_settings",
+        "_shown", "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
@@ -182,16 +184,32 @@ class Axis:
         for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
             node.dictionary.variable(key)
         self.node = node
+        self._store, self._heard_at = node.values.store, node.heard_at  # as near as can be: looked at for each PDO
         self.settings = self._given = settings
         self.is_identified = False
         self.state = State.UNKNOWN
+        self._shown: int | None = None  # the statusword that `state` was taken from
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
         found = (node.dictionary.get(*split_mux(mux)) for mux in (objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION))
-        self._set_points = [(each, *(range_of(each.data_type) or _NO_RANGE)) for each in found if each is not None]
+        self._set_points = [variable for variable in found if variable is not None]
+        ranges = [range_of(variable.data_type) or _NO_RANGE for variable in self._set_points]
+        self._least, self._greatest = max((low for low, _ in ranges), default=0), min((high for _, high in ranges), default=0)
         node.commanded |= {objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION}
         node.add_listener(self._on_values, self._on_boot)
+
+    @property
+    def settings(self) -> AxisSettings:
+        """See the class."""
+        return self._settings
+
+    @settings.setter
+    def settings(self, settings: AxisSettings) -> None:
+        self._settings = settings
+        self._direction, self._offset = settings.direction, settings.offset
+        self.has_scale = settings.counts_per_unit is not None
+        self._scale = 1.0 if settings.counts_per_unit is None else settings.counts_per_unit
 
     # ---- what is known of the drive ----
 
@@ -230,7 +248,7 @@ class Axis:
     def velocity(self) -> float | None:
         """0x606C as last heard, in the user's unit per second; None if it never was."""
         counts = self.velocity_counts
-        return None if counts is None else self.settings.direction * counts / self._scale
+        return None if counts is None else self.way_from_counts(counts)
 
     @property
     def velocity_counts(self) -> int | None:
@@ -298,18 +316,17 @@ class Axis:
 
     # ---- units and set-points ----
 
-    @property
-    def _scale(self) -> float:
-        scale = self.settings.counts_per_unit
-        return 1.0 if scale is None else scale
-
     def to_counts(self, position: float) -> int:
         """Convert a position in the user's unit to counts on the wire."""
-        return round(self.settings.direction * position * self._scale) + self.settings.offset
+        return round(self._direction * position * self._scale) + self._offset
 
     def from_counts(self, counts: float) -> float:
         """Convert counts on the wire to a position in the user's unit."""
-        return self.settings.direction * (counts - self.settings.offset) / self._scale
+        return self._direction * (counts - self._offset) / self._scale
+
+    def way_from_counts(self, counts: float) -> float:
+        """Convert the difference of two positions from counts to the user's unit."""
+        return self._direction * counts / self._scale
 
     def amount_from_counts(self, counts: float) -> float:
         """Convert an amount, such as a speed, from counts to the user's unit."""
@@ -323,7 +340,7 @@ class Axis:
     @property
     def set_point_counts(self) -> int:
         """The position that the next RPDO commands, in counts."""
-        has_own = objects.INTERPOLATION_SET_POINT in self.node.values.store
+        has_own = objects.INTERPOLATION_SET_POINT in self._store
         return self._int(objects.INTERPOLATION_SET_POINT if has_own else objects.TARGET_POSITION)
 
     def set_position(self, position: float) -> None:
@@ -336,40 +353,45 @@ class Axis:
     def set_position_counts(self, counts: int) -> None:
         """Set the next set-point in counts; else as `set_position`."""
         self.check_set_point(counts)
-        store = self.node.values.store
-        for variable, _, _ in self._set_points:
-            store[variable.mux] = counts
+        for variable in self._set_points:
+            self._store[variable.mux] = counts
 
     def check_set_point(self, counts: int) -> None:
         """Raise ValueRangeError for a set-point that an object of the drive cannot hold."""
-        for variable, low, high in self._set_points:
-            if type(counts) is not int or not low <= counts <= high:
-                variable.encode(counts)
+        if type(counts) is int and self._least <= counts <= self._greatest:
+            return
+        for variable in self._set_points:
+            variable.encode(counts)
 
     def set_controlword(self, word: int, now: Time) -> None:
         """Put a command into the image. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.
 
         Without a live RPDO that carries 0x6040 nothing is sent; `drive.command` sends in every case.
         """
-        self.node.values.store[objects.CONTROLWORD] = word & 0xFFFF
+        self._store[objects.CONTROLWORD] = word & 0xFFFF
         producer = self.node.rpdo_of(objects.CONTROLWORD)
         if producer is not None:
             producer.trigger(now)
 
     def _heard(self, key: Mux) -> int | None:
-        return self._int(key) if key in self.node.heard_at else None
+        if key not in self._heard_at:
+            return None
+        value = self._store.get(key)
+        return value if isinstance(value, int) else 0
 
     def _int(self, key: Mux) -> int:
-        value = self.node.values.store.get(key, 0)
+        value = self._store.get(key, 0)
         return value if isinstance(value, int) else 0
 
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
-        if objects.STATUSWORD in muxes:
-            self._enter(state_of(self.statusword))
+        if objects.STATUSWORD in muxes and (word := self.statusword) != self._shown:
+            self._shown = word
+            self._enter(state_of(word))
 
     def _on_boot(self) -> None:
         if not self.settings.keeps_reference:
             self.is_homed = False
+        self._shown = None
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

@@ -106,15 +106,18 @@ class Following:
     """
 
     __slots__ = (
+        "_all_heard",
         "_axis",
         "_cyclic",
         "_flawless",
+        "_is_answered",
         "_is_on",
         "_lag",
         "_limit",
         "_mode",
         "_nmt_state",
         "_old_bits",
+        "_pdo",
         "_points",
         "_silent_syncs",
         "_unanswered",
@@ -130,10 +133,13 @@ class Following:
         self._mode = 0
         self._limit = Limit(0.0, "")
         self._lag = LAG
-        self._points: deque[float] = deque()
+        self._points: deque[int] = deque()  # the set-points of the last cycles, in counts
         self._cyclic: Mapping[Mux, int] = {}
         self._silent_syncs = SILENT_SYNCS
-        self._unanswered: dict[Mux, tuple[int, Time]] = {}  # SYNCs since a mux was heard, and when the first of them was
+        self._pdo: Collection[Mux] | None = None  # the objects of a PDO that brings all expected ones
+        self._is_answered = False  # all expected objects came since the last SYNC
+        self._all_heard: tuple[int, Time] | None = None  # one SYNC, and its time: the last one with `_is_answered`
+        self._unanswered: dict[Mux, tuple[int, Time]] = {}  # since then: SYNCs since a mux was heard, time of the first of them
         self._nmt_state: NmtState | None = None
         self._old_bits = 0
         self._flawless: int | None = None  # a statusword in which nothing was found
@@ -171,7 +177,7 @@ class Following:
         self._limit, self._mode, self._lag = limit, mode, lag
         self._silent_syncs = silent_syncs
         self.expect(cyclic)
-        self._points = deque([self._axis.set_point] * (lag + 1), maxlen=lag + UNCERTAIN + 1)
+        self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + UNCERTAIN + 1)
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
         self._flawless = None
@@ -182,7 +188,7 @@ class Following:
     def expect(self, cyclic: Mapping[Mux, int]) -> None:
         """Expect these objects at SYNCs: mux -> n for "at every n-th SYNC". Other watched objects that it has are `unsent`."""
         self._cyclic = cyclic
-        self._unanswered = {}
+        self._pdo, self._is_answered, self._all_heard, self._unanswered = None, False, None, {}
         dictionary = self._axis.node.dictionary
         self.unsent = {mux for mux in _NAMES if mux not in cyclic and mux in dictionary}
 
@@ -203,6 +209,10 @@ class Following:
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if not self._is_on:
             return
+        if muxes is self._pdo:
+            self._is_answered = True
+        elif len(muxes) >= len(self._cyclic) and self._cyclic.keys() <= set(muxes):
+            self._pdo, self._is_answered = muxes, True
         if objects.MODES_OF_OPERATION_DISPLAY in muxes:
             self._judge_mode()
         if objects.STATUSWORD in muxes:
@@ -237,19 +247,21 @@ class Following:
         self._flawless = None if is_limited else word
 
     def _judge_position(self) -> None:
-        position, points, limit = self._axis.position, self._points, self._limit
-        assert position is not None  # it has just come
-        self.error = points[-1 - self._lag] - position
+        axis, points, limit = self._axis, self._points, self._limit.value
+        counts = axis.position_counts
+        assert counts is not None  # it has just come
+        self.error = axis.way_from_counts(points[-1 - self._lag] - counts)
         distance = abs(self.error)
         if distance > self.largest_error:
             self.largest_error = distance
-        if distance <= limit.value:
+        if distance <= limit:
             return
-        off = max(min(points) - position, position - max(points))
-        if off > limit.value:
+        off = axis.amount_from_counts(max(min(points) - counts, counts - max(points)))
+        if off > limit:
+            position, wanted = axis.from_counts(counts), axis.from_counts(points[-1 - self._lag])
             self.lose(
-                f"is {off:.4g} off its path: it is at {position:.4g} and should be at {points[-1 - self._lag]:.4g}; "
-                f"the limit is {limit.value:.4g}, by {limit.source}"
+                f"is {off:.4g} off its path: it is at {position:.4g} and should be at {wanted:.4g}; "
+                f"the limit is {limit:.4g}, by {self._limit.source}"
             )
 
     def _on_boot(self) -> None:
@@ -263,14 +275,18 @@ class Following:
         state = self._axis.node.nmt_state
         if state is not NmtState.OPERATIONAL and state is not None and state is not self._nmt_state:
             self.lose(f"left NMT state Operational: {state.name}")
-        self._judge_silence(now)
-        self._points.append(self._axis.set_point)  # this SYNC takes it along
+        if self._is_answered:
+            self._is_answered, self._all_heard = False, (1, now)
+            self._unanswered.clear()
+        else:
+            self._judge_silence(now)
+        self._points.append(self._axis.set_point_counts)  # this SYNC takes it along
 
     def _judge_silence(self, now: Time) -> None:
         """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
         heard_at, just_begun = self._axis.node.heard_at, (1, now)
         for mux, every in self._cyclic.items():
-            silence = self._unanswered.get(mux)
+            silence = self._unanswered.get(mux, self._all_heard)
             if silence is None or heard_at.get(mux, -NEVER) >= silence[1]:
                 self._unanswered[mux] = just_begun
                 continue

@@ -104,7 +104,10 @@ class SetPointLimits:
 
         A joint that stands beyond a limit may stay there and come back, but not go further.
         """
-        for limit, outward in ((self.highest, 1), (self.lowest, -1)):
+        lowest, highest = self.lowest, self.highest
+        if (lowest is None or lowest.value <= target) and (highest is None or target <= highest.value):
+            return None  # as nearly all are
+        for limit, outward in ((highest, 1), (lowest, -1)):
             # Compared as counts: a set-point that is rounded to the limit is within it.
             if limit is not None and self._is_further(target, limit.value, outward) and self._is_further(target, start, outward):
                 return limit

@@ -13,7 +13,8 @@ from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.datatypes import DataType, ValueRangeError
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.drive.axis import Axis, AxisSettings, AxisStateChanged
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.procedures.objects import write
@@ -61,6 +62,66 @@ def test_the_set_point_of_a_drive_without_60c1_is_its_target_position() -> None:
     axis = Axis(RemoteNode(Outbox(), 5, ObjectDictionary(objects)), MILLIDEGREES)
     axis.set_position(0.25)
     assert axis.set_point == pytest.approx(0.25, abs=1e-4)
+
+
+def axis_with(*set_points: Variable) -> Axis:
+    """The axis of a drive that has these objects for its set-points."""
+    others = [each for index, each in drive_dictionary().objects.items() if index not in (0x607A, 0x60C1)]
+    records = [Object.of(variable.name, [variable]) for variable in set_points]
+    return Axis(RemoteNode(Outbox(), 5, ObjectDictionary([*others, *records])), MILLIDEGREES)
+
+
+IP_DATA = Variable(0x60C1, 1, "ip_data_position", DataType.INTEGER32, Access.RW)
+
+
+@pytest.mark.parametrize(
+    ("data_type", "fits", "too_small", "too_large"),
+    [
+        (DataType.INTEGER32, (-(1 << 31), 0, (1 << 31) - 1), -(1 << 31) - 1, 1 << 31),
+        (DataType.INTEGER16, (-(1 << 15), 0, (1 << 15) - 1), -(1 << 15) - 1, 1 << 15),
+        (DataType.UNSIGNED16, (0, 1, (1 << 16) - 1), -1, 1 << 16),
+    ],
+)
+def test_a_set_point_must_fit_each_object_that_carries_it(
+    data_type: DataType, fits: tuple[int, ...], too_small: int, too_large: int
+) -> None:
+    """The narrower one decides, and its name is told; the image of neither is touched."""
+    target = Variable(0x607A, 0, "target_position", data_type, Access.RW)
+    axis = axis_with(IP_DATA, target)
+    for counts in fits:
+        axis.check_set_point(counts)
+        axis.set_position_counts(counts)
+        assert (axis.set_point_counts, axis.node.values[target.mux]) == (counts, counts)
+    for counts in (too_small, too_large):
+        with pytest.raises(ValueRangeError, match="ip_data_position" if data_type is DataType.INTEGER32 else "target_position"):
+            axis.set_position_counts(counts)
+        with pytest.raises(ValueRangeError):
+            axis.check_set_point(counts)
+        assert (axis.set_point_counts, axis.node.values[target.mux]) == (fits[-1], fits[-1])
+
+
+@pytest.mark.parametrize("counts", [1.0, 1.5, math.nan, "1", None])
+def test_a_set_point_that_is_no_integer_is_refused(counts: object) -> None:
+    axis = axis_with(IP_DATA)
+    with pytest.raises(ValueRangeError, match="ip_data_position"):
+        axis.check_set_point(counts)  # type: ignore[arg-type]
+
+
+def test_a_set_point_for_an_object_that_holds_no_integer_is_tried() -> None:
+    """Some drives take set-points as REAL32: which numbers fit is for the type to say."""
+    axis = axis_with(Variable(0x607A, 0, "target_position", DataType.REAL32, Access.RW))
+    axis.check_set_point(1_000)
+    with pytest.raises(ValueRangeError, match="target_position"):
+        axis.check_set_point(10**40)
+
+
+def test_other_settings_count_at_once() -> None:
+    axis = axis_with(IP_DATA)
+    axis.set_position_counts(5_100)
+    axis.settings = AxisSettings(counts_per_unit=1000.0, direction=-1, offset=100)
+    assert (axis.set_point, axis.to_counts(-5.0), axis.has_scale) == (-5.0, 5_100, True)
+    axis.settings = AxisSettings()
+    assert (axis.set_point, axis.has_scale) == (5_100, False)
 
 
 @pytest.mark.parametrize("enabled", [False, True])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import trio
 
@@ -22,8 +22,7 @@ from canopen_master.motion.set_point_check import check_set_point, refused
 from canopen_proto.machine import SECOND, LocalProtocolError
 
 
-@dataclass(frozen=True, slots=True)
-class Cycle:
+class Cycle(NamedTuple):
     """One SYNC cycle, as given to a loop over `Chain.cycles`.
 
     number: of the turn of the loop, from 0. time: seconds at which to read the path: one period for each SYNC that took new
@@ -41,20 +40,24 @@ class Cycle:
 class SetPoints:
     """The set-points that a chain follows.
 
-    sync_cycles: SYNCs while it followed. missed_cycles: how many of them brought no new set-point. missed_in_row: how many of the
-    last ones in a row. skipped_cycles: periods without a SYNC, because this process was late. late_cycles: missed and skipped
-    ones. number: of the current period. taken: SYNCs that took new set-points along. given_in: the period in which set-points
-    were last given, or held. sent: the set-points sent last, in the user's unit; empty while none are followed.
+    is_followed: whether set-points are followed at present. sync_cycles: SYNCs while it followed. missed_cycles: how many of them
+    brought no new set-point. missed_in_row: how many of the last ones in a row. skipped_cycles: periods without a SYNC, because
+    this process was late. late_cycles: missed and skipped ones. number: of the current period. taken: SYNCs that took new
+    set-points along. given_in: the period in which set-points were last given, or held. sent: the set-points sent last, in the
+    user's unit; empty while none are followed.
     """
 
     def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
         self.devices = devices
+        self._axes = [device.axis for device in devices]
         self.cycle_time = cycle_time
+        self._period = round(cycle_time * SECOND)
         self.max_step = max_step
         self.sync_cycles = 0
         self.missed_cycles = 0
         self.skipped_cycles = 0
         self.missed_in_row = 0
+        self.is_followed = False
         self.sent: list[float] = []
         self.tick = trio.lowlevel.ParkingLot()
         self.number = 0
@@ -73,10 +76,12 @@ class SetPoints:
     def begin(self) -> None:
         """Begin: from now on each SYNC takes the images along."""
         self.end()
+        self.is_followed = True
         self._next = self.sent = [device.desired_position for device in self.devices]
 
     def end(self) -> None:
         """End: no set-points are followed from now on."""
+        self.is_followed = False
         self.sent = []
         self._path.clear()
         self._is_new = self._is_held = self.is_awaited = False
@@ -86,20 +91,22 @@ class SetPoints:
 
     def give(self, positions: Sequence[float], cycles: int) -> None:
         """See Chain.set_positions."""
-        self._check(positions, cycles)
+        counts = self._check(positions, cycles)
         self._path.clear()
-        if cycles > 1:
+        if cycles == 1:
+            self._put(list(positions), counts)
+        else:
             shares = [number / cycles for number in range(1, cycles)]
             self._path.extend([a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares)
-        self._path.append(list(positions))
-        self._put(self._path.popleft())
+            self._path.append(list(positions))
+            self._put_next()
         self.given_in = self.number
 
     def hold(self) -> None:
         """See Chain.hold. Set-points not sent yet are taken back."""
         self._path.clear()
         if self._is_new:
-            self._put(self.sent)
+            self._put(self.sent, self._to_counts(self.sent))
             self._is_new = False
         self._is_held = True
         self.given_in = self.number
@@ -118,29 +125,39 @@ class SetPoints:
             self.missed_in_row += 1
         self._is_new = self._is_held = False
         if self._path:
-            self._put(self._path.popleft())
+            self._put_next()
         self.tick.unpark_all()
 
-    def _put(self, positions: list[float]) -> None:
-        for device, position in zip(self.devices, positions, strict=True):
-            device.axis.set_position(position)
+    def _put_next(self) -> None:
+        positions = self._path.popleft()
+        self._put(positions, self._to_counts(positions))
+
+    def _put(self, positions: list[float], counts: list[int]) -> None:
+        for axis, each in zip(self._axes, counts, strict=True):
+            axis.set_position_counts(each)
         self._next = positions
         self._is_new = True
 
-    def _check(self, positions: Sequence[float], cycles: int) -> None:
+    def _to_counts(self, positions: list[float]) -> list[int]:
+        return [axis.to_counts(position) for axis, position in zip(self._axes, positions, strict=True)]
+
+    def _check(self, positions: Sequence[float], cycles: int) -> list[int]:
+        """Return the set-points in counts. Raises as `Chain.set_positions` does."""
         if cycles < 1:
             raise LocalProtocolError(f"set-points are reached in 1 cycle or more, not {cycles}")
         if len(positions) != len(self.devices):
             names = ", ".join(device.name for device in self.devices)
             counts = f"{len(positions)} set-points were given, not {len(self.devices)}"
             raise SetPointRefused(counts, "", f"the joints are {names}")
-        time = cycles * round(self.cycle_time * SECOND)
+        time, max_step = cycles * self._period, self.max_step
+        in_counts: list[int] = []
         for device, target, start in zip(self.devices, positions, self.sent, strict=True):
-            check_set_point(device, start, target, time)
-            step = abs(target - start) / cycles
-            if self.max_step is not None and step > self.max_step * (1 + 1e-9):  # rounding must not refuse the limit itself
-                seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {self.max_step:g}"
+            in_counts.append(check_set_point(device, start, target, time))
+            if max_step is not None and abs(target - start) / cycles > max_step * (1 + 1e-9):  # no refusal for a rounding error
+                step = abs(target - start) / cycles
+                seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {max_step:g}"
                 raise refused(device, target, seen, ("a finer path, more `cycles`, or a larger max_step",))
+        return in_counts
 
 
 class Cycles:
@@ -164,10 +181,12 @@ class Cycles:
         set_points = self._set_points
         if set_points.number not in (self._last, set_points.given_in):  # else it parks below
             await trio.lowlevel.checkpoint()
-        while (error := await self._stopped()) is None and set_points.number in (self._last, set_points.given_in):
+        while True:
+            if not set_points.is_followed and (error := await self._stopped()) is not None:
+                raise error
+            if set_points.number not in (self._last, set_points.given_in):
+                break
             await set_points.tick.park()
-        if error is not None:
-            raise error
         if not self._handed_out:
             self._last = set_points.number - 1
             self._taken_before, self._late_before = set_points.taken, set_points.late_cycles

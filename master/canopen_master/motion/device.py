@@ -45,8 +45,8 @@ class Device:
         node.leave_pdos()  # those of a drive are its chain's business
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None
-        self._position: tuple[Time, float] | None = None
-        self._velocity: float | None = None
+        self._position: tuple[Time, int] | None = None  # when the last one came, in counts
+        self._before: tuple[Time, int] | None = None  # the one before it, of an earlier instant
         node.watch((SdoUploaded, SdoDownloaded), self._on_round_trip)
         node.watch((EmcyReceived,), self._on_emcy)
         node.remote.add_listener(self._on_values)
@@ -79,7 +79,10 @@ class Device:
         heard_at = self.node.remote.heard_at.get(VELOCITY_ACTUAL_VALUE)
         if heard_at is not None and (self._position is None or self._position[0] - heard_at <= FRESH):
             return self.axis.velocity
-        return None if self.position is None else self._velocity
+        if self.position is None or self._position is None or self._before is None:
+            return None
+        time, way = self._position[0] - self._before[0], self._position[1] - self._before[1]
+        return self.axis.way_from_counts(way) * SECOND / time
 
     @property
     def torque(self) -> float | None:
@@ -169,9 +172,9 @@ class Device:
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if POSITION_ACTUAL_VALUE not in muxes:
             return
-        position = self.position
-        if position is None:
+        counts = self.axis.position_counts
+        if counts is None:
             return  # it has booted since
         if self._position is not None and now > self._position[0]:
-            self._velocity = (position - self._position[1]) * SECOND / (now - self._position[0])
-        self._position = now, position
+            self._before = self._position
+        self._position = now, counts

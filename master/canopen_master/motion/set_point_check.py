@@ -16,21 +16,23 @@ FASTER = "a larger max_speed, if it may go as fast as that: AxisSettings(max_spe
 NARROWER = "a path within the limits of the joint: its `limits` tells them"
 
 
-def check_set_point(device: Device, start: float, target: float, time: Time) -> None:
-    """Raise SetPointRefused for a set-point beyond the `limits` of the joint, or one that its object cannot hold.
+def check_set_point(device: Device, start: float, target: float, time: Time) -> int:
+    """Return a set-point in counts. Raises SetPointRefused if it is beyond the `limits` of the joint, or does not fit its object.
 
     start: the set-point before. time: ns for the way from there to `target`.
     """
     axis = device.axis
-    if axis.settings.counts_per_unit is None:
+    if not axis.has_scale:
         raise refused(device, target, "the joint has no scale: its unit is not known", NO_SCALE)
     if not math.isfinite(target):
         raise refused(device, target, "it is not a finite number")
     try:
-        axis.check_set_point(axis.to_counts(target))
+        counts = axis.to_counts(target)
+        axis.check_set_point(counts)
     except (OverflowError, ValueRangeError) as error:
         raise refused(device, target, str(error)) from error
     check_limits(device, start, target, time)
+    return counts
 
 
 def check_limits(device: Device, start: float, target: float, time: Time) -> None:
