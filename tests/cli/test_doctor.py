@@ -15,7 +15,7 @@ from tests.cli.cli_support import Run, runner
 
 WELL = [Finding("SocketCAN can0", Health.OK, "up, 500kbit/s", (), "socketcan:can0")]
 DOWN = Finding(
-    "SocketCAN can1", Health.WARNING, "it is there, but DOWN", ("sudo ip link set can1 up", "another way"), "socketcan:can1"
+    "SocketCAN can1", Health.WARNING, "it exists, but is DOWN", ("sudo ip link set can1 up", "another way"), "socketcan:can1"
 )
 
 
@@ -37,7 +37,7 @@ def test_something_is_to_be_done(run: Run, monkeypatch: pytest.MonkeyPatch) -> N
     outcome = run("doctor")
     assert outcome.status == 1
     assert outcome.out.splitlines() == [
-        "warning SocketCAN can1: it is there, but DOWN",
+        "warning SocketCAN can1: it exists, but is DOWN",
         "        try: sudo ip link set can1 up",
         "        or:  another way",
     ]
@@ -46,7 +46,7 @@ def test_something_is_to_be_done(run: Run, monkeypatch: pytest.MonkeyPatch) -> N
     assert outcome.json[0] == {
         "subject": "SocketCAN can1",
         "health": "warning",
-        "seen": "it is there, but DOWN",
+        "seen": "it exists, but is DOWN",
         "try": ["sudo ip link set can1 up", "another way"],
         "bus": "socketcan:can1",
     }

@@ -205,7 +205,7 @@ def test_convert_keeps_what_is_there_of_a_damaged_file(run: Run, log: Path) -> N
     outcome = run("log", "convert", "cut.blf", "b.log")
     assert outcome.status == 6
     assert "what could be read, 4 frames, is in b.log" in outcome.err
-    assert f"seen:  it ends in the middle: {len(whole) - 1} of {len(whole)} bytes are there" in outcome.err
+    assert f"seen:  the file ends in the middle, after {len(whole) - 1} of {len(whole)} bytes" in outcome.err
     assert frames("b.log") == frames(str(log))
 
 

@@ -274,21 +274,21 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (Echoes, "no_echo", "came back"),
         (Swaps, "order", "from place 0 on \\[\\d*1, \\d*0"),
         (Loses, "order", "nothing more"),
-        (Loses, "stream", "1 before it were missing and 0 told as lost"),
+        (Loses, "stream", "1 before it were missing 0 reported lost"),
         (Repeats, "stream", "twice, or out of order"),
         (ForgetsLengths, "every_kind_of_frame", "was sent, and"),
         (HandsOutItsBuffer, "every_kind_of_frame", "no Frame with bytes|bytes object expected"),
         (CountsMicroseconds, "time_stamps", "50000 ns apart"),
         (StampsRunBack, "time_stamps_in_a_stream", "run back"),
-        (TakesWhatIsImpossible, "impossible_frames", "was taken \\(identifier too high\\)"),
-        (SendsThoughCancelled, "cancelled_send", "too much \\[0"),
-        (SendsThoughCancelled, "storm_on_send", "too much"),
+        (TakesWhatIsImpossible, "impossible_frames", "was accepted \\(identifier too high\\)"),
+        (SendsThoughCancelled, "cancelled_send", "surplus \\[0"),
+        (SendsThoughCancelled, "storm_on_send", "surplus"),
         (ReceivesThoughCancelled, "cancelled_receive", "then nothing more"),
         (ReceivesThoughCancelled, "storm_on_receive", "a frame that was sent has not come|missing"),
-        (NeverYields, "others_run", "no other task could run"),
-        (DropsSilently, "burst_that_nobody_takes", "told as lost"),
-        (SleepsOnWhenClosed, "closing_wakes_the_receiver", "it hangs"),
-        (SendsOnWhenClosed, "what_is_closed_stays_closed", "send on what was closed returned"),
+        (NeverYields, "others_run", "without letting another task run"),
+        (DropsSilently, "burst_that_nobody_takes", "reported lost"),
+        (SleepsOnWhenClosed, "closing_wakes_the_receiver", "the case hangs"),
+        (SendsOnWhenClosed, "what_is_closed_stays_closed", "send on a closed transport returned"),
         (SendsOnWhenClosed, "closing_wakes_the_senders", "returned"),
         (ClosesOnce, "what_is_closed_stays_closed", "remove"),
         (ClosesOnce, "closing_by_two_tasks", "remove"),
@@ -376,11 +376,14 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     monkeypatch.setattr("canopen_transports.conformance.bench.HEAR_TIME", 0.1)
     for locators, status, said in (
         (["virtual:trial"], 0, "none failed"),
-        (["virtual:one", "virtual:other"], 1, "it takes 3 members of a bus, and 2 were given"),
+        (["virtual:one", "virtual:other"], 1, "it needs 3 members of a bus, and 2 were given"),
     ):
         assert main(locators) == status
         assert said in capsys.readouterr().out
-    for locators, status, said in (([], 2, "NEVER on a bus with drives"), (["file:/no/trace.log"], 1, "CO101: cannot open")):
+    for locators, status, said in (
+        ([], 2, "NEVER run it on a bus with drives"),
+        (["file:/no/trace.log"], 1, "CO101: cannot open"),
+    ):
         assert main(locators) == status
         said_to = capsys.readouterr()
         assert said in said_to.err

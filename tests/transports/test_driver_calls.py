@@ -66,7 +66,7 @@ def test_a_driver_that_does_not_come_back_from_sending_is_lost_and_opened_anew()
         async with PythonCanTransport(stuck, locator=parse_locator("gs_usb:0"), reopen=reopen) as transport:
             with pytest.raises(FrameNotSent) as caught:
                 await transport.send(SYNC)
-            assert caught.value.seen == "the driver has not come back for 0.02 s"
+            assert caught.value.seen == "the driver has not returned for 0.02 s"
             for state in (BusState.DOWN, BusState.UP):
                 change = await reported(transport, BusStateChanged)
                 assert change.state is state

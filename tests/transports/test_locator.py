@@ -70,10 +70,10 @@ def test_parts(text: str, interface: str, channel: str, bitrate: int | None, opt
         ("kvaser:0?receive_own_messages=1", "own frames", "leave it out"),
         ("kvaser:0?single_handle", "not of the form NAME=VALUE", "&"),
         ("kvaser:0?=1", "not of the form NAME=VALUE", "&"),
-        ("/dev/pcan16", "no device file of a PEAK adapter", "/dev/pcan32"),
-        ("/dev/pcan99", "no device file of a PEAK adapter", "/dev/pcan32"),
-        ("/dev/pcanusb0", "no device file of a PEAK adapter", "/dev/pcan32"),
-        ("/dev/pcanx", "no device file of a PEAK adapter", "/dev/pcan32"),
+        ("/dev/pcan16", "not a device file of a PEAK adapter", "/dev/pcan32"),
+        ("/dev/pcan99", "not a device file of a PEAK adapter", "/dev/pcan32"),
+        ("/dev/pcanusb0", "not a device file of a PEAK adapter", "/dev/pcan32"),
+        ("/dev/pcanx", "not a device file of a PEAK adapter", "/dev/pcan32"),
     ],
 )
 def test_nonsense(text: str, seen: str, step: str) -> None:

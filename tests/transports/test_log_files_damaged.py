@@ -106,18 +106,18 @@ def test_what_is_no_frame_is_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "seen", "line"),
     [
-        ("a.log", b"(1.5) can0 601#40\nhello\n", "'hello' is no line of candump's", 2),
+        ("a.log", b"(1.5) can0 601#40\nhello\n", "'hello' is not a line of candump", 2),
         ("a.log", b"(1.5) can0 9FF#40\n", "identifier out of range", 1),
         ("a.log", b"(1.5) can0 601#R9\n", "not a classical CAN frame", 1),
-        ("a.log", b"\xff\xfe\x00", "is no line of candump's", 1),
-        ("a.log", b" (2026-11-21 23:00:00.000000)  can0  601   [1]  4\n", "1 bytes are announced", 1),
+        ("a.log", b"\xff\xfe\x00", "is not a line of candump", 1),
+        ("a.log", b" (2026-11-21 23:00:00.000000)  can0  601   [1]  4\n", "the line announces 1 bytes", 1),
         ("a.blf", b"LOGG nonsense", "unpack requires", 0),
         ("a.blf", b"", "unpack requires", 0),
         ("a.blf", bytes(range(256)), "Unexpected file format", 0),
-        ("a.blf", b"LOGG" + bytes(range(256)), "ends in the middle: 260 of", 0),
+        ("a.blf", b"LOGG" + bytes(range(256)), "ends in the middle, after 260 of", 0),
         ("a.asc", b"hello\nworld\n", "neither a header nor frames", 0),
         ("a.asc", bytes(range(256)), "neither a header nor frames", 0),
-        ("a.asc", ASC.replace("absolute", "relative").encode(), "counted from line to line", 0),
+        ("a.asc", ASC.replace("absolute", "relative").encode(), "counts from the line before", 0),
         ("a.asc", ASC.replace("Nov", "Foo").encode(), "Incompatible datetime", 1),
         ("a.trc", b"hello\nworld\n", "neither a header nor frames", 0),
         ("a.trc", b";$FILEVERSION=2.1\n;$STARTTIME=x\n", "could not convert", 2),
@@ -155,7 +155,7 @@ def test_a_blf_that_ends_in_the_middle_says_so_behind_what_is_there(tmp_path: Pa
     for size in (80, 144, 150, 165, 180, len(whole) // 2, len(whole) - 300, len(whole) - 1):
         found, _, error = read(tmp_path / "a.blf", whole[:size])
         assert error is not None
-        assert error.seen == f"it ends in the middle: {size} of {len(whole)} bytes are there"
+        assert error.seen == f"the file ends in the middle, after {size} of {len(whole)} bytes"
         assert found == frames[: len(found)]
         counts.append(len(found))
     assert counts == sorted(counts)

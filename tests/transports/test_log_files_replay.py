@@ -150,7 +150,7 @@ def test_options_that_make_no_sense(log: str, options: str, seen: str) -> None:
 @trio_test()
 async def test_files_that_cannot_be_replayed(tmp_path: Path) -> None:
     for locator, seen in (
-        ("file:", "it names no file"),
+        ("file:", "the locator names no file"),
         (f"file:{tmp_path}/none.log", "No such file"),
         (f"file:{tmp_path}/none.csv", "does not say what kind of log"),
     ):

@@ -142,8 +142,8 @@ async def test_a_bit_rate_that_the_adapter_does_not_have_is_not_replaced() -> No
     assert caught.value.tries[0].startswith("one of 1M, 800k, 500k, 250k")
 
 
-BAD_PART = "a part of the locator is wrong or missing, or of a kind that this interface does not know"
-REFUSED = "the adapter is not plugged in, or it or its driver refuses"
+BAD_PART = "a part of the locator is wrong or missing, or the interface does not know it"
+REFUSED = "the adapter is not plugged in, or its driver refuses to open it"
 
 
 @pytest.mark.parametrize("locator", ["serial:/dev/ttyUSB0@250k", "socketcand:can0@500k?host=127.0.0.1&port=1"])
@@ -179,7 +179,7 @@ NOT_THERE = "the adapter is not plugged in, its driver is not loaded, or it has 
         ("gs_usb:0", os_error(errno.EBUSY), "CO101", "another program uses the adapter", "close the other program"),
         ("slcan:/dev/ttyACM7", caused_by(can.CanInitializationError("no port"), os_error(errno.ENOENT)), "CO101",
          NOT_THERE, "virtual"),
-        ("socketcan:can0", os_error(errno.EAFNOSUPPORT), "CO101", "it was built without, or the module is not loaded",
+        ("socketcan:can0", os_error(errno.EAFNOSUPPORT), "CO101", "the kernel was built without it, or the module is not loaded",
          "sudo modprobe can_raw"),
         ("socketcan:can0", AttributeError("module 'socket' has no attribute 'AF_CAN'"), "CO101", NO_LIBRARY, "virtual"),
         ("socketcand:can0", TypeError("missing 2 required positional arguments: 'host' and 'port'"), "CO101", BAD_PART,

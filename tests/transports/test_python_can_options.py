@@ -41,8 +41,12 @@ def test_each_backend_has_its_own_word_for_it(interface: str, options: dict[str,
     [
         ("gs_usb:0?listen_only=true", "cannot make gs_usb listen only", "leave the option out"),
         ("pcan:PCAN_USBBUS1?listen_only=2", "true or false, not 2", "?listen_only=true"),
-        ("can0@250k?listen_only=true", "the kernel keeps", "sudo ip link set can0 down && sudo ip link set can0 up type can"),
-        ("pythoncan:socketcan:can0?listen_only=true", "the kernel keeps", "bitrate 500000 listen-only on"),
+        (
+            "can0@250k?listen_only=true",
+            "the kernel sets listen-only mode",
+            "sudo ip link set can0 down && sudo ip link set can0 up type can",
+        ),
+        ("pythoncan:socketcan:can0?listen_only=true", "the kernel sets listen-only mode", "bitrate 500000 listen-only on"),
     ],
 )
 def test_where_it_cannot_be_it_is_refused(text: str, seen: str, step: str) -> None:

@@ -109,7 +109,7 @@ async def test_a_server_that_goes_away_and_comes_back(server: Server) -> None:
 async def test_what_is_no_frame_is_told_in_one_line(server: Server) -> None:
     async with await joined(server) as transport:
         server.say("< frame 7E5 noon 0E >")
-        garbage = await reported(transport, ReceiveOverrun, match="no frame")
+        garbage = await reported(transport, ReceiveOverrun, match="not a valid frame")
         assert "Traceback" not in str(garbage)
         server.say("< frame 7E5 1.0 0E >")
         assert (await transport.receive())[0] == END

@@ -1,10 +1,10 @@
-"""Lines of can-utils' candump: those of its log files, and those that it shows on a screen.
+"""Parse lines of can-utils' candump: those of its log files, and those that it shows on a screen.
 
     (1436509053.850870) can0 605#4041600000000000 T                        candump -l, candump -L
       can0  605   [8]  40 41 60 00 00 00 00 00                             candump can0
      (000.035899)  can0  TX - -  605   [8]  40 41 60 00 00 00 00 00        candump -t z -x can0
 
-The second form has a time only where candump was asked for one (-t); without it, it is 0. Differences (-t d) stay differences.
+A line from a screen has a time only with candump's option -t; without it, the time is 0. Differences (-t d) stay differences.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final
 from canopen_proto.frame import Frame
 from canopen_transports.record import Record
 
-EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (what a line looks like; `candump -L` writes such)"
+EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (a line as `candump -L` writes it)"
 
 _LOGGED: Final = re.compile(r"\(([0-9]{1,11})\.([0-9]{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]+#\S*)(?:\s+([RT]))?")
 _SHOWN: Final = re.compile(
@@ -24,23 +24,23 @@ _SHOWN: Final = re.compile(
     r"(\S+)\s+(?:(RX|TX) [-B] [-E]\s+)?"  # -x
     r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[([0-9]{1,2})\](?:\s+(.*))?"
 )
-_RAW_DLC: Final = re.compile(r"_[0-9A-Fa-f]$")  # candump's way to show a DLC of 9 to 15, which means 8 bytes
+_RAW_DLC: Final = re.compile(r"_[0-9A-Fa-f]$")  # how candump shows a DLC of 9 to 15, which means 8 bytes
 _ERROR_FRAME: Final = 0x20000000
 
 
 class NotAFrame(ValueError):
-    """The line is candump's, and tells of something else than a frame of classical CAN; the text says of what."""
+    """The line is candump's, but not a frame of classical CAN. The text says what it is."""
 
 
 def parse_line(line: str) -> Record:
-    """The frame that a line tells of. Raises NotAFrame; ValueError for a line that is not candump's."""
+    """Return the frame on a line, with its time. Raises NotAFrame; ValueError for a line that is not candump's."""
     logged = _LOGGED.fullmatch(line)
     if logged is not None:
         seconds, fraction, channel, text, direction = logged.groups()
         return Record(_time(seconds, fraction), channel, _logged_frame(text), direction == "T")
     shown = _SHOWN.fullmatch(line)
     if shown is None:
-        raise ValueError(f"{line[:60]!r} is no line of candump's")
+        raise ValueError(f"{line[:60]!r} is not a line of candump")
     seconds, fraction, date, channel, direction, identifier, length, rest = shown.groups()
     time = _time(seconds, fraction) if seconds else 0 if date is None else _time_of_date(date)
     return Record(time, channel, _shown_frame(identifier, length, rest or ""), direction == "TX")
@@ -51,7 +51,7 @@ def _time(seconds: str, fraction: str) -> int:
 
 
 def _time_of_date(date: str) -> int:
-    """The date is in the time zone of the computer that shows it: in ours, as far as anybody can know."""
+    """Return the time in ns since 1970. The date has no time zone; we take ours."""
     return round(datetime.fromisoformat(date).timestamp() * 10**6) * 1000
 
 
@@ -64,14 +64,14 @@ def _logged_frame(text: str) -> Frame:
 
 
 def _shown_frame(identifier: str, length: str, rest: str) -> Frame:
-    if len(length) == 2:  # "[08]", "[64]": it shows those of classical CAN with one digit
+    if len(length) == 2:  # "[08]", "[64]": classical CAN has one digit
         raise NotAFrame("a CAN FD frame")
     _check_identifier(identifier)
     if rest.startswith("remote request"):
         return Frame.parse(f"{identifier}#R{length}")
-    data = rest.split()[: int(length)]  # -a shows the bytes as text behind them
+    data = rest.split()[: int(length)]  # with -a, the bytes follow as text
     if len(data) < int(length) or not all(len(byte) == 2 for byte in data):
-        raise ValueError(f"{length} bytes are announced, and these are there: {rest[:40]!r}")
+        raise ValueError(f"the line announces {length} bytes, but has {rest[:40]!r}")
     return Frame.parse(f"{identifier}#{''.join(data)}")
 
 

@@ -1,8 +1,8 @@
-"""What python-can's exceptions mean, in one screen: what failed, what was seen, the likely cause, the next step.
+"""Turn python-can's exceptions into `TransportError`: what failed, what was seen, the likely cause, the next step.
 
-python-can has no one way to say that a bus cannot be opened: a missing Kvaser library is a NameError, a missing PEAK library an
-OSError without errno, a missing module an ImportError or CanInterfaceNotImplementedError, an unknown PEAK channel a KeyError, an
-option that the backend does not know a TypeError. Here they become `TransportError`.
+python-can reports in many ways that a bus cannot be opened. A missing Kvaser library is a NameError, a missing PEAK library an
+OSError without errno, a missing module an ImportError or CanInterfaceNotImplementedError, an unknown PEAK channel a KeyError, and
+an option that the backend does not know a TypeError.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from canopen_transports.locator import Locator, bitrate_text, nearest
 from canopen_transports.peak import attached
 
 DRIVER_ERRORS: Final = (Exception,)
-"""What a call into python-can may raise. Not even CanError and OSError are all: adapters' own packages raise what they like, a
-function that the driver's library lacks is a NameError, a descriptor too high for `select` a ValueError, half a frame of a serial
-line a TypeError. Nothing but python-can's code, and what makes sense of its answers, stands where this is caught."""
+"""What a call into python-can may raise: anything. Adapters' packages have exceptions of all kinds; a function missing in the
+driver's library is a NameError, a descriptor too high for `select` a ValueError, half a frame on a serial line a TypeError. Where
+this is caught, only python-can's code runs, and the code that reads its answers."""
 
 SAMPLE_BITRATE: Final = 500_000
-"""What a suggested command shows where we do not know the bus's bit rate."""
+"""Bit/s, for suggested commands where we do not know the bus's bit rate."""
 
-# The extra of python-can that brings a backend's Python modules.
+# The extra of python-can that installs a backend's Python modules.
 _EXTRAS: Final = {
     "slcan": "serial",
     "serial": "serial",
@@ -49,7 +49,7 @@ _EXTRAS: Final = {
     "nixnet": "nixnet",
     "udp_multicast": "multicast",
 }
-# What the maker of the adapter provides.
+# The driver that the maker of the adapter provides.
 _DRIVERS: Final = {
     "pcan": "PEAK's driver and its PCAN-Basic library (peak-system.com)",
     "kvaser": "Kvaser's driver and its CANlib (kvaser.com)",
@@ -70,8 +70,8 @@ KERNEL_DRIVERS: Final = {
     "usb2can": "usb_8dev",
     "etas": "etas_es58x",
 }
-"""Linux's own drivers of USB adapters, by python-can's name for their makers' way. Each makes SocketCAN interfaces."""
-# A locator in full, where it needs more than the others.
+"""Linux's own drivers for USB adapters, by python-can's name for the adapter's interface. Each makes SocketCAN interfaces."""
+# Whole locators, for interfaces that need more than a channel number.
 _EXAMPLES: Final = {
     "slcan": "slcan:/dev/ttyACM0@250k",
     "robotell": "robotell:/dev/ttyUSB0@250k",
@@ -92,7 +92,7 @@ _NOT_FOUND: Final = re.compile(r"cannot find device|\bno\b.*\bdevice found|Devic
 
 
 def error_number(error: BaseException) -> int | None:
-    """The errno of the OSError that an exception is or was raised from. (Drivers' own error codes are other numbers.)"""
+    """Return the errno of an OSError, or of the OSError that caused this exception. Drivers' own codes are other numbers."""
     link: BaseException | None = error
     while link is not None:
         if isinstance(link, OSError) and link.errno is not None:
@@ -102,16 +102,16 @@ def error_number(error: BaseException) -> int | None:
 
 
 def queue_is_full(error: BaseException) -> bool:
-    """Whether a failed send failed only for want of room.
+    """Return whether a send failed only because the queue has no room.
 
-    By errno for SocketCAN and UDP; by text for the others: each driver has its own number, but all say "full" (PCAN-Basic: "The
-    transmit queue is full", python-can: "Transmit buffer full").
+    SocketCAN and UDP tell it by errno. The others tell it by text: each driver has its own number, but all texts say "full"
+    (PCAN-Basic: "The transmit queue is full", python-can: "Transmit buffer full").
     """
     return error_number(error) in (errno.ENOBUFS, errno.EAGAIN) or _FULL.search(str(error)) is not None
 
 
 def is_can_device(name: str, root: Path = Path("/")) -> bool | None:
-    """Whether a network interface is a CAN bus; None where the system does not tell."""
+    """Return whether a network interface is a CAN bus; None if the system does not tell."""
     try:
         return int((root / "sys/class/net" / name / "type").read_text()) == _ARPHRD_CAN
     except (OSError, ValueError):
@@ -119,7 +119,7 @@ def is_can_device(name: str, root: Path = Path("/")) -> bool | None:
 
 
 def found_here(root: Path = Path("/")) -> list[str]:
-    """Locators of what looks like a CAN adapter on this computer."""
+    """Return locators of what looks like a CAN adapter on this computer."""
     names = sorted(path.name for path in (root / "sys/class/net").glob("*"))
     found = [f"socketcan:{name}" for name in names if is_can_device(name, root)]
     for prefix, pattern in (("", "pcan[0-9]*"), ("slcan:", "ttyACM*"), ("slcan:", "ttyUSB*")):
@@ -128,14 +128,14 @@ def found_here(root: Path = Path("/")) -> list[str]:
 
 
 def bring_up(locator: Locator) -> str:
-    """The command that brings a SocketCAN interface up."""
+    """Return the command that brings a SocketCAN interface up."""
     if locator.channel.startswith("vcan"):
         return f"sudo ip link set {locator.channel} up"
     return f"sudo ip link set {locator.channel} up type can bitrate {locator.bitrate or SAMPLE_BITRATE}"
 
 
 def cannot_open(locator: Locator, error: BaseException) -> TransportError:
-    """Why a bus could not be opened, by the exception that python-can gave."""
+    """Return why a bus could not be opened, for an exception of python-can."""
     number = error_number(error)
     seen = _text(error)
     code, cause, tries = CANNOT_OPEN, "", list(_further_steps(locator))
@@ -149,7 +149,10 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         cause = "another program uses the adapter"
         tries = [f"fuser -v {device}   (tells which)"] if device else ["close the other program"]
     elif number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT) and locator.interface == "socketcan":
-        seen, cause = f"this {sys.platform} kernel has no SocketCAN", "it was built without, or the module is not loaded"
+        seen, cause = (
+            f"this {sys.platform} kernel has no SocketCAN",
+            "the kernel was built without it, or the module is not loaded",
+        )
         tries = ["sudo modprobe can_raw", "udp_multicast, or virtual: (no hardware needed)"]
     elif locator.interface == "udp_multicast" and number is not None:
         cause = "no network interface of this computer carries multicast"
@@ -162,7 +165,7 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         tries = [*_kernel_driver(locator), *tries]
     elif _driver_is_missing(error):
         cause = "the software for this adapter is not installed"
-        if type(error) is NameError:  # which of its functions was missed first helps nobody
+        if type(error) is NameError:  # the name of the missing function helps nobody
             seen = f"python-can found no library of {locator.interface}"
         elif type(error.__context__) in (ImportError, AttributeError):  # while python-can imported its backend
             seen = f"python-can's {locator.interface} does not run on this system ({sys.platform})"
@@ -172,10 +175,10 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         tries = [*steps, *tries]
     elif isinstance(error, LookupError | ValueError | TypeError):
         seen = f"{locator.interface} of python-can does not accept channel {locator.channel!r} with these options: {seen}"
-        cause = "a part of the locator is wrong or missing, or of a kind that this interface does not know"
+        cause = "a part of the locator is wrong or missing, or the interface does not know it"
         tries = [*_channel_steps(locator), f"https://python-can.readthedocs.io/ says what {locator.interface} takes"]
     else:
-        cause = "the adapter is not plugged in, or it or its driver refuses"
+        cause = "the adapter is not plugged in, or its driver refuses to open it"
     return _not_opened(locator, seen, cause, tries, code)
 
 
@@ -184,7 +187,7 @@ def _not_opened(locator: Locator, seen: str, cause: str, tries: Iterable[str], c
 
 
 def interface_missing(locator: Locator) -> TransportError:
-    """SocketCAN: there is no network interface of that name."""
+    """Return the error for a SocketCAN interface that does not exist."""
     tries = list(_further_steps(locator))
     if locator.channel.startswith("vcan"):
         tries.insert(0, f"sudo modprobe vcan && sudo ip link add dev {locator.channel} type vcan && {bring_up(locator)}")
@@ -192,39 +195,39 @@ def interface_missing(locator: Locator) -> TransportError:
 
 
 def not_a_can_interface(locator: Locator) -> TransportError:
-    """SocketCAN: the network interface is an Ethernet card or the like."""
+    """Return the error for a network interface that is not a CAN bus, but an Ethernet card or the like."""
     seen = f"{locator.channel} is a network interface, but not a CAN bus"
     return _not_opened(locator, seen, "another interface is meant", (*_further_steps(locator), "ip link show"))
 
 
 def interface_down(locator: Locator) -> TransportError:
-    """SocketCAN: the interface is there and DOWN. (The kernel lets a socket be bound to it all the same.)"""
+    """Return the error for a SocketCAN interface that is DOWN. (The kernel still lets a socket be bound to it.)"""
     cause = "nobody has brought it up since it was plugged in; the kernel keeps the bit rate, a program cannot set it"
     return _not_opened(locator, f"{locator.channel} is there, but it is DOWN", cause, (bring_up(locator),))
 
 
 def unknown_bitrate(locator: Locator, known: list[int]) -> TransportError:
-    """The adapter does not know this bit rate."""
+    """Return the error for a bit rate that the adapter does not support. known: those that it does."""
     seen = f"{locator.interface} has no bit rate {locator.bitrate}"
     tries = (f"one of {', '.join(bitrate_text(rate) for rate in known)}",)
     return _not_opened(locator, seen, "python-can knows only these by name", tries)
 
 
 def bitrate_is_set_elsewhere(locator: Locator) -> TransportError:
-    """A bit rate that python-can would take, and not pass on."""
+    """Return the error for a bit rate that python-can would accept, but not use."""
     seen = f"{locator.interface} sets no bit rate: the other end of the connection does"
     return _not_opened(locator, seen, "", ("leave the bit rate out",), BAD_LOCATOR)
 
 
 def unknown_option(locator: Locator, option: str, known: list[str]) -> TransportError:
-    """An option that our own transport of this interface does not have."""
+    """Return the error for an option that our own transport of this interface does not have."""
     seen = f"{locator.interface} has no option {option!r}; it has {', '.join(known)}"
     tries = (f"{locator.interface}:{locator.channel}", f"pythoncan:{locator.text}   (python-can's own, with its options)")
     return bad_locator(locator.text, seen, tries)
 
 
 def bus_lost(locator: Locator, doing: str, error: BaseException) -> TransportError:
-    """The bus worked and has now failed."""
+    """Return the error for a bus that worked and has now failed. doing: what was tried, such as "send 601#40"."""
     number = error_number(error)
     seen, cause = _text(error), "the adapter was unplugged, or its driver failed"
     tries: tuple[str, ...] = ("plug it in again, then open the bus again",)
@@ -237,10 +240,13 @@ def bus_lost(locator: Locator, doing: str, error: BaseException) -> TransportErr
 
 
 def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> TransportError:
-    """Our frames do not get out: the queue stays full, or the controller is bus-off. received: frames heard so far."""
+    """Return the error for frames that do not get out: the queue stays full, or the controller is bus-off.
+
+    doing: what was tried. received: the number of frames heard so far.
+    """
     rate = f" (ours {bitrate_text(locator.bitrate)})" if locator.bitrate else ""
     causes = [f"wrong bit rate{rate}", "CAN-H and CAN-L swapped or a wire broken", "termination (60 ohm between them)"]
-    if received:  # somebody is there, and we understand him
+    if received:  # another node is there, and we understand it
         causes = ["a device or a cable that disturbs the bus", "the bus is overloaded"]
     else:
         causes.insert(0, "nobody else on the bus, or its power is off")
@@ -259,15 +265,15 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
 
 
 def no_room(locator: Locator, doing: str, seconds: float, received: int, last_error: str) -> TransportError:
-    """Return the error for a transmit queue that stayed full for so long. received, last_error: as for a transport."""
+    """Return the error for a transmit queue that stayed full for so many seconds. received, last_error: see the transports."""
     heard = f"{received} frames received so far" if received else "no frame ever received"
     seen = f"no room in the transmit queue for {seconds:g} s; {heard}" + (f"; {last_error}" if last_error else "")
     return not_acknowledged(locator, doing, seen, received)
 
 
 def _text(error: BaseException) -> str:
-    """Return an exception's text in one line, with that of its cause unless it contains it."""
-    text, _, _ = str(error).partition("Traceback (most recent call last)")  # python-can's socketcand puts one into its message
+    """Return an exception's text in one line, followed by its cause's text if that is not in it already."""
+    text, _, _ = str(error).partition("Traceback (most recent call last)")  # socketcand's messages contain one
     text = " ".join(text.split()) or type(error).__name__
     cause = " ".join(str(error.__cause__ or "").split())
     return text if cause in text else f"{text}: {cause}"
@@ -295,7 +301,7 @@ def _kernel_driver(locator: Locator) -> Iterator[str]:
 
 
 def _why_no_peak_channel(locator: Locator, channels: dict[str, str]) -> tuple[str, list[str]]:
-    """The cause and the next steps where PCAN-Basic is there, but does not open a channel."""
+    """Return the cause and the next steps if PCAN-Basic is installed but does not open the channel."""
     condition = channels.get(locator.channel)
     others = [name for name, state in channels.items() if state == "free" and name != locator.channel]
     steps = [f"pcan:{name}@{bitrate_text(locator.bitrate or SAMPLE_BITRATE)}" for name in others[:2]]

@@ -1,12 +1,12 @@
-"""What there is on this computer to reach a CAN bus with, and what is missing: the checks of `canopen doctor`.
+"""The checks of `canopen doctor`: what this computer has to reach a CAN bus with, and what is missing.
 
-Each check reads files (below `root`, so that tests can have a computer of their own) or takes what a tool or a driver's library
-said, and gives `Finding`s: what was looked at, whether it is well, what was seen, and the exact command where something is to be
-done. Nothing is changed, nothing is opened, and nothing is sent; `receive_test` is the module that opens a bus.
+Each check reads files below `root` (a test passes a folder of its own), or takes the output of a tool or of a driver's library.
+It yields `Finding`s: what was checked, whether it is in order, what was seen, and the exact command to mend it. A check changes
+nothing, opens no bus and sends nothing; `receive_test` is the module that opens a bus.
 
-The checks that the manual (chapter 2.1) lets the user do by hand are those of `check_peak`: `/proc/pcan` shows the driver, and
-the column "ndev" is NA for an adapter in character-device mode (`make NET=NO`), which PCAN-Basic and `/dev/pcan32` need. An
-adapter in network-device mode has its interface's name there; with the kernel's own driver, peak_usb, there is no `/proc/pcan`.
+`check_peak` makes the checks that the manual (chapter 2.1) asks the user to make by hand. `/proc/pcan` shows the driver. Its
+column "ndev" is NA for an adapter in character-device mode (`make NET=NO`), which PCAN-Basic and `/dev/pcan32` need. For an
+adapter in network-device mode it has the interface's name. With the kernel's own driver, peak_usb, there is no `/proc/pcan`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from canopen_transports.locator import bitrate_text
 from canopen_transports.peak import attached
 
 TOOL_TIME: Final = 5.0
-"""Seconds for `ip`, which answers in some milliseconds."""
+"""Seconds for `ip`, which answers within some milliseconds."""
 HIGH_COUNTER: Final = 96
-"""An error counter from here on means a disturbed bus: the controller warns (ISO 11898-1)."""
+"""From this value of an error counter on, the controller warns: the bus is disturbed (ISO 11898-1)."""
 _GROUP: Final = ipaddress.ip_address("239.74.163.2")
 _NO_HARDWARE: Final = (
     "canopen demo   (everything but the bus, without hardware)",
@@ -51,18 +51,18 @@ _PACKAGES: Final = {
 
 
 class Health(Enum):
-    """How it is with what was looked at."""
+    """Whether the subject of a finding is in order."""
 
     OK = "ok"
     NOTE = "note"
-    """Not in use, or not there; nobody need do anything about it."""
+    """Not in use, or missing; nothing needs to be done."""
     WARNING = "warning"
-    """It will not work like this; what to do stands in the finding."""
+    """It will not work as it is; the finding says what to do."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """subject: what was looked at. seen: how it was found. tries: what to do, commands as they are typed. locator: the bus."""
+    """The result of a check. subject: what was checked. tries: what to do, with commands as they are typed. locator: the bus."""
 
     subject: str
     health: Health
@@ -72,7 +72,7 @@ class Finding:
 
 
 def examine(root: Path = Path("/")) -> list[Finding]:
-    """All checks, of this computer."""
+    """Run all checks on this computer."""
     findings = [
         *check_socketcan(root, ip_links()),
         *check_peak(root, library=ctypes.util.find_library("pcanbasic"), channels=attached()),
@@ -88,7 +88,7 @@ def examine(root: Path = Path("/")) -> list[Finding]:
 
 
 def ip_links() -> list[dict[str, Any]]:
-    """What `ip` tells of the network interfaces; nothing where there is no such tool, or none of the modern kind."""
+    """Return what `ip` reports of the network interfaces; nothing if there is no `ip` that knows -json."""
     try:
         told = subprocess.run(
             ["ip", "-details", "-statistics", "-json", "link"], capture_output=True, timeout=TOOL_TIME, check=True
@@ -100,7 +100,7 @@ def ip_links() -> list[dict[str, Any]]:
 
 
 def check_socketcan(root: Path, links: Iterable[dict[str, Any]]) -> Iterator[Finding]:
-    """Each CAN interface of the kernel: is it up, with which bit rate, and how is its controller. links: see `ip_links`."""
+    """Check each CAN interface of the kernel: whether it is up, its bit rate, its controller. links: see `ip_links`."""
     told = {str(each.get("ifname")): each for each in links}
     for path in sorted((root / "sys/class/net").glob("*")):
         if is_can_device(path.name, root):
@@ -116,7 +116,7 @@ def _interface(root: Path, name: str, link: dict[str, Any]) -> Finding:
     up = f"sudo ip link set {name} up"
     with_rate = up if is_virtual else f"{up} type can bitrate {bitrate or 500_000}"
     if not _is_up(root, name, link):
-        return Finding(subject, Health.WARNING, "it is there, but DOWN", (with_rate,), locator)
+        return Finding(subject, Health.WARNING, "it exists, but is DOWN", (with_rate,), locator)
     state = str(data.get("state", "")).lower()
     counters = data.get("berr_counter") or {}
     sent, received = counters.get("tx", 0), counters.get("rx", 0)
@@ -128,16 +128,17 @@ def _interface(root: Path, name: str, link: dict[str, Any]) -> Finding:
     modes = [str(each).lower() for each in data.get("ctrlmode") or ()]
     parts += modes
     seen = ", ".join(parts)
-    restart = (
-        f"sudo ip link set {name} down && {with_rate} restart-ms 100   (100 ms after bus-off the controller comes back by itself)"
-    )
+    restart = f"sudo ip link set {name} down && {with_rate} restart-ms 100   (it then returns from bus-off after 100 ms)"
     if state == "bus-off":
         return Finding(subject, Health.WARNING, seen, (restart,), locator)
     if "listen-only" in modes:
         again = f"sudo ip link set {name} down && {with_rate} listen-only off"
         return Finding(subject, Health.NOTE, f"{seen}: nothing can be sent", (again,), locator)
     if state in ("error-passive", "error-warning") or max(sent, received) >= HIGH_COUNTER:
-        steps = (f"canopen doctor -b {locator}   (what is heard?)", "check bit rate, CAN-H and CAN-L, termination (60 ohm)")
+        steps = (
+            f"canopen doctor -b {locator}     (shows what is heard)",
+            "check bit rate, CAN-H and CAN-L, termination (60 ohm)",
+        )
         return Finding(subject, Health.WARNING, seen, steps, locator)
     return Finding(subject, Health.OK, seen, (), locator)
 
@@ -155,7 +156,10 @@ def _is_up(root: Path, name: str, link: dict[str, Any]) -> bool:
 
 
 def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> Iterator[Finding]:
-    """PEAK's adapters: plugged in, driver, `/proc/pcan`, PCAN-Basic. library: its name, if there is one. channels: `attached`."""
+    """Check PEAK's adapters: whether one is plugged in, its driver, `/proc/pcan`, PCAN-Basic.
+
+    library: the name of the PCAN-Basic library, None if there is none. channels: see `attached`.
+    """
     driver = _text(root / "proc/pcan")
     if driver:
         yield from _proc_pcan(root, driver, library)
@@ -210,7 +214,8 @@ def _proc_pcan(root: Path, text: str, library: str | None) -> Iterator[Finding]:
 
 
 class _UsbAdapter(NamedTuple):
-    """ids: vendor:product, or vendor: for all that it makes. module: the kernel's own driver. other: another way to use it."""
+    """A kind of adapter. ids: vendor:product, or vendor: for all products. module: the kernel's driver. other: another way to use
+    it."""
 
     maker: str
     ids: tuple[str, ...]
@@ -235,7 +240,7 @@ _USB_ADAPTERS: Final = (
 
 
 def check_usb(root: Path) -> Iterator[Finding]:
-    """Adapters of other makers that are plugged in: whether a driver has them."""
+    """Check that each plugged-in adapter of another maker has a driver."""
     for adapter in _USB_ADAPTERS:
         yield from _plugged_in(root, adapter)
 
@@ -258,7 +263,7 @@ def _plugged_in(root: Path, adapter: _UsbAdapter) -> Iterator[Finding]:
 
 
 def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[Finding]:
-    """Serial lines that may have an adapter (slcan) at their end, and whether this user may open them."""
+    """Check that this user may open the serial lines, which may lead to an slcan adapter."""
     for pattern in ("ttyACM*", "ttyUSB*"):
         for path in sorted((root / "dev").glob(pattern)):
             locator, name = f"slcan:/dev/{path.name}@500k", f"serial line /dev/{path.name}"
@@ -272,13 +277,13 @@ def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[Finding]:
 
 
 def check_vcan(root: Path) -> Iterator[Finding]:
-    """Whether the kernel has virtual CAN buses."""
+    """Check whether the kernel has virtual CAN buses."""
     if not any((root / "sys/class/net").glob("*can*")) and not (root / "sys/module/vcan").exists():
         yield Finding("vcan", Health.NOTE, "no virtual CAN bus; the kernel's module vcan is not loaded", ("sudo modprobe vcan",))
 
 
 def check_multicast(root: Path) -> Iterator[Finding]:
-    """Whether udp_multicast has a route: then two terminals of this computer make a bus."""
+    """Check whether udp_multicast has a route; with one, two terminals of this computer share a bus."""
     routes = _text(root / "proc/net/route").splitlines()[1:]
     for line in routes:
         fields = line.split()
@@ -293,7 +298,7 @@ def check_multicast(root: Path) -> Iterator[Finding]:
 
 
 def check_python_can() -> Iterator[Finding]:
-    """Its version, and which backends lack a package."""
+    """Report python-can's version, and the backends that lack a package."""
     missing = [name for name, module in _PACKAGES.items() if importlib.util.find_spec(module) is None]
     seen = f"version {metadata.version('python-can')}"
     if missing:

@@ -1,7 +1,7 @@
-"""Calls into drivers, each in a thread: they take their time, and some never come back.
+"""Calls into drivers, each in a thread: drivers take their time, and some never return.
 
-Nobody can stop a thread. So a driver gets DRIVER_TIME, then its thread is left behind: a command that was interrupted comes to
-its end all the same, and the adapter is reported as lost.
+A thread cannot be stopped. So a driver gets DRIVER_TIME, and then its thread is left behind: an interrupted command still ends,
+and the adapter is reported as lost.
 """
 
 from __future__ import annotations
@@ -17,27 +17,28 @@ import trio
 from canopen_transports.leftovers import shut_down
 
 DRIVER_TIME: Final = 2.0
-"""Seconds that a driver has to come back. Those that wait on their own do so for about 1 s (libusb, a serial line's limit)."""
+"""Seconds that a driver may take to return. Drivers that wait on their own do so for about 1 s (libusb, a serial line's limit).
+"""
 
 Ts = TypeVarTuple("Ts")
 
 
 async def call(function: Callable[[], None]) -> None:
-    """Run `function` in a thread, to its end, even if cancelled: what it does to the bus is done or not, but not half.
+    """Run `function` in a thread, to its end, even if cancelled, so that its work on the bus is never half done.
 
-    TimeoutError when it has not come back in DRIVER_TIME.
+    Raises TimeoutError if it has not returned within DRIVER_TIME.
     """
     with trio.move_on_after(DRIVER_TIME, shield=True) as scope:
         await _in_thread(function)
     if scope.cancelled_caught:
-        raise TimeoutError(f"the driver has not come back for {DRIVER_TIME:g} s")
+        raise TimeoutError(f"the driver has not returned for {DRIVER_TIME:g} s")
 
 
 async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
-    """Run `opening` in a thread, for as long as the driver takes (python-can's slcan sleeps 2 s).
+    """Run `opening` in a thread for as long as the driver takes (python-can's slcan sleeps 2 s), and return the bus.
 
-    Cancelled, we wait DRIVER_TIME for it, so that the adapter is free when we come back. What a driver opens even later, its
-    thread shuts down again: no adapter stays open behind our back.
+    If cancelled, wait DRIVER_TIME for the driver, so that the adapter is free afterwards. If the driver opens the bus even later,
+    its thread shuts it down: no adapter stays open unnoticed.
     """
     opened: list[can.BusABC] = []
     lock = threading.Lock()
@@ -54,7 +55,7 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
             if not to_keep:
                 shut_down(bus)
         finally:
-            with suppress(trio.RunFinishedError):  # it took so long that the run is over
+            with suppress(trio.RunFinishedError):  # the run ended before the driver returned
                 token.run_sync_soon(finished.set)
 
     try:
@@ -62,7 +63,7 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
     except BaseException:  # above all a cancel, and Ctrl-C
         with lock:
             is_wanted = False
-            too_late = list(opened)  # it came while we were cancelled
+            too_late = list(opened)  # opened while we were cancelled
         with trio.move_on_after(DRIVER_TIME, shield=True):
             for bus in too_late:
                 await _in_thread(shut_down, bus)
@@ -72,5 +73,5 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
 
 
 async def _in_thread(function: Callable[[*Ts], None], *args: *Ts) -> None:
-    # Not one of trio's 40: a driver that hangs each time would take them all, and with them the files and names of the program.
+    # A limiter for each call: drivers that hang would use up trio's 40 threads, which files and names need, too.
     await trio.to_thread.run_sync(function, *args, abandon_on_cancel=True, limiter=trio.CapacityLimiter(1))

@@ -1,15 +1,15 @@
-"""What a transport reports when the world refuses: `TransportError`, one screen that ends in the next step.
+"""The errors and reports of a transport. Each is one screen of text that ends with the next step.
 
-Three kinds of failure, and no other, leave a transport:
+A transport raises three kinds of exception, and no others:
 
-- `ValueError`: our own caller asked for a frame that classical CAN cannot carry. Nothing was sent.
+- `ValueError`: the caller passed a frame that classical CAN cannot carry. Nothing was sent.
 - `trio.ClosedResourceError`: our own side closed the transport, before or during the call. (`trio.BusyResourceError`: two tasks
   receive at once.)
-- `TransportError`: the world refused. After a `FrameNotSent`, which `send` raises while the bus is away, the transport goes on
-  working; after any other it has ended.
+- `TransportError`: the bus cannot be opened or used. While the bus is away, `send` raises its subclass `FrameNotSent`, and the
+  transport continues to work. After any other TransportError it has ended.
 
-A `Report` is no error. `receive` returns it in place of a frame, at its place in the order of frames: `ReceiveOverrun` if frames
-were lost there, `BusStateChanged` if the bus told its state.
+A `Report` is not an error. `receive` returns it in place of a frame, in order with the frames: `ReceiveOverrun` if frames were
+lost at this place, `BusStateChanged` if the bus reported its state.
 
 The codes are those of the command line: CO1xx is the bus itself.
 """
@@ -23,40 +23,41 @@ from typing import Final
 from canopen_proto.explained import Explained
 
 BAD_LOCATOR: Final = "CO100"
-"""The locator makes no sense; nothing was opened."""
+"""The locator is not valid; nothing was opened."""
 CANNOT_OPEN: Final = "CO101"
-"""The interface is not there, is down, is in use, or its driver is missing."""
+"""The interface does not exist, is down or in use, or its driver is missing."""
 NO_PERMISSION: Final = "CO102"
-"""The interface is there, but this user may not open it."""
+"""The interface exists, but this user may not open it."""
 NOT_ACKNOWLEDGED: Final = "CO110"
-"""Frames do not get out: nobody acknowledges them, or the controller is bus-off."""
+"""Frames do not get out: no node acknowledges them, or the controller is bus-off."""
 BUS_LOST: Final = "CO111"
 """The bus worked and then failed: adapter unplugged, interface set down, driver error."""
 OVERRUN: Final = "CO112"
-"""Frames were received faster than they were taken; some are lost."""
+"""Frames arrived faster than they were taken; some are lost."""
 STATE_CHANGED: Final = "CO113"
-"""The bus reports something that is no frame: its controller's state, or that it went away or came back."""
+"""The bus reports the state of its controller, or that it went away or came back."""
 
 
 class BusState(Enum):
-    """What a bus reports of itself. The first four are the fault confinement states of CAN (ISO 11898-1), in rising order."""
+    """The state that a bus reports. The first four are the fault confinement states of CAN (ISO 11898-1), from good to bad."""
 
     ACTIVE = "error-active"
-    """As it should be; reported when it is so again, also after bus-off."""
+    """The normal state; reported when the bus returns to it, also after bus-off."""
     WARNING = "error warning"
-    """One of the error counters is at 96 or more: many frames are disturbed."""
+    """An error counter is at 96 or more: many frames are disturbed."""
     PASSIVE = "error-passive"
-    """One of the error counters is at 128 or more; a frame that nobody acknowledges takes a controller there, and no further."""
+    """An error counter is at 128 or more. A controller whose frame nobody acknowledges gets here, and no further."""
     BUS_OFF = "bus-off"
-    """The controller has left the bus. What is sent now does not get out (FrameNotSent), until it is ACTIVE again."""
+    """The controller has left the bus. Frames do not get out (FrameNotSent) until it is ACTIVE again."""
     NO_ACKNOWLEDGE = "no acknowledge"
-    """A frame of ours was not acknowledged: nobody else is on the bus, or nobody with our bit rate. The controller repeats it."""
+    """Nobody acknowledged a frame of ours: no other node is on the bus, or none with our bit rate. The controller repeats the
+    frame."""
     FAULT = "bus fault"
-    """Something else that an adapter reports: a transceiver's fault, a protocol violation on the wire. See `seen`."""
+    """Another fault that an adapter reports: of the transceiver, or a protocol violation on the wire. See `seen`."""
     DOWN = "down"
     """The way to the bus is gone: interface set down, adapter unplugged, connection lost. Frames may be missing from here on."""
     UP = "up"
-    """It is back, and frames come again."""
+    """The way to the bus is back; frames come again."""
 
 
 class _OfBus(Explained):
@@ -82,9 +83,9 @@ class Report(_OfBus):
 
 
 class ReceiveOverrun(Report):
-    """Received frames were lost, at this place in the order of frames.
+    """Received frames were lost at this place in the order of frames.
 
-    lost: how many, at least 1. Only a lower bound where a CAN controller reports that it lost some, but not how many.
+    lost: how many, at least 1. It is a lower bound if a CAN controller reports a loss without its number.
     """
 
     def __init__(self, locator: str, lost: int, seen: str, *, cause: str = "") -> None:
@@ -93,16 +94,16 @@ class ReceiveOverrun(Report):
             locator,
             f"{lost} received frame{'s' if lost > 1 else ''} lost on {locator}",
             seen=seen,
-            cause=cause or "this process was too slow, or stalled; a burst was longer than the receive queue",
+            cause=cause or "this process was too slow or stalled, or a burst was longer than the receive queue",
             tries=() if cause else ("take frames in a task that does nothing else",),
         )
         self.lost = lost
 
 
 class BusStateChanged(Report):
-    """The bus reports its state, at this place in the order of frames.
+    """The bus reported its state at this place in the order of frames.
 
-    state: what it is now. seen: what was observed, in words.
+    state: the new state. seen: what was observed, in words.
     """
 
     def __init__(self, locator: str, state: BusState, seen: str, *, cause: str = "", tries: Iterable[str] = ()) -> None:

@@ -1,10 +1,10 @@
-"""What python-can leaves behind where something failed, and we clear away.
+"""Clear away what python-can leaves behind after a failure.
 
-- A bus whose making failed complains on stderr when it is collected ("Exception ignored in BusABC.__del__", with a traceback),
-  since it then tries to shut down what it never opened.
-- A serial line stays open, if telling its adapter to close failed: an unplugged adapter cannot be told anything.
-- What slcan and socketcand have read and cannot decode they keep, and stumble over it each time.
-- socketcand's bus goes on reading from a connection that its server has closed, and only ever finds nothing.
+- A bus that failed to open complains on stderr when it is collected ("Exception ignored in BusABC.__del__", with a traceback),
+  because it tries to shut down what it never opened.
+- A serial line stays open if its adapter could not be told to close, as with an unplugged adapter.
+- slcan and socketcand keep data that they cannot decode, and fail on it each time.
+- socketcand's bus continues to read from a connection that its server has closed, and finds nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SOCKETCAND_BUFFER: Final = "_SocketCanDaemonBus__receive_buffer"
 
 
 def clear_away(error: BaseException) -> None:
-    """Lay the buses to rest whose making ended in this error."""
+    """Quiet the buses whose constructor raised this error, and close their lines."""
     trace = error.__traceback__
     while trace is not None:
         bus = trace.tb_frame.f_locals.get("self")
@@ -32,14 +32,14 @@ def clear_away(error: BaseException) -> None:
 
 
 def shut_down(bus: can.BusABC) -> None:
-    """Let go of a bus, whatever its driver says to that."""
-    with suppress(*DRIVER_ERRORS):  # an unplugged adapter cannot be told that we leave it
+    """Shut a bus down, and ignore its driver's errors."""
+    with suppress(*DRIVER_ERRORS):  # an unplugged adapter cannot be told
         bus.shutdown()
     _close_line(bus)
 
 
 def drop_garbage(bus: can.BusABC) -> None:
-    """Let a bus forget what it has read and could not decode."""
+    """Make a bus drop data that it has read but cannot decode."""
     flush = getattr(bus, "flush", None)
     if flush is not None:
         flush()
@@ -48,7 +48,7 @@ def drop_garbage(bus: can.BusABC) -> None:
 
 
 def has_hung_up(bus: can.BusABC) -> bool:
-    """Whether socketcand's server has closed the connection. False for all other buses."""
+    """Return whether socketcand's server has closed the connection. False for all other buses."""
     connection = _socketcand_connection(bus)
     if connection is None:
         return False
@@ -59,7 +59,7 @@ def has_hung_up(bus: can.BusABC) -> bool:
 
 
 def _close_line(bus: can.BusABC) -> None:
-    """Close a line that its bus may have left open. Twice does no harm."""
+    """Close a line that the bus may have left open. Closing it twice does no harm."""
     for line in (getattr(bus, "serialPortOrig", None), _socketcand_connection(bus)):
         if line is not None:
             with suppress(OSError):

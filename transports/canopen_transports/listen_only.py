@@ -1,8 +1,8 @@
-"""`?listen_only=true`: the adapter hears and says nothing, not even the dominant bit that acknowledges a frame.
+"""`?listen_only=true`: the adapter only listens; it does not even acknowledge frames.
 
-A node with the wrong bit rate destroys the frames of the others by its error frames; one that only listens disturbs nobody. So
-`canopen doctor` opens a bus like this. It is the adapter's controller that must be told, and each backend of python-can has
-another word for it. Where it cannot, opening is refused: listening that is heard on the bus is not what was asked for.
+A node with the wrong bit rate destroys the frames of others by its error frames; a node that only listens disturbs nobody. So
+`canopen doctor` opens a bus in this mode. It is a mode of the adapter's controller, and each backend of python-can has its own
+option for it. A backend without such an option is refused, as it would be heard on the bus.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator
 
 LISTEN_ONLY: Final = "listen_only"
-"""The option's name."""
 
 _BY_BACKEND: Final[dict[str, dict[str, Any]]] = {
     "pcan": {"state": can.BusState.PASSIVE},
@@ -27,24 +26,25 @@ _BY_BACKEND: Final[dict[str, dict[str, Any]]] = {
     "kvaser": {"driver_mode": False},
     "cantact": {"monitor": True},
     "seeedstudio": {"operation_mode": "silent"},
-    # No wire, so nothing to be silent on: it is enough that we send no frames.
+    # These have no wire: it is enough that we send no frames.
     "virtual": {},
     "udp_multicast": {},
 }
 
 
 def can_listen_only(locator: Locator) -> bool:
-    """Whether an adapter of this kind can be opened so."""
+    """Return whether an adapter of this kind has a listen-only mode."""
     return not locator.own and locator.interface in _BY_BACKEND
 
 
 def is_listen_only(locator: Locator) -> bool:
-    """Whether the locator asks for it."""
+    """Return whether the locator asks for it."""
     return locator.options.get(LISTEN_ONLY) in (True, 1)
 
 
 def backend_options(locator: Locator) -> dict[str, Any]:
-    """The locator's options as python-can's backend takes them. TransportError (CO100) where it has no such mode."""
+    """Return the locator's options for python-can's backend. Raises TransportError (CO100) if the backend has no listen-only
+    mode."""
     options: dict[str, Any] = dict(locator.options)
     wanted = options.pop(LISTEN_ONLY, False)
     if wanted in (False, 0):
@@ -55,13 +55,13 @@ def backend_options(locator: Locator) -> dict[str, Any]:
 
 
 def refused(locator: Locator) -> TransportError:
-    """Why this cannot be opened to listen only."""
+    """Return why this bus cannot be opened to listen only."""
     seen = f"{LISTEN_ONLY} is true or false, not {locator.options[LISTEN_ONLY]}"
     tries: tuple[str, ...] = (f"?{LISTEN_ONLY}=true",)
     if locator.options[LISTEN_ONLY] in (True, 1):
         seen, tries = f"python-can cannot make {locator.interface} listen only", ("leave the option out",)
         if locator.interface == "socketcan":
-            seen = "the kernel keeps whether an interface only listens, as it keeps the bit rate; a program cannot set it"
+            seen = "the kernel sets listen-only mode, like the bit rate; a program cannot"
             tries = (
                 f"sudo ip link set {locator.channel} down && {bring_up(locator)} listen-only on   (and leave the option out)",
             )

@@ -1,27 +1,27 @@
 """Locators: the text that names a bus, `INTERFACE:CHANNEL@BITRATE?OPTION=VALUE&...`.
 
     virtual:demo                        a bus inside this process (the name may be left out)
-    virtual:demo?bitrate=1M&loss=0.001  the same with the physics of copper, and faults (see virtual_wire.py)
-    socketcan:can0                      Linux; the bit rate is set with `ip link`, not by us; also just `can0`, `vcan0`
-    socketcan:can0?filter=ids           the kernel lets through only what the master's machines want
+    virtual:demo?bitrate=1M&loss=0.001  the same with bit times, arbitration and faults (see virtual_wire.py)
+    socketcan:can0                      Linux; `ip link` sets the bit rate, not we; also just `can0`, `vcan0`
+    socketcan:can0?filter=ids           the kernel lets through only the frames that the master's machines want
     socketcan:can0?sync=bcm             the kernel's broadcast manager sends the cyclic SYNC
-    pcan:PCAN_USBBUS1@500k              PEAK adapters by PCAN-Basic; 500k where none is given
-    /dev/pcan32  /dev/pcanusb32         the same by PEAK's Linux device file, as the manual's chain files have it
+    pcan:PCAN_USBBUS1@500k              PEAK adapters by PCAN-Basic; 500k unless given
+    /dev/pcan32  /dev/pcanusb32         the same by PEAK's Linux device file, as in the manual's chain files
     slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
-    pcan:PCAN_USBBUS1@500k?listen_only=true     without a word of ours on the bus, not even an acknowledge (see `listen_only`)
-    tcp  tcp:localhost:20301            the bus of `canopen bus serve`, for several terminals of one computer, or of several
-    file:trace.log?speed=max            a log file, said again: .log, .asc, .blf, .trc (see `replay`)
+    pcan:PCAN_USBBUS1@500k?listen_only=true     only listens; does not even acknowledge (see `listen_only`)
+    tcp  tcp:localhost:20301            the bus of `canopen bus serve`, for several terminals, on one computer or several
+    file:trace.log?speed=max            a log file, replayed: .log, .asc, .blf, .trc (see `replay`)
     udp_multicast                       two terminals of one computer, without a server
     udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
     kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it
-    pythoncan:virtual:demo              the same where we have another meaning for the name, as for `virtual` and `socketcan`
+    pythoncan:virtual:demo              python-can's interface of a name that is ours otherwise, such as `virtual`, `socketcan`
 
-Bit rates: `500k`, `1M`, `83.333k`, `125000`. Channels and options are read as python-can reads them in its configuration files:
-`0` is a number, `true` is true.
+Bit rates: `500k`, `1M`, `83.333k`, `125000`. Channels and options are read as in python-can's configuration files: `0` is a
+number, `true` is true.
 
-The device files of PEAK's driver (in its character-device mode, "NET=NO") are numbered by kind of hardware: 0 to 7 PCI, 8 to 15
-ISA, 32 to 39 USB, 40 to 47 PC card. So `/dev/pcan32` is the first USB channel, PCAN-Basic's PCAN_USBBUS1. (16 to 31, the
-parallel-port dongles, are left out: PCAN-Basic has one name for all of them.)
+PEAK's driver numbers its device files (in character-device mode, "NET=NO") by hardware: 0 to 7 PCI, 8 to 15 ISA, 32 to 39 USB, 40
+to 47 PC card. So `/dev/pcan32` is the first USB channel, PCAN-Basic's PCAN_USBBUS1. Numbers 16 to 31, the parallel-port dongles,
+are refused: PCAN-Basic has one name for all of them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Option: TypeAlias = str | int | float | bool
 
 DEFAULT_BUS_NAME: Final = "default"
 MANUAL_BITRATE: Final = 500_000
-"""For /dev/pcan32, which the manual opens without naming a bit rate."""
+"""For /dev/pcan32, which the manual opens without a bit rate."""
 
 OUR_INTERFACES: Final = ("virtual", "tcp", "file", "pythoncan")
 _EXAMPLES: Final = ("virtual:demo", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "slcan:/dev/ttyACM0@250k", "udp_multicast")
@@ -50,7 +50,7 @@ _PEAK_DEVICE: Final = re.compile(r"/dev/pcan(usb|pci|isa|pcc)?([0-9]{1,2})")
 _PEAK_KINDS: Final = {0: "PCI", 8: "ISA", 32: "USB", 40: "PCC"}
 _NET_DEVICE: Final = re.compile(r"(?:v|vx|sl)?can[0-9]+")
 
-# Options that would break what a transport promises, with the reason.
+# Options that would break the promises of a transport, with the reason.
 _REFUSED_OPTIONS: Final = {
     "fd": "CANopen runs on classical CAN; CAN FD is not supported",
     "receive_own_messages": "a transport never hands out our own frames",
@@ -58,7 +58,8 @@ _REFUSED_OPTIONS: Final = {
 
 
 class Locator(NamedTuple):
-    """A locator in its parts. own: ours, not python-can's. bitrate: bit/s. channel, options: as python-can takes them."""
+    """The parts of a locator. own: whether the transport is ours, not python-can's. bitrate: bit/s. options: as python-can takes
+    them."""
 
     text: str
     own: bool
@@ -69,15 +70,15 @@ class Locator(NamedTuple):
 
     @property
     def python_can_channel(self) -> Option:
-        """The channel as python-can's own configuration would give it: a number where it looks like one."""
+        """The channel with the type that python-can's configuration would give it: a number if it looks like one."""
         return cast_from_string(self.channel)
 
 
 def parse_locator(text: str) -> Locator:
-    """A locator's parts. Raises TransportError (CO100) that says which part is wrong and what was perhaps meant."""
+    """Return the parts of a locator. Raises TransportError (CO100), which names the wrong part and proposes a correction."""
     address, _, query = text.strip().partition("?")
     options = dict(_options(text, query))
-    if address.startswith("file:"):  # a path may have any sign in it
+    if address.startswith("file:"):  # a path may contain any character
         return Locator(text, True, "file", address.removeprefix("file:"), None, options)
     address, bitrate = _split_bitrate(text, address)
     interface, colon, channel = address.partition(":")
@@ -101,21 +102,21 @@ def parse_locator(text: str) -> Locator:
 
 
 def parse_bitrate(text: str) -> int:
-    """Bit/s from "500k", "1M", "83.333k", "125000". ValueError says what is wrong with it."""
+    """Return the bit/s of "500k", "1M", "83.333k" or "125000". Raises ValueError with the reason."""
     match = _BITRATE.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not a bit rate such as 500k, 1M or 125000")
     bitrate = round(float(match[1]) * {"": 1, "k": 1_000, "M": 1_000_000}[match[2]])
     if bitrate > 1_000_000:
         raise ValueError(f"bit rate {text}: classical CAN has at most 1M")
-    if bitrate < 5_000:  # below it a dominant bit trips the transceivers' time-out; and "500" is always a mistake
+    if bitrate < 5_000:  # slower, a dominant bit trips the transceivers' time-out; "500" is a mistake
         hint = f"; did you mean {text}k?" if 5 <= bitrate <= 1_000 else ""
         raise ValueError(f"bit rate {text}: CAN has at least 5k{hint}")
     return bitrate
 
 
 def bitrate_text(bitrate: int) -> str:
-    """The short way to write a bit rate: 500000 is "500k"."""
+    """Return the short form of a bit rate: "500k" for 500000."""
     if bitrate % 1_000_000 == 0:
         return f"{bitrate // 1_000_000}M"
     return f"{bitrate // 1000}k" if bitrate % 1000 == 0 else str(bitrate)
@@ -148,7 +149,7 @@ def _peak_channel(text: str, path: str) -> str:
         kind = _PEAK_KINDS.get(minor & ~7)
         if kind is not None and match[1] in (None, kind.lower()):
             return f"PCAN_{kind}BUS{(minor & 7) + 1}"
-    seen = f"{path} is no device file of a PEAK adapter that has a name in PCAN-Basic"
+    seen = f"{path} is not a device file of a PEAK adapter with a name in PCAN-Basic"
     raise bad_locator(text, seen, ("/dev/pcan32", "pcan:PCAN_USBBUS1@500k"))
 
 
@@ -156,13 +157,13 @@ def _unknown_interface(text: str, interface: str) -> TransportError:
     known = (*OUR_INTERFACES, *sorted(VALID_INTERFACES))
     meant = nearest(interface, known)
     tries = [text.replace(interface, meant, 1)] if meant else []
-    seen = f"there is no interface {interface!r}" if interface else "it names no interface"
+    seen = f"there is no interface {interface!r}" if interface else "the locator names no interface"
     seen += f"; known are {', '.join(dict.fromkeys(known))}"
     return bad_locator(text, seen, (*tries, f"a locator such as {', '.join(_EXAMPLES)}"))
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that was probably meant."""
+    """Return the known word that was probably meant, or None."""
     spelled = {name.lower(): name for name in known}
     found = difflib.get_close_matches(word.lower(), spelled, n=1)
     return spelled[found[0]] if found else None

@@ -1,16 +1,16 @@
 """Log files of CAN buses: candump's `.log`, and by python-can's readers and writers `.asc`, `.blf` (Vector) and `.trc` (PEAK).
 
-`.log` is ours to read and write, since python-can's writer drops the length of remote frames. It is the default: text, one frame
-a line, and nothing that CANopen has is lost, except what is below a microsecond:
+We read and write `.log` ourselves, because python-can's writer drops the length of remote frames. It is the default kind: text,
+one frame a line. It loses nothing that CANopen has, except times below a microsecond:
 
     (1436509053.850870) can0 605#4041600000000000 T
 
-T or R at the end, as `candump -L -x` writes it: sent by whoever recorded, or received. Files without it are read too, and so is
-what candump shows on a screen (candump_text.py), in files that end in `.log` or `.txt`, and from standard input.
+T at the end means sent by the recorder, R received, as `candump -L -x` writes it; files without it are read, too. Files ending in
+`.log` or `.txt`, and standard input, may also contain what candump shows on a screen (candump_text.py).
 
-What the others lose is in LOSSES, measured with python-can 4.6 (see the tests). Entries that are no classical CAN frames (error
-frames, CAN FD, a measuring program's own events) are passed over when a file is read, and counted. What is no log of its kind, or
-ends in the middle, is an error, behind all frames that can be read.
+LOSSES says what the other kinds lose, measured with python-can 4.6 (see the tests). The reader skips and counts entries that are
+not classical CAN frames: error frames, CAN FD, a measuring program's own events. A file that is not of its kind, or that ends in
+the middle, raises an error after all frames that can be read.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LOSSES: Final = {
     "frames earlier than the first one get its time",
     ".trc": "remote frames are left out; names of buses become numbers",
 }
-"""What a kind of file cannot hold, for people. The keys are the kinds."""
+"""What a kind of file cannot hold, in words for people. The keys are the kinds."""
 
 _READING_ERRORS: Final = (
     ValueError,  # numbers that are none, dates
@@ -57,20 +57,20 @@ _READING_ERRORS: Final = (
     zlib.error,
     BLFParseError,
 )
-"""What python-can's readers raise over files that are none."""
+"""Exceptions of python-can's readers for files that are not of their kind."""
 
 _ENTRY: Final = {
     ".asc": re.compile(r"\s*[0-9]+\.[0-9]+\s+(?!Start of measurement)"),
     ".trc": re.compile(r"\s*[^\s;]"),
 }
-"""Lines that say what happened, as against headers and comments."""
+"""Lines that record an event, as opposed to headers and comments."""
 _HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
 _STATS: Final = "canopen log stats FILE    (what is in a file)"
 _UTF16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def _old_code_page(error: UnicodeError) -> tuple[str, int]:
-    """Makers' tools write in the code page of their computer: a German March is "M\\xe4r" there."""
+    r"""Decode as latin-1. Makers' tools write in their computer's code page: a German March is "M\xe4r" there."""
     assert isinstance(error, UnicodeDecodeError)
     return error.object[error.start : error.end].decode("latin-1"), error.end
 
@@ -87,7 +87,7 @@ class LogFileError(Explained, Exception):
 
 
 def kind_of(path: Path) -> str:
-    """The kind of a log file by its name: a key of LOSSES. Raises LogFileError."""
+    """Return the kind of a log file by its name: a key of LOSSES. Raises LogFileError."""
     kind = path.suffix.lower()
     if kind not in LOSSES:
         raise LogFileError(
@@ -100,11 +100,12 @@ def kind_of(path: Path) -> str:
 
 
 class LogReader:
-    """The records of a file, once, in its order. Iterating raises LogFileError, and holds the file open until its end or `close`.
+    """The records of a file, in its order. Iterate over it once; that raises LogFileError, and keeps the file open until its end
+    or `close`.
 
-    path: its ending says the kind; `.txt` is text of candump's, as `.log` is. stream: candump's text from elsewhere, such as
-    standard input, in place of a file; path then only names it. skipped: how many entries were no classical CAN frames, so far;
-    last_skip: why the last one was none.
+    path: its ending says the kind; `.txt` is candump's text, like `.log`. stream: candump's text from elsewhere, such as standard
+    input; path then only names it. skipped: how many entries were not classical CAN frames so far; last_skip: why the last was
+    not.
     """
 
     def __init__(self, path: Path, stream: BufferedReader | None = None) -> None:
@@ -115,14 +116,14 @@ class LogReader:
         self._kind = ".log" if stream is not None or path.suffix.lower() == ".txt" else kind_of(path)
 
     def __iter__(self) -> Generator[Record]:
-        # Opened here, as python-can's readers leave a file open when they raise.
+        # Opened here: python-can's readers leave a file open if they raise.
         try:
             if self._stream is not None:
                 text = _text(self._stream)
                 try:
                     yield from self._candump_records(text)
                 finally:
-                    text.detach()  # the stream is the caller's to close
+                    text.detach()  # the caller closes the stream
             elif self._kind == ".blf":
                 with open(self.path, "rb") as file:
                     yield from self._binary_records(file)
@@ -163,7 +164,7 @@ class LogReader:
         try:
             for message in reader:
                 if isinstance(reader, can.ASCReader) and reader.timestamps_format == "relative":
-                    seen = "its times are counted from line to line (timestamps relative)"
+                    seen = "each of its times counts from the line before (timestamps relative)"
                     raise self._not_understood(seen, 0, "have the program that wrote it write absolute times")
                 found = True
                 lines.entry = ""
@@ -173,7 +174,7 @@ class LogReader:
         except _READING_ERRORS as error:
             raise self._not_understood(_reason(error), lines.number) from error
         if lines.number and not (found or lines.has_header):
-            raise self._not_understood("it has neither a header nor frames")
+            raise self._not_understood("the file has neither a header nor frames")
 
     def _binary_records(self, file: BinaryIO) -> Iterator[Record]:
         size = file.seek(0, os.SEEK_END)
@@ -191,7 +192,7 @@ class LogReader:
                 raise self._not_understood(_reason(error)) from error
         if said > size:
             raise self._not_understood(
-                f"it ends in the middle: {size} of {said} bytes are there", 0, "copy it again, once its recorder has ended it"
+                f"the file ends in the middle, after {size} of {said} bytes", 0, "copy it again, after its recorder has closed it"
             )
 
     def _record_of_message(self, message: can.Message) -> Record | None:
@@ -204,15 +205,15 @@ class LogReader:
             self._skip(str(reason))
             return None
         channel = "" if message.channel is None else str(message.channel)
-        time = round(message.timestamp * 10**6) * 1000  # a float of today's date is no better than that
+        time = round(message.timestamp * 10**6) * 1000  # a float of today's date is no more exact
         return Record(time, f"can{channel}" if channel.isdecimal() else channel, frame, not message.is_rx)
 
 
 class _Lines:
-    """The lines of a text file, as python-can's readers take them, which are silent about what they cannot read.
+    """The lines of a text file for python-can's readers, which silently skip lines that they cannot read.
 
-    number: of the line read last. entry: that line, if it says what happened; "" once a reader has made a message of it.
-    has_header: whether there were other lines, too.
+    number: of the last line that was read. entry: that line, if it records an event; "" once a reader has returned a message for
+    it. has_header: whether there was a header line.
     """
 
     def __init__(self, file: TextIO, entry: re.Pattern[str], skip: Callable[[str], None]) -> None:
@@ -239,11 +240,11 @@ class _Lines:
         return line
 
     def close(self) -> None:
-        """A reader's, at its end; ours is who has opened it."""
+        """Does nothing: python-can's readers call it at their end, but our caller closes the file."""
 
 
 def _text(stream: BufferedReader) -> TextIOWrapper:
-    """The text of a stream from its beginning, by the mark there; UTF-8 without one."""
+    """Decode a stream from its beginning: by its byte order mark, as UTF-8 without one."""
     encoding = "utf-16" if stream.peek(2)[:2] in _UTF16_MARKS else "utf-8-sig"
     return TextIOWrapper(stream, encoding, errors="canopen-old-code-page")
 
@@ -253,20 +254,20 @@ def _reason(error: Exception) -> str:
 
 
 class LogWriter(Protocol):
-    """What a log file is written with. Raises OSError where there is no room."""
+    """Writes a log file. Raises OSError if there is no room."""
 
     left_out: int
-    """How many frames the file cannot hold."""
+    """How many frames this kind of file could not hold."""
 
     def write(self, record: Record) -> None:
         """Add a record."""
 
     def close(self) -> None:
-        """End the file. Until then it may be of no use, except `.log`."""
+        """End the file. Until then it may be unusable, unless it is a `.log`."""
 
 
 def log_writer(path: Path) -> LogWriter:
-    """Begin a log file, of the kind that its name says. A file that is there is replaced. Raises LogFileError."""
+    """Create a log file of the kind that its name says, replacing an older one. Raises LogFileError."""
     kind = kind_of(path)
     try:
         return CandumpWriter(open(path, "w", encoding="utf-8", buffering=1)) if kind == ".log" else _ForeignWriter(path, kind)
@@ -280,7 +281,7 @@ def _no_access(doing: str, path: Path, error: OSError) -> LogFileError:
 
 
 class CandumpWriter:
-    """Writes `.log`. A line is with the system as soon as it is written, so that a process that is killed leaves all of them."""
+    """Writes `.log`. Each line goes to the system at once, so that a killed process leaves all of them."""
 
     def __init__(self, file: TextIO) -> None:
         self.left_out = 0
@@ -298,7 +299,7 @@ class CandumpWriter:
 
 
 class _ForeignWriter:
-    """Writes by python-can. Channels are numbered in the order in which they come."""
+    """Writes by python-can. Channels are numbered in the order of their first frames."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.left_out = 0
@@ -329,7 +330,7 @@ class _ForeignWriter:
 
 
 def _opened_to_write(path: Path, kind: str) -> IO[Any]:
-    # Opened here, as python-can's writers leave a file open when they cannot end it. (The file's own name stands in a .trc.)
+    # Opened here: python-can's writers leave a file open if they cannot end it. (A .trc contains the file's name.)
     return open(path, "wb") if kind == ".blf" else open(path, "w", encoding="utf-8", errors="backslashreplace")
 
 

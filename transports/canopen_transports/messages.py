@@ -1,8 +1,8 @@
-"""The edge between python-can's messages and our frames: nothing but classical CAN frames that make sense gets through.
+"""Convert between python-can's messages and our frames; only valid frames of classical CAN pass.
 
 python-can checks neither direction, and its backends differ: a DLC above 8 with 8 bytes of data (legal on the wire), remote
-frames with data, CAN FD, error frames. What CANopen has no use for is refused here with a reason, so that the core never has to
-ask.
+frames with data, CAN FD, error frames. What CANopen cannot use is refused here with a reason, so that the core need not check
+again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_transports.transport import MAX_EXTENDED_ID, MAX_LENGTH, MAX_STANDARD_ID
 
 MAX_TIMESTAMP: Final = 1 << 33
-"""Seconds: what 64 bits of ns hold, as they may stand in a log. Anything above is no time stamp."""
+"""Seconds: what 64 bits of ns hold in a log. A larger number is not a time stamp."""
 
 
 class RefusedMessage(ValueError):
@@ -23,17 +23,17 @@ class RefusedMessage(ValueError):
 
 
 def frame_of(message: can.Message) -> Frame:
-    """The frame that a received message is. Raises RefusedMessage; error frames are to be sorted out before."""
+    """Return the frame in a received message. Raises RefusedMessage. The caller must sort out error frames before."""
     if message.is_fd:
         raise RefusedMessage("a CAN FD frame: CANopen runs on classical CAN")
     can_id, dlc = message.arbitration_id, message.dlc
-    # The types are looked at too: udp_multicast hands on whatever anybody packed into a datagram.
+    # The types are checked, too: udp_multicast passes on whatever was packed into a datagram.
     if not (isinstance(can_id, int) and isinstance(dlc, int) and isinstance(message.data, bytes | bytearray)):
         raise RefusedMessage("its fields have the wrong types")
     flags = EXTENDED if message.is_extended_id else 0
     if not 0 <= can_id <= (MAX_EXTENDED_ID if flags else MAX_STANDARD_ID):
         raise RefusedMessage(f"its CAN-ID 0x{can_id:X} is out of range")
-    # A DLC of 9 to 15 means 8 bytes in classical CAN (ISO 11898-1), and controllers report it as it stood on the wire.
+    # In classical CAN a DLC of 9 to 15 means 8 bytes (ISO 11898-1); controllers report the DLC of the wire.
     if not 0 <= dlc <= 15:
         raise RefusedMessage(f"its length {dlc} is out of range")
     length = min(dlc, MAX_LENGTH)
@@ -45,17 +45,17 @@ def frame_of(message: can.Message) -> Frame:
 
 
 def timestamp_of(message: can.Message) -> int | None:
-    """A received message's time stamp in ns; None where the backend gave none, or nonsense."""
+    """Return a received message's time stamp in ns; None if the backend gave none, or an invalid one."""
     stamp = message.timestamp
     if not (isinstance(stamp, int | float) and 0 < stamp < MAX_TIMESTAMP):
         return None
-    # A float of seconds: today's is good to some 0.2 us. Not to lose more, whole seconds go apart.
+    # A float of today's seconds is exact to 0.2 us. Whole seconds are converted apart, to lose no more.
     seconds, fraction = divmod(stamp, 1.0)
     return int(seconds) * 1_000_000_000 + round(fraction * 1e9)
 
 
 def message_of(frame: Frame, channel: str | None = None) -> can.Message:
-    """The message for a frame that has passed `check_frame`."""
+    """Return the message for a frame that has passed `check_frame`."""
     return can.Message(
         arbitration_id=frame.can_id,
         is_extended_id=bool(frame.flags & EXTENDED),

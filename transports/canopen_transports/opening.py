@@ -1,4 +1,4 @@
-"""`open_transport`: from a locator to an open bus, or to a message that says what to do about it."""
+"""`open_transport`: open the bus that a locator names, or raise an error that says what to do."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ OpenTransport: TypeAlias = (
 )
 
 MULTICAST_GROUP: Final = "239.74.163.2"
-"""python-can's IPv4 group. (Its default is an IPv6 group, which many computers have no route for.)"""
+"""python-can's IPv4 group. (Its default is an IPv6 group, to which many computers have no route.)"""
 MULTICAST_HOP_LIMIT: Final = 0
-"""Frames stay on this computer unless the locator says otherwise: drives must not be moved by a colleague's demonstration."""
+"""0 keeps frames on this computer unless the locator says otherwise: a colleague's demonstration must not move drives."""
 
 CONNECT_TIME: Final = 3.0
-"""Seconds that the server of socketcand has to accept a connection."""
+"""Seconds in which a socketcand server must accept a connection."""
 
-# python-can takes a bit rate for these, and does nothing with it.
+# python-can accepts a bit rate for these, and does not use it.
 _BITRATE_ELSEWHERE: Final = ("serial", "socketcand")
 
-# Backends complain to the log before they raise, and Python prints that where nobody has set up logging. What matters is in our
-# errors; an application that does set up logging still gets it all.
+# Backends log a complaint before they raise, and Python prints it if logging is not set up. Our errors say what matters; an
+# application that sets up logging still gets everything.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 async def open_transport(locator: str) -> OpenTransport | TracingTransport:
-    """An open transport for a locator such as "virtual:demo" or "socketcan:can0"; the module `locator` lists them all.
+    """Open the bus that a locator names, such as "virtual:demo" or "socketcan:can0"; the module `locator` lists them all.
 
     Must run in trio. The transport is a trio AsyncResource: `async with await open_transport("virtual:demo") as bus: ...` closes
-    it. Cancelled, it leaves nothing open. Raises TransportError: CO100 for a locator that makes no sense, CO101 and CO102 for a
-    bus that cannot be opened.
+    it. If cancelled, nothing stays open. Raises TransportError: CO100 for a locator that is not valid, CO101 and CO102 for a bus
+    that cannot be opened.
     """
     return traced(await _open(parse_locator(locator)))
 
@@ -79,7 +79,7 @@ def _open_socketcan(locator: Locator) -> SocketCanTransport:
         _check_net_device(locator)
     except (OSError, AttributeError) as error:  # no SocketCAN here
         raise diagnosis.cannot_open(locator, error) from error
-    from canopen_transports.socketcan import open_socketcan  # only now, as it is Linux's alone
+    from canopen_transports.socketcan import open_socketcan  # only here: Linux alone has it
 
     return open_socketcan(locator)
 
@@ -114,12 +114,12 @@ def _open_bus(locator: Locator) -> can.BusABC:
 
 
 def _bus(interface: str, channel: Option, options: dict[str, Any]) -> can.BusABC:
-    # ignore_config: python-can would else fill in what the locator leaves out from ~/.canrc and the environment.
+    # ignore_config: else python-can adds options from ~/.canrc and the environment that the locator does not name.
     return can.Bus(channel=channel if channel != "" else None, interface=interface, ignore_config=True, **options)  # type: ignore[arg-type]
 
 
 def _check_net_device(locator: Locator) -> None:
-    # Looked at before python-can does: it leaks its socket when the bind fails.
+    # Checked before python-can binds its socket, which it leaks if the bind fails.
     socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()  # OSError: no SocketCAN; AttributeError: not Linux
     if locator.channel not in (name for _, name in socket.if_nameindex()):
         raise diagnosis.interface_missing(locator)
@@ -128,7 +128,7 @@ def _check_net_device(locator: Locator) -> None:
 
 
 def _pending_error(bus: can.BusABC) -> int:
-    """The socket's pending error. The kernel binds to an interface that is DOWN, and leaves word of it here."""
+    """Return the socket's pending error. The kernel binds to an interface that is DOWN, and reports it here."""
     with socket.socket(fileno=os.dup(bus.fileno())) as own:
         return own.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
 
@@ -146,7 +146,7 @@ def _multicast_group(locator: Locator) -> str:
 
 
 def _check_server(locator: Locator) -> None:
-    # Looked at before python-can does: it tries for 10 s, without a pause.
+    # Checked before python-can connects: it would try for 10 s, without a pause.
     host, port = locator.options.get("host"), locator.options.get("port")
     if isinstance(host, str) and isinstance(port, int):
         socket.create_connection((host, port), timeout=CONNECT_TIME).close()
@@ -155,6 +155,6 @@ def _check_server(locator: Locator) -> None:
 def _check_peak_bitrate(locator: Locator) -> None:
     from can.interfaces.pcan.basic import PCAN_BITRATES
 
-    # python-can silently takes 500k for a bit rate that it does not find: with that, we would disturb a live bus.
+    # python-can silently uses 500k in place of an unknown bit rate, which would disturb a live bus.
     if locator.bitrate is not None and locator.bitrate not in PCAN_BITRATES:
         raise diagnosis.unknown_bitrate(locator, sorted(PCAN_BITRATES, reverse=True))

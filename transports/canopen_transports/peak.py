@@ -1,15 +1,14 @@
-"""What python-can's pcan backend leaves out: PCAN-Basic's status codes, and which channels are there.
+"""What python-can's pcan backend leaves out: PCAN-Basic's status codes, and the channels that exist.
 
 PCAN-Basic answers each call with a status: a set of bits (its `PCAN_ERROR_...`). Three kinds matter:
 
-- the bus's state: light, heavy and passive stand for the error counters' limits, and bus-off;
-- frames were lost, as the controller (OVERRUN) or the library's queue (QOVERRUN) was read too late;
-- everything else that is no mere want of room: the adapter is gone, the driver failed.
+- the state of the bus: light, heavy and passive stand for the limits of the error counters; and bus-off;
+- lost frames: the controller (OVERRUN) or the library's queue (QOVERRUN) was read too late;
+- all others, except those for a full or empty queue: the adapter is gone, or the driver failed.
 
-python-can turns them into exceptions that only carry the library's own texts for these bits. `PeakStatus.code` goes the way
-back, by asking the library for its texts. After bus-off python-can's `reset` does not help: PCAN-Basic's CAN_Reset empties the
-queues and leaves the controller as it is. Initialising the channel again brings it back, or `?auto_reset=true`, by which
-the driver does so itself.
+python-can turns a status into an exception that carries only the library's texts for these bits. `PeakStatus.code` finds the bits
+again by asking the library for its texts. After bus-off, python-can's `reset` does not help: PCAN-Basic's CAN_Reset empties the
+queues and leaves the controller as it is. The channel must be initialised again; with `?auto_reset=true` the driver does that.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _OVERRUNS: Final = OVERRUN | QUEUE_OVERRUN
 _NO_FAULT: Final = 0x1 | 0x20 | 0x80 | 0x20000 | 0x2000000  # XMTFULL, QRCVEMPTY, QXMTFULL, ILLDATA (CAN FD on the bus), CAUTION
 _LANGUAGE: Final = 0x9  # English
 
-# PCAN_CHANNEL_CONDITION: available, occupied, both where PEAK's own viewer has it (and lets others in)
+# PCAN_CHANNEL_CONDITION: available, occupied; both if PEAK's viewer uses the channel, which it shares
 _AVAILABLE: Final = 1
 _OCCUPIED: Final = 2
 
@@ -42,7 +41,7 @@ _KINDS: Final = {1: "bit error", 2: "form error", 4: "stuff error"}
 
 
 def state_of(status: int) -> BusState:
-    """The bus's state that a status tells, the gravest first."""
+    """Return the bus's state in a status: the worst, if there are several."""
     if status & BUS_OFF:
         return BusState.BUS_OFF
     if status & PASSIVE:
@@ -68,11 +67,11 @@ class PeakStatus:
         self._codes: dict[str, int] = {}
 
     def look(self) -> int:
-        """The status now."""
+        """Return the status now."""
         return int(self._bus.status())
 
     def code(self, error: BaseException) -> int:
-        """The status that an exception of python-can stands for; 0 where its text says nothing that the library knows."""
+        """Return the status that an exception of python-can stands for; 0 if the library does not know its text."""
         if not self._codes:
             self._codes = {self.text(1 << bit): 1 << bit for bit in range(32)}
             self._codes |= {self.text(code): code for code in (0x1400, 0x1800, 0x1C00)}  # the invalid handles: two bits each
@@ -83,7 +82,7 @@ class PeakStatus:
         return code
 
     def text(self, status: int) -> str:
-        """The library's words for a status of one bit; for several, one after the other."""
+        """Return the library's words for a status, those of several bits one after the other."""
         parts = [status] if status & (status - 1) == 0 or status in (0x1400, 0x1800, 0x1C00) else _bits(status)
         return "; ".join(self._one_text(part) for part in parts)
 
@@ -93,14 +92,16 @@ class PeakStatus:
 
 
 def error_text(message: can.Message) -> str:
-    """What an error frame of PCAN-Basic says. ID: the kind; data: direction, place in the frame, both error counters."""
+    """Return the meaning of an error frame of PCAN-Basic. Its ID is the kind; its data: direction, place in the frame, error
+    counters."""
     sending, _, received, sent = bytes(message.data[:4]).ljust(4, b"\0")
     kind = _KINDS.get(message.arbitration_id, "another error on the wire")
     return f"{kind} while {'receiving' if sending else 'sending'}, tx error counter {sent}, rx error counter {received}"
 
 
 def attached() -> dict[str, str]:
-    """The channels of all PEAK adapters that PCAN-Basic sees, each with "free" or "in use"; none where there is no library."""
+    """Return the channels of all PEAK adapters that PCAN-Basic sees, each with "free" or "in use"; none if the library is
+    missing."""
     found: dict[str, str] = {}
     with suppress(OSError, AttributeError, StopIteration, NotImplementedError):
         from can.interfaces.pcan import PcanBus

@@ -1,20 +1,20 @@
 """Any bus of python-can as a transport.
 
-How frames come in depends on what the backend offers: trio waits on its file descriptor, or one thread reads it (see `readers`).
+**Receiving** depends on the backend: trio waits on its file descriptor, or one thread reads it (see `readers`).
 
-How they go out: directly where the backend does not block, in a worker thread else. Where the backend has no room (ENOBUFS: the
-network queue is full because nobody acknowledges, or because the bus is slow) we try again for ROOM_TIME. One lock keeps the
-senders in order. Frames are whole or nothing for every backend, so a cancel while waiting for room means: not sent.
+**Sending** is direct if the backend does not block, else in a worker thread. If the backend has no room (ENOBUFS: the network
+queue is full because nobody acknowledges, or because the bus is slow) we try again for ROOM_TIME. A lock keeps the senders in
+order. Every backend sends a frame whole or not at all, so a cancel while waiting for room means: not sent.
 
 **When the bus goes away** (adapter unplugged, driver failed or hanging, interface down), a transport that was opened by a locator
-reports DOWN, opens the bus again each REOPEN_PAUSE until that succeeds, and reports UP; meanwhile `send` raises FrameNotSent. A
-bus that you opened yourself cannot be opened again: it ends with a TransportError.
+reports DOWN. It tries to open the bus again each REOPEN_PAUSE, and reports UP when it succeeds; meanwhile `send` raises
+FrameNotSent. A bus that you opened yourself cannot be opened again: the transport ends with a TransportError.
 
 **The controller's state** is known for pcan, whose status the reader thread looks at each READ_POLL, and for SocketCAN by its
-error frames; the other backends tell only that there was an error frame. Out of bus-off a PEAK adapter is brought back by
-initialising it again after REOPEN_PAUSE (`?auto_reset=true` leaves that to its driver, which does it at once).
+error frames; the other backends report only that there was an error frame. After bus-off, a PEAK adapter is initialised again
+after REOPEN_PAUSE (with `?auto_reset=true` its driver does that at once).
 
-What python-can hides, and so we cannot tell either: that a serial-line adapter refused a command (it answers BELL).
+python-can hides that a serial-line adapter refused a command (it answers BELL), so we cannot report it.
 """
 
 from __future__ import annotations
@@ -60,24 +60,24 @@ from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
 
 REOPEN_PAUSE: Final = 0.5
-"""Seconds before each try to open a bus that went away again. Long enough that a node which disturbs a bus until it is bus-off
-leaves the others nearly all of the time."""
+"""Seconds before each try to open a bus again. Long enough that a node which disturbs a bus until it is bus-off leaves the bus to
+the others nearly all of the time."""
 ROOM_TIME: Final = 1.0
-"""Seconds that a sender waits for room. Ten frames, a network queue's usual length, take 0.13 s even at 10 kbit/s."""
+"""Seconds that a sender waits for room. The ten frames of a usual network queue take 0.13 s even at 10 kbit/s."""
 ROOM_POLL: Final = 0.001
-"""Seconds between two tries (no file descriptor tells when a network queue has room again): four frames at 500k."""
+"""Seconds between two tries: four frames at 500k. (No file descriptor shows when a network queue has room again.)"""
 IDLE_PAUSE: Final = 0.001
-"""Seconds that a reader thread rests when its backend failed, or found nothing and did not wait for it."""
+"""Seconds that a reader thread rests after its backend failed, or returned nothing without waiting."""
 QUIET_TIME: Final = 1.0
-"""Seconds before an error on the wire is reported again: they may come with each frame."""
+"""Seconds before an error on the wire is reported again: errors may come with each frame."""
 MAX_NONSENSE: Final = 100
-"""What is no frame, in a row: then this is no such adapter (or `select` refuses its descriptor, each time)."""
+"""After so many invalid frames in a row, this is not such an adapter (or `select` refuses its descriptor each time)."""
 
 # Backends whose send only puts the frame into a queue.
 _SEND_DOES_NOT_BLOCK: Final = ("can.interfaces.virtual", "can.interfaces.pcan")
 _NONSENSE: Final = (ValueError, LookupError, TypeError, struct.error)
-"""What python-can's parsers of serial lines make of what is no frame."""
-_GARBLED: Final = "the serial line's speed (tty_baudrate) is wrong, or it is no such adapter"
+"""What python-can's parsers of serial lines raise for an invalid frame."""
+_GARBLED: Final = "the serial line's speed (tty_baudrate) is wrong, or this is another kind of adapter"
 _AWAY: Final = (BusState.DOWN, BusState.BUS_OFF)
 
 
@@ -85,12 +85,12 @@ class PythonCanTransport(trio.abc.AsyncResource):
     """A python-can bus, opened by `open_transport` or by you. Must be made inside a `trio.run`.
 
     owned: whether `aclose` shuts the bus down. A bus that you hand over must not echo its own frames (receive_own_messages), and
-    while it is wrapped nobody else may receive from it. queue_size: how many frames a reader thread keeps at most. reopen: opens
-    the bus again when it went away; raises TransportError.
+    nobody else may receive from it. queue_size: how many frames a reader thread keeps at most. reopen: opens the bus again after
+    it went away; raises TransportError.
 
     state: the controller's as far as it is known, or DOWN. received: how many frames came. refused, last_refusal: how many
-    messages were no classical CAN frames that make sense, and why the last was not. errors, last_error: how many error frames the
-    controller reported, and what the last one said. listen_only: whether nothing can be sent.
+    messages were not valid frames of classical CAN, and why the last was not. errors, last_error: how many error frames the
+    controller reported, and the text of the last one. listen_only: whether nothing can be sent.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         self._closed = False
         self._reopening = trio.CancelScope()
         self._send_lock = trio.Lock()
-        # udp_multicast hands us our own frames too, and no longer knows where they came from: we know them by this mark.
+        # udp_multicast also returns our own frames; this mark tells them apart.
         self._mark = secrets.token_hex(8) if comes_from(bus, ("can.interfaces.udp_multicast",)) else None
         self._queue = ReceiveQueue(self.locator, queue_size)
         self._attach(bus)
@@ -128,14 +128,14 @@ class PythonCanTransport(trio.abc.AsyncResource):
         self._bus = bus
         self._is_open = True
         self._lost: Exception | None = None  # why it can no longer be used
-        self._is_over = False  # that was reported, and nothing more will come
+        self._is_over = False  # reported; nothing more will come
         self._peak = peak.PeakStatus(bus) if comes_from(bus, ("can.interfaces.pcan",)) else None
         self._status = 0
         self._next_look = 0.0
         fd = file_descriptor(bus)
         self._is_socket = fd is not None and is_socket(fd)
         self._is_serial_line = fd is not None and not self._is_socket
-        # Of the others, some would take a time limit as "wait for the acknowledge".
+        # Some of the others understand a time limit as "wait for the acknowledge".
         self._send_limit = {"timeout": 0.0} if self._is_socket else {"timeout": ROOM_TIME} if self._is_serial_line else {}
         self._send_blocks = not (self._is_socket or comes_from(bus, _SEND_DOES_NOT_BLOCK))
         self._reader: Reader
@@ -147,9 +147,10 @@ class PythonCanTransport(trio.abc.AsyncResource):
     # ---- sending ----
 
     async def send(self, frame: Frame) -> None:
-        """Hand the frame to the backend, waiting up to ROOM_TIME for room; then TransportError (CO110) with the likely causes.
+        """Hand the frame to the backend. Waits up to ROOM_TIME for room, then raises TransportError (CO110) with the likely
+        causes.
 
-        FrameNotSent while the bus is away (see this module's text), and where it was opened to listen only.
+        Raises FrameNotSent while the bus is away (see this module's text), and on a bus that was opened to listen only.
         """
         check_frame(frame)
         message = message_of(frame, self._mark)
@@ -187,7 +188,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         if status and not peak.is_lost(status):
             return self._not_sent(frame, str(error))  # the reader thread looks at the status soon, and reports it
         self._lost = error
-        self._reader.wake()  # who waits to receive has something to tell
+        self._reader.wake()  # a waiting `receive` has something to report
         return self._not_sent(frame)
 
     def _not_sent(self, frame: Frame, seen: str = "") -> TransportError:
@@ -211,7 +212,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
     # ---- receiving ----
 
     async def receive(self) -> Received | Report:
-        """The next frame from the bus, or what the bus reports."""
+        """Return the next frame from the bus, or a report."""
         await trio.lowlevel.checkpoint_if_cancelled()
         while True:
             over = self._reader.is_over and self._queue.is_empty()
@@ -220,15 +221,16 @@ class PythonCanTransport(trio.abc.AsyncResource):
                 return received
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """What came from the bus, as soon as there is something."""
+        """Wait until something came from the bus; return it."""
         first = await self.receive()
         return [first] if self._queue.is_empty() else [first, *self._queue.take_many(limit - 1)]
 
     def _take(self, timeout: float) -> bool:
-        """One look at the bus, in the trio thread or in the reader thread: what came goes into the queue. False: it is over."""
+        """Look at the bus once, in the trio thread or the reader thread, and queue what came. Returns False if nothing more will
+        come."""
         if self._closed:
             return False
-        if self._lost is not None:  # a sender has met it
+        if self._lost is not None:  # a sender found out
             self._end(self._lost)
             return False
         began = time.monotonic()
@@ -246,14 +248,14 @@ class PythonCanTransport(trio.abc.AsyncResource):
         except diagnosis.DRIVER_ERRORS as error:
             try:
                 self._on_failed_read(error)
-            except diagnosis.DRIVER_ERRORS as worse:  # what has failed may fail at its clearing up, too: an unplugged line
+            except diagnosis.DRIVER_ERRORS as worse:  # clearing up may fail, too, as with an unplugged line
                 self._end(worse)
             if timeout:
-                time.sleep(IDLE_PAUSE)  # should each read fail
+                time.sleep(IDLE_PAUSE)  # in case every read fails
         return not (self._closed or self._is_over)
 
     def _on_failed_read(self, error: Exception) -> None:
-        """Put into the queue what a failed read means."""
+        """Queue what a failed read means."""
         status = self._peak.code(error) if self._peak is not None else 0
         nonsense = error if isinstance(error, _NONSENSE) else error.__cause__
         if self._peak is not None and status and not peak.is_lost(status):
@@ -263,8 +265,8 @@ class PythonCanTransport(trio.abc.AsyncResource):
         elif isinstance(nonsense, _NONSENSE) and self._nonsense < MAX_NONSENSE:
             self._nonsense += 1
             self._refuse(f"{type(nonsense).__name__}: {nonsense}")
-            seen = f"what came is no frame: {self.last_refusal}"
-            cause = _GARBLED if self._is_serial_line else "there is something else at the other end, or its driver is faulty"
+            seen = f"what came is not a valid frame: {self.last_refusal}"
+            cause = _GARBLED if self._is_serial_line else "another kind of device is at the other end, or its driver is faulty"
             self._queue.report(ReceiveOverrun(self.locator, 1, seen, cause=cause))
             drop_garbage(self._bus)
         else:
@@ -279,11 +281,11 @@ class PythonCanTransport(trio.abc.AsyncResource):
             self._end(can.CanOperationError(status_of.text(status)))
         elif (state := peak.state_of(status)) is not self.state:
             self._queue.report(self._change(state, status_of.text(status)))
-            # The driver brings it back by itself, the owner of the bus may do so, or we open it again.
+            # The driver or the bus's owner brings it back, or we open it again.
             self._is_over = state is BusState.BUS_OFF and self._reopen is not None and not self._locator.options.get("auto_reset")
 
     def _accept(self, message: can.Message) -> None:
-        """Put into the queue the frame that a message is, or what it reports; some stop here."""
+        """Queue the frame or the report in a message; drop our own and invalid frames."""
         if message.is_error_frame:
             self._on_error_frame(message)
         elif self._mark is None or message.channel != self._mark:
@@ -314,7 +316,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
             if report.overrun:
                 self._queue.report(ReceiveOverrun(self.locator, 1, report.text))
                 return
-        if state in (BusState.FAULT, BusState.NO_ACKNOWLEDGE):  # no state of the controller, and it may come with each frame
+        if state in (BusState.FAULT, BusState.NO_ACKNOWLEDGE):  # not a state of the controller; may come with each frame
             now = time.monotonic()
             if now >= self._quiet_until:
                 self._quiet_until = now + QUIET_TIME
@@ -325,7 +327,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
     # ---- the bus's state ----
 
     def _change(self, state: BusState, seen: str) -> BusStateChanged:
-        """The report of a new state of the controller."""
+        """Return the report of a new state of the controller."""
         self.state = state
         if state not in (BusState.BUS_OFF, BusState.NO_ACKNOWLEDGE):
             return BusStateChanged(self.locator, state, seen)
@@ -333,7 +335,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         return BusStateChanged(self.locator, state, seen, cause=why.cause, tries=why.tries)
 
     def _end(self, error: Exception) -> None:
-        """The bus is gone. If it can be opened again, report that; else `receive` raises it, after what came before."""
+        """The bus is gone. Report it if the bus can be opened again; else `receive` raises it, after all earlier frames."""
         self._lost = error
         self._is_over = True
         if self._reopen is not None:
@@ -345,17 +347,17 @@ class PythonCanTransport(trio.abc.AsyncResource):
     def _down(self, error: Exception) -> BusStateChanged:
         self.state = BusState.DOWN
         why = diagnosis.bus_lost(self._locator, "go on", error)
-        tries = why.tries if self._locator.interface == "socketcan" else ("plug it in again: it is then opened by itself",)
+        tries = why.tries if self._locator.interface == "socketcan" else ("plug it in again; it is then opened automatically",)
         return BusStateChanged(self.locator, BusState.DOWN, why.seen, cause=why.cause, tries=tries)
 
     async def _come_back(self) -> BusStateChanged | None:
-        """After a pause, try once to open the bus again; return what there is to report of it."""
+        """Wait REOPEN_PAUSE and try once to open the bus again. Returns the report of it, or None."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if self._reopen is None:
             raise self._bus_lost("receive")
         was_off = self.state is BusState.BUS_OFF
-        with trio.CancelScope() as self._reopening:  # `aclose` cancels it
+        with trio.CancelScope() as self._reopening:  # `aclose` cancels this
             await trio.sleep(REOPEN_PAUSE)
             async with self._send_lock:
                 await self._shut_down()
@@ -370,10 +372,10 @@ class PythonCanTransport(trio.abc.AsyncResource):
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if was_off:
             return BusStateChanged(self.locator, BusState.ACTIVE, "the controller was initialised again after bus-off")
-        return BusStateChanged(self.locator, BusState.UP, "the bus could be opened again")
+        return BusStateChanged(self.locator, BusState.UP, "the bus was opened again")
 
     async def aclose(self) -> None:
-        """Wake who waits with ClosedResourceError, end the reader thread, and shut the bus down if it is ours."""
+        """Wake waiting tasks with ClosedResourceError, end the reader thread, and shut the bus down if we own it."""
         if not self._closed:
             self._closed = True
             if self._is_open:
@@ -381,12 +383,12 @@ class PythonCanTransport(trio.abc.AsyncResource):
             self._queue.close()
             self._reopening.cancel()
             with trio.CancelScope(shield=True):
-                async with self._send_lock:  # whoever is sending, or opening the bus again, notices at its next step
+                async with self._send_lock:  # a task that sends or reopens notices at its next step
                     await self._shut_down()
         await trio.lowlevel.checkpoint()
 
     async def _shut_down(self) -> None:
-        """Let go of the bus; once, and even if cancelled."""
+        """Give the bus back: once, and even if cancelled."""
         if not self._is_open:
             return
         self._is_open = False
@@ -400,7 +402,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
 
 
 def _locator_of(bus: can.BusABC) -> Locator:
-    """What to call a bus that was opened by somebody else."""
+    """Return a locator that names a bus which somebody else opened."""
     parts = type(bus).__module__.split(".")
     interface = parts[2] if parts[:2] == ["can", "interfaces"] else type(bus).__name__
     channel = getattr(bus, "channel", "")

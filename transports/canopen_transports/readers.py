@@ -1,11 +1,11 @@
-"""How the frames of a python-can bus come in: two ways, and which backend needs which.
+"""Two ways to take frames from a python-can bus, and which backend needs which.
 
-- `DescriptorReader`: trio waits on the bus's file descriptor, and nothing else runs (SocketCAN, udp_multicast, slcan on POSIX).
-- `ThreadReader`: for what has nothing but a blocking `recv` (PCAN-Basic, Kvaser, python-can's `virtual`, ...), one thread fills a
-  bounded queue. It looks up every READ_POLL whether it shall end, so that closing is quick and clean.
+- `DescriptorReader`: trio waits on the bus's file descriptor, without a thread (SocketCAN, udp_multicast, slcan on POSIX).
+- `ThreadReader`: for a backend that has only a blocking `recv` (PCAN-Basic, Kvaser, python-can's `virtual`, ...), one thread
+  fills a bounded queue. It checks each READ_POLL whether it should end, so that closing is quick and clean.
 
-Both only say when to look at the bus. The look itself is the transport's: `take(timeout)` puts what came into the queue, and
-returns False when nothing more will come. Then the reader is over: another bus needs another reader.
+A reader only decides when to look at the bus. The look itself is the transport's: `take(timeout)` queues what came, and returns
+False when nothing more will come. Then the reader is over: another bus needs another reader.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ from canopen_transports.receive_queue import ReceiveQueue
 from canopen_transports.transport import Received
 
 READ_POLL: Final = 0.05
-"""Seconds between a reader thread's looks at whether it shall end, and at the adapter's status."""
+"""Seconds between a reader thread's checks of whether it should end, and of the adapter's status."""
 RECEIVE_BUFFER: Final = 2 << 20
-"""Bytes asked of the kernel for received frames. Its usual 208 KiB hold only some 250 frames; it gives what rmem_max allows."""
+"""Bytes asked of the kernel for received frames; it gives at most rmem_max. Its usual 208 KiB hold only some 250 frames."""
 
-# These have a descriptor, and yet waiting for it is not enough: `serial` and `seeedstudio` wait for the rest of a frame (0.1 s
-# and more, in which all of trio would stand still), and `robotell` keeps what it has read beyond one frame in its own buffer.
+# These have a descriptor, but waiting for it is not enough: `serial` and `seeedstudio` block until a frame is whole (0.1 s and
+# more, in which all of trio would stand still), and `robotell` buffers what it reads beyond one frame.
 _DESCRIPTOR_IS_NOT_ENOUGH: Final = ("can.interfaces.serial", "can.interfaces.seeedstudio", "can.interfaces.robotell")
 
-_SO_MEMINFO: Final = 55  # linux/sock_diag.h: getsockopt gives nine counters, the last one counts what the socket dropped
+_SO_MEMINFO: Final = 55  # linux/sock_diag.h: nine counters; the last one counts dropped frames
 _MEMINFO: Final = struct.Struct("9I")
 
 
 class Reader(ABC):
-    """See this module's text. is_over: nothing more will come; what has come is still in the queue."""
+    """See this module's text. is_over: nothing more will come; what came before is still in the queue."""
 
     is_over = False
 
     @abstractmethod
     async def get(self) -> Received | Report | None:
-        """The next frame or report. None: look again. Cancelled, it took none."""
+        """Return the next frame or report, or None: look again. If cancelled, it took none."""
 
     @abstractmethod
     def wake(self) -> None:
-        """Let whoever waits in `get` look again. Only in the trio thread, and before `stop`."""
+        """Make a task that waits in `get` look again. Only in the trio thread, and before `stop`."""
 
     @abstractmethod
     async def stop(self) -> None:
-        """Let go of the bus. It was closed, or `is_over`."""
+        """Give the bus back, which was closed or `is_over`."""
 
 
 class DescriptorReader(Reader):
-    """Waits in trio."""
+    """Waits for the file descriptor in trio."""
 
     def __init__(self, locator: str, fd: int, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._locator = locator
@@ -93,7 +93,7 @@ class DescriptorReader(Reader):
             self._socket.close()
 
     def _newly_dropped(self) -> int:
-        """How many frames the kernel has dropped for this socket since we last asked."""
+        """Return how many frames the kernel has dropped for this socket since the last call."""
         if self._socket is None:
             return 0
         try:
@@ -106,7 +106,7 @@ class DescriptorReader(Reader):
 
 
 class ThreadReader(Reader):
-    """Reads in a thread, until the transport is closed or the bus went away; left open, until the first frame after the run."""
+    """Reads in a thread until the transport is closed, the bus is gone, or the first frame after the end of the run."""
 
     def __init__(self, locator: str, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._queue = queue
@@ -122,13 +122,13 @@ class ThreadReader(Reader):
         return received
 
     def wake(self) -> None:
-        """Nothing to do: it looks up by itself."""
+        """Does nothing: the thread checks by itself."""
 
     async def stop(self) -> None:
         await trio.to_thread.run_sync(self._thread.join, DRIVER_TIME)
 
     def _run(self) -> None:
-        with suppress(trio.RunFinishedError):  # nobody closed us, and the run is over
+        with suppress(trio.RunFinishedError):  # the run ended before the transport was closed
             while self._take(READ_POLL):
                 if not self._queue.is_empty():
                     self._token.run_sync_soon(self._queue.wake, idempotent=True)
@@ -137,7 +137,7 @@ class ThreadReader(Reader):
 
 
 def file_descriptor(bus: can.BusABC) -> int | None:
-    """The bus's file descriptor, if it has one."""
+    """Return the bus's file descriptor, or None."""
     try:
         fd = bus.fileno()
     except (NotImplementedError, can.CanError, OSError):
@@ -146,22 +146,22 @@ def file_descriptor(bus: can.BusABC) -> int | None:
 
 
 def descriptor_is_enough(bus: can.BusABC) -> bool:
-    """Whether a bus that has a file descriptor can be read whenever that is readable, at once."""
+    """Return whether a bus can be read without blocking whenever its file descriptor is readable."""
     return not comes_from(bus, _DESCRIPTOR_IS_NOT_ENOUGH)
 
 
 def comes_from(bus: can.BusABC, modules: tuple[str, ...]) -> bool:
-    """Whether a bus is of one of these backends of python-can."""
+    """Return whether a bus is of one of these backends of python-can."""
     return any(cls.__module__.startswith(modules) for cls in type(bus).__mro__)
 
 
 def is_socket(fd: int) -> bool:
-    """Whether there is a socket behind a file descriptor, and not a serial line."""
+    """Return whether a file descriptor is a socket, not a serial line."""
     return stat.S_ISSOCK(os.fstat(fd).st_mode)
 
 
 def _socket_of(fd: int) -> socket.socket:
-    """A second handle on the socket behind a file descriptor."""
+    """Return a second handle on the socket of a file descriptor."""
     handle = socket.socket(fileno=os.dup(fd))
     handle.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
     return handle

@@ -1,9 +1,8 @@
-"""A bounded queue of received frames that says where it lost some.
+"""A bounded queue of received frames that shows where frames were lost.
 
-Filled from the trio thread or from one reader thread, emptied by a trio task. When it is full, what comes next is lost, but not
-silently: a mark goes into the queue at the place of the loss and counts. A reader so gets first all frames from before the loss,
-then one `ReceiveOverrun`, then what came after it, and always knows what it can rely on. In the same way reports stand between
-the frames: what a bus has to say that is no frame.
+The trio thread or one reader thread fills it, a trio task empties it. If it is full, the next frames are lost, but not silently:
+a mark at that place counts them. So a reader gets all frames from before the loss, then one `ReceiveOverrun`, then the frames
+after it. Reports of the bus stand in the same order between the frames.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.transport import Received
 
 RECEIVE_QUEUE_SIZE: Final = 8192
-"""Frames; about one second of a fully loaded 1 Mbit/s bus, which is longer than any stall that a controller survives anyway."""
+"""Frames: about one second of a fully loaded 1 Mbit/s bus. A longer stall overruns the controller in any case."""
 MAX_EXTRA: Final = 64
-"""Marks and reports that stand above the frames in a full queue. Then each new one takes the place of the last of its kind."""
+"""Marks and reports that a full queue holds beside the frames. Beyond that, a new one replaces the last of its kind."""
 
 K = TypeVar("K")
 
@@ -33,7 +32,7 @@ class _Lost:
 
 
 class ReceiveQueue:
-    """See this module's text. `put` and `report` may be called in any thread, followed by `wake` in the trio thread."""
+    """See this module's text. `put` and `report` may be called in any thread; then call `wake` in the trio thread."""
 
     def __init__(self, locator: str, size: int) -> None:
         if size < 1:
@@ -73,36 +72,36 @@ class ReceiveQueue:
         return next((item for item in reversed(self._items) if isinstance(item, kind)), None)
 
     def wake(self) -> None:
-        """Let whoever waits look again. Only in the trio thread."""
+        """Make waiting tasks look again. Only in the trio thread."""
         if self._waiting:
             self._waiting.unpark_all()
 
     def close(self) -> None:
-        """Wake whoever waits with ClosedResourceError. Only in the trio thread."""
+        """Wake waiting tasks with ClosedResourceError. Only in the trio thread."""
         self._closed = True
         self._items.clear()
         self._waiting.unpark_all()
 
     def is_empty(self) -> bool:
-        """Whether all that came was taken."""
+        """Return whether everything was taken."""
         return not self._items
 
     async def get(self) -> Received | Report:
-        """Wait for the next frame or report and return it. Cancelled, it took none."""
+        """Wait for the next frame or report and return it. If cancelled, it took none."""
         await self._filled()
         while (received := self.take()) is None:  # another task was quicker
             await self.woken()
         return received
 
     async def get_many(self, limit: int) -> list[Received | Report]:
-        """Wait until something is there; return it, at most `limit` frames and reports. Cancelled, it took nothing."""
+        """Wait until something is there; return at most `limit` frames and reports. If cancelled, it took nothing."""
         await self._filled()
         while not (taken := self.take_many(limit)):  # another task was quicker
             await self.woken()
         return taken
 
     async def _filled(self) -> None:
-        """Wait until something is there, or `close` was called; a checkpoint in any case."""
+        """Wait until something is there, or `close` was called. Always a checkpoint."""
         if self._items or self._closed:
             await trio.lowlevel.checkpoint()
         else:
@@ -113,7 +112,7 @@ class ReceiveQueue:
         await self._waiting.park()
 
     def take(self) -> Received | Report | None:
-        """The next frame or report, if there is one. Only in the trio thread."""
+        """Return the next frame or report, or None. Only in the trio thread."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self._locator} was closed")
         with self._lock:
@@ -121,7 +120,7 @@ class ReceiveQueue:
         return self._overrun(item) if isinstance(item, _Lost) else item
 
     def take_many(self, limit: int) -> list[Received | Report]:
-        """What is there, at most `limit` frames and reports. Only in the trio thread."""
+        """Return what is there: at most `limit` frames and reports. Only in the trio thread."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self._locator} was closed")
         taken: list[Received | Report] = []

@@ -1,10 +1,10 @@
-"""The receive test: open a bus, say nothing, and tell what is heard.
+"""The receive test: open a bus, send nothing, and report what is heard.
 
-The adapter is opened to listen only where python-can can do so: a bus that runs is then not disturbed even by a wrong bit rate.
-Elsewhere its controller acknowledges what others send, as any node does; a frame of ours is never sent.
+If python-can can make the adapter listen only, the test does so; then not even a wrong bit rate disturbs a running bus. Otherwise
+the adapter's controller acknowledges the frames of others, as any node does. The test never sends a frame.
 
-A wrong bit rate shows as error frames without any frame; `find_bitrate` tries one bit rate after the other, and only with
-adapters that listen only.
+A wrong bit rate shows as error frames without any frame. `find_bitrate` tries one bit rate after the other, and only with
+adapters that can listen only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from canopen_transports.opening import open_transport
 from canopen_transports.transport import Transport
 
 BITRATES: Final = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
-"""CiA 301's bit rates (v4.2.0, table 1), the usual ones first."""
+"""The bit rates of CiA 301 (v4.2.0, table 1), the usual ones first."""
 _HEARTBEATS: Final = range(0x701, 0x780)
 NO_WIRE: Final = ("virtual", "udp_multicast", "tcp")
 """Interfaces without a CAN controller."""
@@ -33,8 +33,12 @@ NO_WIRE: Final = ("virtual", "udp_multicast", "tcp")
 
 @dataclass
 class Heard:
-    """locator: as it was opened. listen_only: whether the adapter was silent. frames: how many. ids: how often each CAN-ID of 11
-    bits came. first: the first frame. states: what the bus reported besides, in order. faults: error frames. lost: frames."""
+    """What was heard on a bus.
+
+    locator: as it was opened. listen_only: whether the adapter only listened. frames: how many came. ids: how often each 11-bit
+    CAN-ID came. first: the first frame. states: the bus's reports, in order. faults: how many error frames. lost: how many
+    frames.
+    """
 
     locator: str
     listen_only: bool
@@ -47,12 +51,12 @@ class Heard:
 
     @property
     def nodes(self) -> list[int]:
-        """Nodes whose heartbeat or boot-up came."""
+        """The nodes whose heartbeat or boot-up came."""
         return sorted(can_id - 0x700 for can_id in self.ids if can_id in _HEARTBEATS)
 
     @property
     def is_bad(self) -> bool:
-        """Whether the bus is at fault, and not just silent."""
+        """Whether the bus is at fault, not merely silent."""
         return any(state in (BusState.BUS_OFF, BusState.DOWN) for state, _ in self.states) or self.faults > 0
 
 
@@ -61,21 +65,21 @@ def _has_silent_wire(locator: Locator) -> bool:
 
 
 def silently(locator: Locator) -> str:
-    """The locator that opens the same to listen only; itself where that cannot be."""
+    """Return the locator that opens the same bus to listen only, or the same locator if that is not possible."""
     if not can_listen_only(locator) or LISTEN_ONLY in locator.options:
         return locator.text
     return f"{locator.text}{'&' if '?' in locator.text else '?'}{LISTEN_ONLY}=true"
 
 
 async def listen(text: str, seconds: float) -> Heard:
-    """What is heard on a bus in that time. Raises TransportError where it cannot be opened, or fails."""
+    """Report what is heard on a bus within `seconds`. Raises TransportError if the bus cannot be opened, or fails."""
     locator = parse_locator(text)
     async with await open_transport(silently(locator)) as transport:
         return await listen_on(transport, text, seconds, listen_only=_has_silent_wire(locator))
 
 
 async def listen_on(transport: Transport, text: str, seconds: float, *, listen_only: bool = False) -> Heard:
-    """As `listen`, on a bus that is open."""
+    """Do the same on an open bus."""
     heard = Heard(text, listen_only)
     with trio.move_on_after(seconds):
         while True:
@@ -96,14 +100,14 @@ async def listen_on(transport: Transport, text: str, seconds: float, *, listen_o
 
 
 async def find_bitrate(text: str, seconds: float, told: Callable[[Heard], None] = lambda heard: None) -> Heard | None:
-    """Listen at one bit rate after the other, `seconds` each; the first at which frames come and no errors, or None.
+    """Listen at one bit rate after the other; return the first result with frames and without errors, or None.
 
-    told: called after each. Raises TransportError where the adapter cannot listen only (CO100) or not be opened; a bit rate that
-    it does not have is left out.
+    seconds: for each bit rate. told: called with each result. Bit rates that the adapter does not support are left out. Raises
+    TransportError if the adapter cannot listen only (CO100), or cannot be opened.
     """
     locator = parse_locator(text)
     if not _has_silent_wire(locator):
-        seen = f"we cannot make {locator.interface} listen only; with a wrong bit rate it would destroy the frames of others"
+        seen = f"{locator.interface} cannot listen only; with a wrong bit rate it would destroy the frames of others"
         tries: tuple[str, ...] = ("an adapter that can: pcan, slcan, kvaser, vector",)
         if locator.interface == "socketcan":
             again = f"sudo ip link set {locator.channel} down && {bring_up(locator)} listen-only on && canopen doctor -b {text}"

@@ -1,4 +1,4 @@
-"""`Record`: a frame in a log."""
+"""`Record`: one frame in a log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from canopen_proto.frame import Frame
 
 
 class Record(NamedTuple):
-    """A frame in a log. time: ns since 1970, or since the file begins. sent: by whoever recorded it."""
+    """One frame in a log. time: ns since 1970, or since the file begins. channel: its bus. sent: by the recorder itself."""
 
     time: int
     channel: str

@@ -1,15 +1,15 @@
-"""`file:trace.log`: a log file as a bus. What was said then is said again; nobody listens.
+"""`file:trace.log`: a log file as a bus. It replays the frames; what we send reaches nobody.
 
-    file:trace.log                  as fast as it was said
+    file:trace.log                  at the recorded speed
     file:trace.log?speed=10         ten times as fast; 0.1 is ten times slower
-    file:trace.log?speed=max        at once, as fast as it is taken
-    file:trace.log?speed=step       frame by frame, each when `step` is called: for programs and tests
-    file:trace.log?send=refuse      what we send is an error (CO111); by default it is swallowed, as the past cannot be changed
+    file:trace.log?speed=max        without waiting, as fast as frames are taken
+    file:trace.log?speed=step       one frame for each call of `step`: for programs and tests
+    file:trace.log?send=refuse      sending raises an error (CO111); by default the frame is swallowed
 
-Time is trio's, so that a recorded hour takes no time under a virtual clock. Time stamps are those of the file, in ns since 1970
-if it has dates. When all has been said, `receive` reports it once (BusStateChanged, DOWN), and then waits: a bus that is silent.
+Waiting uses trio's clock, so a recorded hour takes no time under a virtual clock. Time stamps are those of the file, in ns since
+1970 if it has dates. After the last frame `receive` reports the end once (BusStateChanged, DOWN), and then waits for ever.
 
-Frames of all buses in the file come, and those that the recorder sent too: who replays is a listener.
+Frames of all buses in the file come, also those that the recorder sent.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _SENDS: Final = ("swallow", "refuse")
 
 
 class ReplayTransport(trio.abc.AsyncResource):
-    """A member of a bus that is long gone. speed: how many times as fast as then; MAX: without waiting; STEP: by `step` only.
+    """The only member of a recorded bus. speed: how many times as fast; MAX: without waiting; STEP: by `step` only.
 
-    refuses: whether `send` raises. swallowed: how many frames it took without that. skipped: entries of the file that are no
-    frames of classical CAN, so far. Must be made inside a `trio.run`, where its time begins.
+    refuses: whether `send` raises. swallowed: how many frames `send` took. Must be made inside a `trio.run`; the replay begins
+    then.
     """
 
     def __init__(self, locator: str, path: Path, speed: float = 1.0, *, refuses: bool = False) -> None:
@@ -59,20 +59,20 @@ class ReplayTransport(trio.abc.AsyncResource):
         self._failure: TransportError | None = None
         self._closed = trio.Event()
         self._stepped = trio.lowlevel.ParkingLot()
-        self._advance()  # a file that is none shall not be a bus
+        self._advance()  # a file that is not a log must not open
 
     @property
     def skipped(self) -> int:
-        """Entries of the file that were passed over so far."""
+        """Entries of the file, so far, that are not classical CAN frames."""
         return self._reader.skipped
 
     @property
     def ended(self) -> bool:
-        """Whether all has been said."""
+        """Whether all frames were handed out."""
         return self._next is None
 
     def step(self, count: int = 1) -> None:
-        """With speed STEP: say so many frames more."""
+        """Let `count` more frames come, with speed STEP."""
         self._granted += count
         self._stepped.unpark_all()
 
@@ -87,13 +87,13 @@ class ReplayTransport(trio.abc.AsyncResource):
                 self.locator,
                 f"cannot send {frame} on {self.locator}",
                 seen="this bus is a recording",
-                tries=("without send=refuse what is sent is swallowed",),
+                tries=("leave out send=refuse: then frames are swallowed",),
             )
         self.swallowed += 1
         await trio.lowlevel.cancel_shielded_checkpoint()
 
     async def receive(self) -> Received | Report:
-        """The next frame, when its time has come; one BusStateChanged at the end. Raises TransportError for a damaged file."""
+        """Return the next frame when it is due; one BusStateChanged at the end. Raises TransportError for a damaged file."""
         await trio.lowlevel.checkpoint()
         self._check_open()
         while self._next is None:
@@ -116,7 +116,7 @@ class ReplayTransport(trio.abc.AsyncResource):
                 await self._wait(due)
         try:
             self._advance()
-        except TransportError as error:  # it comes behind this frame
+        except TransportError as error:  # raised after this frame
             self._next, self._failure = None, error
         return record.frame, record.time
 
@@ -157,7 +157,7 @@ class ReplayTransport(trio.abc.AsyncResource):
 
 
 def open_replay(locator: str, channel: str, options: dict[str, Option]) -> ReplayTransport:
-    """The bus for a locator's parts. Raises TransportError: CO100, CO101."""
+    """Open the bus for the parts of a locator. Raises TransportError: CO100, CO101."""
     speed = options.get("speed", 1)
     factor = {"max": MAX, "step": STEP}.get(speed) if isinstance(speed, str) else float(speed)
     sends = options.get("send", _SENDS[0])
@@ -169,7 +169,7 @@ def open_replay(locator: str, channel: str, options: dict[str, Option]) -> Repla
     if sends not in _SENDS:
         raise _bad(locator, f"send={sends} is neither swallow nor refuse")
     if not channel:
-        raise _bad(locator, "it names no file")
+        raise _bad(locator, "the locator names no file")
     return ReplayTransport(locator, Path(channel), factor, refuses=sends == "refuse")
 
 

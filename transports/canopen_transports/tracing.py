@@ -1,14 +1,14 @@
-"""Recording everything that is said on the buses that this process uses, as `--trace FILE` does.
+"""Record all frames on the buses that this process uses, as `--trace FILE` does.
 
     with recording(log_writer(Path("trace.log"))) as trace:
         ...                                         every transport that `open_transport` opens in here is recorded
 
-Each frame stands in the trace once: of several members of one bus in this process (the simulated drives of `-b demo`, and the
-master) only the first one records. Times are when this process saw or sent a frame, on one clock, trio's, for all buses; the
-kernel's time stamps, where there are such, come from another. A frame is recorded as sent once the bus has taken it, with the
-time at which it was given to the bus; what overtakes that waits, so that it stands behind it.
+Each frame is recorded once: if one bus has several members in this process (the master and the simulated drives of `-b demo`),
+only the first one records. A record's time is when this process saw or sent the frame, on trio's clock for all buses; the
+kernel's time stamps are on another clock. A sent frame is recorded once the bus has taken it, with the time at which it was given
+to the bus. Frames that overtake it are held back, so that the records stay in order.
 
-A trace that cannot be written (no room on the disk) ends, and says so at the end: the drives must not stop for it.
+If a trace cannot be written (no room on the disk), it ends, and says so at the end: the drives must not stop for it.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ class Named(Transport, Protocol):
 
     @property
     def locator(self) -> str:
-        """As `open_transport` takes it."""
+        """The bus, as `open_transport` takes it."""
 
 
 T = TypeVar("T", bound=Named)
 
 
 class Trace:
-    """One recording. devices_are_ours: simulated devices are who records, so that what they send counts as sent.
+    """One recording. devices_are_ours: the simulated devices record, so their frames count as sent.
 
-    failure: why it ended before its time, if it did. recorded: how many frames it holds. lost: how many it lacks at least, as
-    they were lost on their way to us. left_out: how many its kind of file cannot hold.
+    failure: why it ended early, or None. recorded: how many frames it holds. lost: how many it lacks at least, because they were
+    lost on their way to us. left_out: how many this kind of file cannot hold.
     """
 
     def __init__(self, writer: LogWriter, *, devices_are_ours: bool = False) -> None:
@@ -63,14 +63,14 @@ class Trace:
         self._names: dict[str, str] = {}
 
     def now(self) -> int:
-        """ns since 1970, as trio's clock has gone on since the first call."""
+        """Return the time in ns since 1970: the system's at the first call, continued on trio's clock."""
         now = round(trio.current_time() * 1e9)
         if self._zero is None:
             self._zero = time.time_ns() - now
         return now + self._zero
 
     def record(self, record: Record) -> None:
-        """Add a frame, as long as it is open; raises nothing."""
+        """Add a frame, unless the recording has ended. Raises nothing."""
         if self.failure is None and not self._closed:
             try:
                 self._writer.write(record)
@@ -80,7 +80,7 @@ class Trace:
                 self.recorded += 1
 
     def close(self) -> None:
-        """End the file, once; raises nothing."""
+        """End the file. May be called twice; raises nothing."""
         if self._closed:
             return
         self._closed = True
@@ -91,13 +91,13 @@ class Trace:
             self.failure = self.failure or error
 
     def wrap(self, transport: Named) -> TracingTransport:
-        """The transport, recorded."""
+        """Return the transport, recorded."""
         made = TracingTransport(transport, self)
         self._taps.setdefault(made.locator, []).append(made)
         return made
 
     def channel_of(self, locator: str) -> str:
-        """What a bus is called in the file: can0 is can0, of the others it is the interface with a number, such as virtual0."""
+        """Return a bus's name in the file: can0 for SocketCAN's can0, else the interface with a number, such as virtual0."""
         if locator not in self._names:
             parsed = parse_locator(locator)
             number = sum(name.startswith(parsed.interface) for name in self._names.values())
@@ -105,21 +105,19 @@ class Trace:
         return self._names[locator]
 
     def records(self, tap: TracingTransport) -> bool:
-        """Whether this member of its bus is the one that records; the last one does so for what it sends while it leaves, too."""
+        """Return whether this member of its bus is the one that records. The last one also records while it leaves."""
         taps = self._taps[tap.locator]
         return not taps or taps[0] is tap
 
     def leave(self, tap: TracingTransport) -> None:
-        """A member has left its bus."""
+        """Take a member that has left its bus out of the trace."""
         with suppress(ValueError):  # closed twice
             self._taps[tap.locator].remove(tap)
 
 
 class TracingTransport(trio.abc.AsyncResource):
-    """A transport that tells a trace what goes through it: as eager as the one below, and its SYNC is that one's if it sends it.
-
-    It hides that the one below could filter: all is to be recorded.
-    """
+    """A transport that records in a trace what passes through it. It offers what the transport below offers, except filters: a
+    trace must see all frames."""
 
     def __init__(self, transport: Named, trace: Trace) -> None:
         self.locator = transport.locator
@@ -137,12 +135,12 @@ class TracingTransport(trio.abc.AsyncResource):
 
     @property
     def errors(self) -> int:
-        """How many error frames came, as far as the transport below counts them."""
+        """How many error frames came, if the transport below counts them."""
         errors: int = getattr(self.transport, "errors", 0)
         return errors
 
     async def send(self, frame: Frame) -> None:
-        """As the transport below."""
+        """Send as the transport below does, and record the frame."""
         record = self._record_of(frame, self._ours)
         self._sending += 1
         try:
@@ -156,20 +154,20 @@ class TracingTransport(trio.abc.AsyncResource):
                 self._held.clear()
 
     def send_nowait(self, frame: Frame) -> bool:
-        """As the transport below; False where that one cannot."""
+        """Send as the transport below does; False if that one cannot."""
         if self._eager is None or not self._eager.send_nowait(frame):
             return False
         self._record_in_turn(self._record_of(frame, self._ours))
         return True
 
     async def receive(self) -> Received | Report:
-        """As the transport below."""
+        """Receive as the transport below does, and record the frame."""
         received = await self.transport.receive()
         self._note(received)
         return received
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """As the transport below; one by one if that one hands out no more at once."""
+        """Receive as the transport below does; one by one if that one has no `receive_many`."""
         if self._batch is None:
             return [await self.receive()]
         taken = await self._batch.receive_many(limit)
@@ -178,19 +176,19 @@ class TracingTransport(trio.abc.AsyncResource):
         return taken
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
-        """As the transport below, whose frames come back by `receive`."""
+        """Start cyclic frames on the transport below; they come back by `receive`."""
         assert self._cyclic is not None, "sends_sync says that it cannot"
         self._cyclic.start_cyclic(frames, period)
         self._cyclic_keys = {frame.key for frame in frames}
 
     def stop_cyclic(self) -> None:
-        """As the transport below."""
+        """Stop the cyclic frames."""
         assert self._cyclic is not None, "sends_sync says that it cannot"
         self._cyclic.stop_cyclic()
         self._cyclic_keys.clear()
 
     async def aclose(self) -> None:
-        """As the transport below."""
+        """Close the transport below, and leave the trace."""
         try:
             await self.transport.aclose()
         finally:
@@ -219,7 +217,7 @@ class TracingTransport(trio.abc.AsyncResource):
 
 @contextmanager
 def recording(writer: LogWriter, *, devices_are_ours: bool = False) -> Iterator[Trace]:
-    """Record what is opened while the block runs, and close the file at its end, however it ends. See `Trace`."""
+    """Record the transports that are opened while the block runs; close the file at its end, however it ends. See `Trace`."""
     trace = Trace(writer, devices_are_ours=devices_are_ours)
     token = _trace.set(trace)
     try:
@@ -231,7 +229,8 @@ def recording(writer: LogWriter, *, devices_are_ours: bool = False) -> Iterator[
 
 @contextmanager
 def for_devices() -> Iterator[None]:
-    """What is opened while the block runs is for simulated devices: the others, as far as a master's trace is concerned."""
+    """Mark the transports that are opened while the block runs as those of simulated devices: for a master's trace, their frames
+    are received."""
     token = _for_devices.set(True)
     try:
         yield
@@ -240,11 +239,11 @@ def for_devices() -> Iterator[None]:
 
 
 def current_trace() -> Trace | None:
-    """The trace that is being recorded."""
+    """Return the trace that is being recorded, or None."""
     return _trace.get()
 
 
 def traced(transport: T) -> T | TracingTransport:
-    """The transport, recorded if a trace is."""
+    """Return the transport, recorded if a recording runs."""
     trace = _trace.get()
     return transport if trace is None else trace.wrap(transport)

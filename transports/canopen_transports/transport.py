@@ -1,16 +1,17 @@
-"""What a transport is: frames in, frames out, nothing else.
+"""The transport: frames in, frames out, nothing else.
 
-A transport knows no CANopen. It carries `Frame`s between one participant and one CAN bus, and it keeps these promises, which
-`canopen_transports.conformance` checks for each of ours and can check for yours:
+A transport knows nothing of CANopen. It carries `Frame`s between one participant and one CAN bus, and keeps these promises, which
+`canopen_transports.conformance` checks for our transports and can check for yours:
 
-- Frames sent by one task arrive at each other participant once and in the order in which they were sent.
-- Our own frames do not come back.
-- Only classical CAN frames that make sense are handed out: CAN FD, error frames and nonsense stop at the edge.
+- Frames of one task arrive at each other participant once, and in the order in which they were sent.
+- A participant does not receive its own frames.
+- Only valid frames of classical CAN are handed out. CAN FD, error frames and invalid frames are dropped.
 - A received frame is lost only with a `ReceiveOverrun` at its place, or while the bus is away: between a `BusStateChanged` with
-  DOWN or BUS_OFF and one with UP or ACTIVE. A frame that is not sent makes `send` raise.
-- `send` and `receive` are whole or nothing: cancelled, the frame was not sent, and no frame was taken. Both let other tasks run.
-- Once closed, a waiting `receive` or `send` wakes with `trio.ClosedResourceError`, and so does each later one.
-- Closed, or not opened, it leaves nothing behind: no thread, no descriptor.
+  DOWN or BUS_OFF and one with UP or ACTIVE. If a frame is not sent, `send` raises.
+- `send` and `receive` are whole or nothing: if cancelled, the frame was not sent, or no frame was taken. Both let other tasks
+  run.
+- Closing wakes a waiting `receive` or `send` with `trio.ClosedResourceError`. Each later call raises it, too.
+- After closing, or after a failed opening, no thread and no descriptor is left.
 """
 
 from __future__ import annotations
@@ -26,29 +27,28 @@ MAX_EXTENDED_ID = 0x1FFFFFFF
 MAX_LENGTH = 8
 
 Received: TypeAlias = tuple[Frame, int | None]
-"""A frame and its time stamp: ns on the transport's own clock, which does not run back unless somebody sets it; None where it has
-none. virtual: trio's clock, with physics the frame's last bit. socketcan: the kernel's (CLOCK_REALTIME) when it took the frame;
-in the first moments after opening, when it was read. Of python-can it is the backend's: since 1970, or since the adapter was
-started. file: that of the file. tcp: None.
-"""
+"""A frame and its time stamp: ns on the transport's own clock, or None if it has none. The clock does not run back unless
+somebody sets it. virtual: trio's clock; with options, the end of the frame. socketcan: the kernel's clock (CLOCK_REALTIME) when
+it took the frame; in the first moments after opening, when the frame was read. python-can: the backend's, since 1970 or since the
+adapter started. file: that of the file. tcp: None."""
 
 
 class Transport(Protocol):
-    """One participant's place on one CAN bus. Write your own by giving a class these three methods."""
+    """One participant's place on one CAN bus. To write your own, give a class these three methods."""
 
     async def send(self, frame: Frame) -> None:
-        """Hand a frame to the bus: returns once the bus, or the adapter's queue, has taken it; that is not yet an acknowledge.
+        """Hand a frame to the bus. Returns once the bus, or the adapter's queue, has taken it; that is not yet an acknowledge.
 
-        Waits for room where a queue is full, and raises TransportError (CO110) when none comes; FrameNotSent (a TransportError)
-        while a bus is away that may come back. ValueError for a frame that classical CAN cannot carry.
+        If a queue is full, waits for room, and raises TransportError (CO110) if none comes. Raises FrameNotSent (a
+        TransportError) while a bus is away that may come back, and ValueError for a frame that classical CAN cannot carry.
         """
 
     async def receive(self) -> Received | Report:
-        """Wait for the next frame of another participant, and return it with its time stamp; or return a Report: a ReceiveOverrun
-        if frames were lost here, a BusStateChanged if the bus has something to tell.
+        """Wait for the next frame of another participant and return it with its time stamp, or return a Report.
 
-        One task at a time should receive: of two, each gets some of the frames, or one is refused by trio.BusyResourceError.
-        Raises TransportError when the bus fails.
+        A ReceiveOverrun reports frames that were lost here, a BusStateChanged the state of the bus. One task at a time should
+        receive: of two, each gets some of the frames, or one is refused by trio.BusyResourceError. Raises TransportError if the
+        bus fails.
         """
 
     async def aclose(self) -> None:
@@ -57,12 +57,13 @@ class Transport(Protocol):
 
 @runtime_checkable
 class FilteringTransport(Protocol):
-    """The additional methods of a transport that can leave out frames that nobody wants. filtered: whether it shall."""
+    """The additional methods of a transport that can leave out unwanted frames. filtered: whether it shall."""
 
     filtered: bool
 
     def set_filters(self, keys: Iterable[RoutingKey] | None) -> bool:
-        """Receive only frames of these routing keys (`Frame.key`) from now on, None: all. Whether it now leaves out others."""
+        """Receive only frames of these routing keys (`Frame.key`) from now on; None: all. Returns whether it leaves out others
+        now."""
 
 
 @runtime_checkable
@@ -70,17 +71,18 @@ class EagerTransport(Protocol):
     """The additional method of a transport that can hand a frame to the bus at once."""
 
     def send_nowait(self, frame: Frame) -> bool:
-        """Hand a frame to the bus; False, and nothing was sent, where it has no room: then use `send`. Errors as there."""
+        """Hand a frame to the bus. Returns False, and sends nothing, if there is no room: then use `send`. Raises what `send`
+        raises."""
 
 
 @runtime_checkable
 class BatchTransport(Protocol):
-    """The additional method of a transport that can hand over many frames at once."""
+    """The additional method of a transport that can return many frames at once."""
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Wait until something has come; return what is there, in order: one frame or report at least, `limit` at most.
+        """Wait until something has come; return 1 to `limit` frames and reports, in order.
 
-        Cancelled, it took nothing. Raises what `receive` raises, once everything before that was returned.
+        If cancelled, it took nothing. Raises what `receive` raises, once everything before that was returned.
         """
 
 
@@ -103,9 +105,9 @@ class CyclicTransport(Protocol):
     sends_sync: bool
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
-        """Send the first frame now, one more each `period` ns, in turn; each comes back by `receive`.
+        """Send the first frame now, then one each `period` ns, in turn. Each frame comes back by `receive`.
 
-        Cyclic frames that are sent already start again.
+        Replaces cyclic frames that are already sent.
         """
 
     def stop_cyclic(self) -> None:
@@ -113,7 +115,7 @@ class CyclicTransport(Protocol):
 
 
 def check_frame(frame: Frame) -> None:
-    """ValueError unless classical CAN can carry the frame. (`Frame` itself does not check: it stands in hot paths.)"""
+    """Raise ValueError unless classical CAN can carry the frame. (`Frame` itself does not check, for speed.)"""
     if not frame.flags and 0 <= frame.can_id <= MAX_STANDARD_ID and frame.dlc == len(frame.data) <= MAX_LENGTH:
         return  # nearly all of them
     extended = frame.flags & EXTENDED

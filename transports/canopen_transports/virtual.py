@@ -1,12 +1,12 @@
 """`virtual:NAME`: a CAN bus inside this process, for any number of participants.
 
-Pure trio: no thread, no socket, no clock of its own, so that tests and demonstrations run in virtual time (trio's MockClock).
-Every frame reaches every member but its sender, in one order for all. Members of one name meet only within one `trio.run`;
-another run, even in another thread of the same process, has its own buses. (Two processes meet on `udp_multicast`.)
+It is pure trio, without thread, socket or clock, so tests and demonstrations run in virtual time (trio's MockClock). Every frame
+reaches every member but its sender, in one order for all. Members of one name meet only within one `trio.run`; another run, even
+in another thread of this process, has its own buses. (For two processes, use `udp_multicast`.)
 
-What it leaves out of CAN: bit rate, arbitration, acknowledge. A frame that is sent with nobody else on the bus vanishes, where a
-real controller would repeat it for ever. With options (`virtual:NAME?bitrate=500k&loss=0.001&seed=7`) the bus has all of that,
-and faults: see virtual_wire.py.
+Bit rate, arbitration and acknowledge are left out. A frame that is sent with nobody else on the bus vanishes, where a real
+controller would repeat it for ever. With options (`virtual:NAME?bitrate=500k&loss=0.001&seed=7`) the bus has all of these, and
+faults: see virtual_wire.py.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ class _Line:
 
 
 class VirtualTransport(trio.abc.AsyncResource):
-    """A member of the in-process bus of this name, from now until `aclose`.
+    """A member of the in-process bus of this name until `aclose`. Must be made inside a `trio.run`.
 
-    queue_size: how many frames wait for this member at most; what comes on top is lost, with a ReceiveOverrun. Time stamps are
-    trio's clock in ns, the same for all members. Must be made inside a `trio.run`.
+    queue_size: how many frames can wait for this member; if more come, they are lost, with a ReceiveOverrun. Time stamps are
+    trio's clock in ns, the same for all members.
     """
 
     def __init__(self, name: str, queue_size: int = RECEIVE_QUEUE_SIZE) -> None:
@@ -75,15 +75,15 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._line.members += (self,)
 
     async def send(self, frame: Frame) -> None:
-        """Put the frame into the queue of every other member. Never waits for them: CAN has no back-pressure."""
+        """Queue the frame for every other member. Never waits: CAN has no back-pressure."""
         check_frame(frame)
         await trio.lowlevel.checkpoint_if_cancelled()
         self._hand_over(frame)
-        # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
+        # The frame is sent, so a cancel must not be reported here: it would tell the caller that it is not.
         await trio.lowlevel.cancel_shielded_checkpoint()
 
     def send_nowait(self, frame: Frame) -> bool:
-        """The same without letting other tasks run; always True, as there is always room."""
+        """Queue the frame for every other member, without letting other tasks run. Always True: there is always room."""
         check_frame(frame)
         self._hand_over(frame)
         return True
@@ -106,15 +106,15 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._receiver = receiver
 
     async def receive(self) -> Received | Report:
-        """The next frame that another member sent, or a report."""
+        """Return the next frame of another member, or a report."""
         return await self._queue.get()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """What other members have sent, as soon as there is something."""
+        """Wait until other members have sent something; return it."""
         return await self._queue.get_many(limit)
 
     async def aclose(self) -> None:
-        """Leave the bus; the last one to leave takes it down."""
+        """Leave the bus. The last member to leave ends it."""
         if not self._closed:
             self._closed = True
             self._receiver = None
@@ -129,9 +129,9 @@ class VirtualTransport(trio.abc.AsyncResource):
 async def open_virtual(
     locator: str, name: str, bitrate: int | None, options: Mapping[str, Option]
 ) -> VirtualTransport | WireTransport:
-    """One more member of the bus of this name: with physics where there are options, or where it has them already.
+    """Open one more member of the bus of this name: with physics if there are options, or if the bus has it already.
 
-    Raises TransportError (CO100) for options that make no sense, or that come when the bus is there without any.
+    Raises TransportError (CO100) for options that are not valid, or that come when the bus is open without any.
     """
     plain = _names()
     if name in plain and (options or bitrate is not None):
@@ -142,7 +142,7 @@ async def open_virtual(
 
 
 def _names() -> dict[str, _Line]:
-    """The instant buses of this run."""
+    """Return the buses of this run that have no physics."""
     try:
         return _buses.get()
     except LookupError:

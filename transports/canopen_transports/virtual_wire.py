@@ -1,24 +1,24 @@
-"""`virtual:NAME?bitrate=1M&...`: the bus inside this process with the physics of copper, in trio's time.
+"""`virtual:NAME?bitrate=1M&...`: the bus inside this process with bit times, arbitration and faults, in trio's time.
 
-A `Wire` (canopen_transports.wire) decides who sends when and what goes wrong; here it is given trio's clock. In virtual time
-(trio's MockClock) a bus runs as fast as it is computed, in real time it paces itself.
+A `Wire` (canopen_transports.wire) decides who sends when, and what goes wrong; this module gives it trio's clock. In virtual time
+(trio's MockClock) a bus runs as fast as it is computed, in real time at its own pace.
 
-    bitrate=500k        1M where it is left out; also virtual:NAME@500k
-    loss=0.001          of a thousand frames one is lost at one receiver; repeat=, corrupt=, delay= likewise
+    bitrate=500k        default 1M; also virtual:NAME@500k
+    loss=0.001          one of a thousand frames is lost at one receiver; repeat=, corrupt=, delay= likewise
     delay_ms=5          how late a late frame is at most
-    seed=7              which frames are hit
-    queue=fifo          or priority: which of a member's waiting frames competes for the bus; queue_size=64 frames wait at most
-    ack=true            a lone member repeats its frame for ever; false: somebody unseen acknowledges
-    recover=true        a member that is bus-off returns by itself; false: after `PhysicalBus.restart`
+    seed=7              decides which frames are hit
+    queue=fifo          or priority: which of a member's waiting frames competes for the bus; queue_size=64: how many can wait
+    ack=true            a lone member repeats its frame for ever; false: an unseen node acknowledges
+    recover=true        a member returns from bus-off by itself; false: after `PhysicalBus.restart`
 
-Who opens a name first says how that bus is. The others say the same, or nothing: `virtual:NAME` then joins it. queue and
-queue_size are each member's own.
+The first member of a name chooses the options of the bus. The others give the same options or none; `virtual:NAME` then joins
+that bus. queue and queue_size are each member's own.
 
-Opening takes as long as the frames that the others had queued before: a new member acknowledges from the beginning, and hears
-what comes behind them, as on every bus. So devices that were alone have booted when their master has opened the bus, and it does
-not take their boot-ups, which nobody had acknowledged, for a reset.
+Opening waits until the frames that other members had queued before are sent: a new member acknowledges them at once, but hears
+only later frames. So devices that were alone have booted when their master has opened the bus, and the master does not take their
+boot-ups, which nobody had acknowledged, for a reset.
 
-A test breaks the bus while it runs: `transport.bus` is the `PhysicalBus`, with `bus_off`, `babble`, `cut`, `mend` and `rates`.
+A test can break the bus while it runs: `transport.bus` is the `PhysicalBus`, with `bus_off`, `babble`, `cut`, `mend` and `rates`.
 """
 
 from __future__ import annotations
@@ -57,19 +57,19 @@ from canopen_transports.wire import (
 from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE
 
 DEFAULT_BITRATE: Final = 1_000_000
-_ALONE: Final = ("open a second member of the bus", "the option ack=false: somebody unseen acknowledges")
+_ALONE: Final = ("open a second member of the bus", "the option ack=false: an unseen node acknowledges")
 ROOM_TIME: Final = 1.0
 """Seconds that a sender waits for room in the transmit queue, as for a real adapter."""
 KEPT_FAULTS: Final = 1_000
-"""Of the last ones, to look at; `PhysicalBus.counts` has them all."""
+"""The number of latest faults that are kept for inspection; `PhysicalBus.counts` counts all."""
 
 _buses: trio.lowlevel.RunVar[dict[str, PhysicalBus]] = trio.lowlevel.RunVar("canopen_transports physical virtual buses")
 
 
 class PhysicalBus:
-    """A wire that runs, and its members. Made by the first member that opens it.
+    """A wire that runs, and its members. The first member that opens it makes it.
 
-    wire: the machine; look, but let this class change it. counts: the faults so far, by kind. faults: the last of them.
+    wire: the machine; read only. counts: the faults so far, by kind. faults: the latest of them.
     """
 
     def __init__(self, name: str, settings: WireSettings) -> None:
@@ -82,11 +82,11 @@ class PhysicalBus:
         self._room = trio.lowlevel.ParkingLot()
         self._bit = self.wire.time_of(1)
 
-    # ---- what a test may do to it ----
+    # ---- for tests ----
 
     @property
     def rates(self) -> FaultRates:
-        """How often frames are hit, from now on."""
+        """How often frames are hit. Setting it takes effect at once."""
         return self.wire.rates
 
     @rates.setter
@@ -94,23 +94,23 @@ class PhysicalBus:
         self.wire.rates = rates
 
     def bus_off(self, transport: WireTransport) -> None:
-        """Take a member bus-off: what it has queued is lost, and it hears nothing."""
+        """Take a member bus-off: its queued frames are lost, and it hears nothing."""
         self.wire.bus_off(transport.member, _clock())
         self.hand_out()
 
     def restart(self, transport: WireTransport) -> None:
-        """Let a member that is bus-off come back."""
+        """Let a member that is bus-off return."""
         self.wire.restart(transport.member, _clock())
         self.hand_out()
 
     def babble(self, frame: Frame, seconds: float) -> None:
-        """A node sends this frame again and again for so long."""
+        """Add a node that sends this frame again and again for `seconds`."""
         now = _clock()
         self.wire.babble(frame, now + round(seconds * SECOND), now)
         self.hand_out()
 
     def cut(self, half: Iterable[WireTransport]) -> None:
-        """Cut the cable: these members here, all others there. LocalProtocolError where it is cut already."""
+        """Cut the cable: these members on one side, all others on the other. Raises LocalProtocolError if it is cut already."""
         self.wire.cut([transport.member for transport in half], _clock())
         self.hand_out()
 
@@ -120,13 +120,13 @@ class PhysicalBus:
         self.hand_out()
 
     def load(self) -> float:
-        """Which part of the time since it was opened the bus was busy."""
+        """Return the part of the time since the bus was opened in which it was busy: 0 to 1."""
         return self.wire.load(_clock())
 
-    # ---- its members ----
+    # ---- members ----
 
     def join(self, transport: WireTransport, order: QueueOrder, queue_size: int) -> WireMember:
-        """One more. With the first one the bus begins to run."""
+        """Add a member. The first one starts the bus."""
         member = self.wire.join(_clock(), order=order, queue_size=queue_size)
         if not self._transports:
             trio.lowlevel.spawn_system_task(self._run, name=f"virtual bus {self.name}")
@@ -135,7 +135,7 @@ class PhysicalBus:
         return member
 
     def leave(self, transport: WireTransport) -> None:
-        """One less. With the last one the bus ends."""
+        """Remove a member. The last one ends the bus."""
         self.wire.leave(transport.member, _clock())
         del self._transports[transport.member]
         if not self._transports:
@@ -149,19 +149,20 @@ class PhysicalBus:
         self.hand_out()
 
     async def settle(self, member: WireMember) -> None:
-        """Wait until what all but this one have queued now is out, or lost: ROOM_TIME at most, as lower frames may starve."""
+        """Wait until the frames that the other members have queued now are sent or lost, but at most ROOM_TIME: frames may
+        starve."""
         queued = {each: each.sent + each.queued for each in self.wire.members if each is not member and each.queued}
         with trio.move_on_after(ROOM_TIME):
             while any(each.queued and each.sent < count for each, count in queued.items()):
                 await self.room()
 
     async def room(self) -> None:
-        """Wait until something has left a queue."""
+        """Wait until a frame has left a queue."""
         await self._room.park()
 
     async def _run(self) -> None:
-        """Lets happen what is due, one bit time later: who sends at one time so takes part together, whichever task comes first.
-        A receiver then still has two bits of intermission to answer before the next frame begins."""
+        """Run the wire one bit time late, so that all members that send at one time take part in the arbitration, whichever task
+        runs first. A receiver still has two bits of the intermission to answer before the next frame begins."""
         while self._transports:
             due = self.wire.next_deadline()
             with trio.move_on_at((due + self._bit) / SECOND if due < NEVER else math.inf) as scope:
@@ -171,7 +172,7 @@ class PhysicalBus:
                 self.hand_out()
 
     def hand_out(self) -> None:
-        """Deliver what came out of the wire, and look again when the next thing is due."""
+        """Deliver what came out of the wire, and look again when the next step is due."""
         deliveries, events = self.wire.drain()
         touched: dict[WireTransport, None] = {}
         for delivery in deliveries:
@@ -198,10 +199,10 @@ class PhysicalBus:
 
 
 class WireTransport(trio.abc.AsyncResource):
-    """A member of a PhysicalBus, from now until `aclose`; made by `open_wire`.
+    """A member of a PhysicalBus until `aclose`; made by `open_wire`.
 
-    bus: to break it. member: its controller, with state, error counters and transmit queue; read only. is_open: whether it
-    hears all, and not only what was queued after joined_at. Time stamps: the end of a frame; both in ns of trio's clock.
+    bus: to break it in tests. member: its controller, with state, error counters and transmit queue; read only. is_open: whether
+    it hears all frames; before, only those queued after joined_at. Time stamps: the end of a frame. Times are ns on trio's clock.
     """
 
     def __init__(self, locator: str, bus: PhysicalBus, order: QueueOrder, queue_size: int) -> None:
@@ -215,7 +216,7 @@ class WireTransport(trio.abc.AsyncResource):
         self._closed = False
 
     async def open(self) -> None:
-        """Hear what comes from now on, when what came before is over."""
+        """Wait until the frames from before are over, then hear all."""
         try:
             await self.bus.settle(self.member)
         except BaseException:
@@ -224,7 +225,7 @@ class WireTransport(trio.abc.AsyncResource):
         self.is_open = True
 
     async def send(self, frame: Frame) -> None:
-        """Queue the frame, as soon as there is room. It is out later, in its turn."""
+        """Queue the frame as soon as there is room. It is sent later, in its turn."""
         check_frame(frame)
         async with self._sending:
             with trio.move_on_after(ROOM_TIME):
@@ -232,11 +233,11 @@ class WireTransport(trio.abc.AsyncResource):
                     await self.bus.room()
             if not self._try_to_send(frame):
                 raise self._no_room(frame)
-        # The frame is out, so a cancel must no longer be reported here: else the caller would think that it is not.
+        # The frame is queued, so a cancel must not be reported here: it would tell the caller that it is not.
         await trio.lowlevel.cancel_shielded_checkpoint()
 
     def send_nowait(self, frame: Frame) -> bool:
-        """Queue the frame; False, and nothing was queued, if there is no room or others wait for it."""
+        """Queue the frame. Returns False, and queues nothing, if there is no room or another task waits."""
         check_frame(frame)
         return not self._sending.locked() and self._try_to_send(frame)
 
@@ -251,15 +252,15 @@ class WireTransport(trio.abc.AsyncResource):
         return True
 
     async def receive(self) -> Received | Report:
-        """The next frame that another member sent, or a report."""
+        """Return the next frame of another member, or a report."""
         return await self.queue.get()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """What other members have sent, as soon as there is something."""
+        """Wait until other members have sent something; return it."""
         return await self.queue.get_many(limit)
 
     async def aclose(self) -> None:
-        """Leave the bus; the last one to leave takes it down."""
+        """Leave the bus. The last member to leave ends it."""
         self._leave()
         await trio.lowlevel.checkpoint()
 
@@ -276,7 +277,7 @@ class WireTransport(trio.abc.AsyncResource):
             self.locator,
             f"{frame} was not sent on {self.locator}",
             seen=f"{full} for {ROOM_TIME:g} s; the controller is {self.member.state.value}",
-            cause="nobody else is on the bus to acknowledge" if alone else "frames of lower identifiers take the whole bus",
+            cause="nobody else is on the bus to acknowledge" if alone else "frames with lower identifiers take the whole bus",
             tries=_ALONE if alone else ("a higher bit rate", "fewer frames"),
         )
 
@@ -284,9 +285,9 @@ class WireTransport(trio.abc.AsyncResource):
 async def open_wire(
     locator: str, name: str, bitrate: int | None, options: Mapping[str, str | int | float | bool]
 ) -> WireTransport | None:
-    """One more member of the physical bus of this name. None where no options are given and there is no such bus.
+    """Open one more member of the physical bus of this name. Returns None without options if there is no such bus.
 
-    bitrate: that of the locator's @. Raises TransportError (CO100) for options that make no sense, or that are not the first's.
+    bitrate: the one after the locator's @. Raises TransportError (CO100) for options that are not valid, or not those of the bus.
     """
     try:
         buses = _buses.get()
@@ -301,7 +302,7 @@ async def open_wire(
         if bus is None:
             bus = buses.setdefault(name, PhysicalBus(name, settings))
         elif (bitrate is not None or set(options) - _OF_MEMBER) and settings != bus.wire.settings:
-            raise ValueError(f"there is a bus of this name with other options: {bus.wire.settings}")
+            raise ValueError(f"a bus of this name is open with other options: {bus.wire.settings}")
         transport = WireTransport(locator, bus, order, queue_size)
     except (ValueError, LocalProtocolError) as error:
         tries = (f"virtual:{name}?bitrate=500k&loss=0.001&seed=7", f"known options: {', '.join(sorted(_KNOWN))}")
@@ -322,7 +323,7 @@ def _settings(bitrate: int | None, options: dict[str, Option]) -> tuple[WireSett
     rates = {field: _number(options, name, 0.0) for name, field in _RATES.items()}
     named = options.get("bitrate")
     if named is not None and bitrate is not None:
-        raise ValueError("its bit rate is given twice")
+        raise ValueError("the bit rate is given twice")
     if named is not None:
         bitrate = parse_bitrate(str(named))
     settings = WireSettings(
@@ -334,37 +335,37 @@ def _settings(bitrate: int | None, options: dict[str, Option]) -> tuple[WireSett
     )
     order = options.get("queue", QueueOrder.FIFO.value)
     if order not in [each.value for each in QueueOrder]:
-        raise ValueError(f"queue={order}: it is fifo or priority")
+        raise ValueError(f"queue={order} is neither fifo nor priority")
     queue_size = _whole(options, "queue_size", TRANSMIT_QUEUE_SIZE)
     if queue_size < 1:
-        raise ValueError(f"queue_size={queue_size}: a queue needs room")
+        raise ValueError(f"queue_size={queue_size} is less than 1")
     return settings, QueueOrder(order), queue_size
 
 
 def _number(options: Mapping[str, object], name: str, default: float) -> float:
     value = options.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name}={value}: it is a number")
+        raise ValueError(f"{name}={value} is not a number")
     return value
 
 
 def _whole(options: Mapping[str, object], name: str, default: int) -> int:
     value = options.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{name}={value}: it is a whole number")
+        raise ValueError(f"{name}={value} is not a whole number")
     return value
 
 
 def _flag(options: Mapping[str, object], name: str) -> bool:
     value = options.get(name, True)
     if value not in (True, False):
-        raise ValueError(f"{name}={value}: it is true or false")
+        raise ValueError(f"{name}={value} is neither true nor false")
     return bool(value)
 
 
 _CAUSES: Final = {
     BusState.NO_ACKNOWLEDGE: ("nobody else is on the bus, or the cable is cut", _ALONE),
-    BusState.BUS_OFF: ("its frames were disturbed again and again, or a test did it", ("wait for error-active",)),
+    BusState.BUS_OFF: ("its frames were disturbed again and again, or a test took it bus-off", ("wait for error-active",)),
 }
 
 

@@ -1,7 +1,9 @@
-"""`python -m canopen_transports.conformance LOCATOR ...`: all cases on a bus. Exit status 1 if one failed, 2 for a wrong call.
+"""`python -m canopen_transports.conformance LOCATOR ...`: run all cases on a bus.
 
-One locator: all members open it (virtual:trial, socketcan:vcan0, tcp, udp_multicast). Several: a member each (two or three
-adapters that are cabled). NEVER on a bus with drives: they would be moved.
+With one locator, all members open it (virtual:trial, socketcan:vcan0, tcp, udp_multicast). With several, each member has its own
+(two or three adapters that are cabled). Exit status: 1 if a case failed, 2 for a wrong call.
+
+NEVER run it on a bus with drives: it would move them.
 """
 
 from __future__ import annotations
@@ -18,13 +20,13 @@ from canopen_transports.opening import open_transport
 
 
 def main(locators: list[str]) -> int:
-    """Run them, and say how each ended."""
+    """Run the cases and print how each ended. Returns the exit status."""
     if not locators or locators[0].startswith("-"):
         print(__doc__, file=sys.stderr)
         return 2
     try:
         trio.run(_open, locators)
-    except TransportError as error:  # one text, not one for each case
+    except TransportError as error:  # one text instead of one for each case
         print(error, file=sys.stderr)
         return 1
     failed = 0

@@ -1,5 +1,4 @@
-"""Where a transport is tried, and what the body of a case works with there: a `Site` says how to get a fresh bus, a `Bus` how one
-gets on it, and a `Bench` has the tools."""
+"""`Site`: how to get a fresh bus. `Bus`: how to join it. `Bench`: the tools that the body of a case works with."""
 
 from __future__ import annotations
 
@@ -20,17 +19,16 @@ from canopen_transports.opening import open_transport
 from canopen_transports.transport import Received, Transport
 
 HEAR_TIME: Final = 10.0
-"""Seconds that a frame may take at most: many times of what any of them takes on a busy computer."""
+"""Seconds that a frame may take at most. Even a busy computer needs only a fraction of it."""
 T = TypeVar("T", bound=Transport)
 
 DISTURBANCE: Final = 3e-4
-"""Seconds until a cancel comes at the latest: some frames of a bus with 1 Mbit/s."""
+"""Seconds until a cancel comes at the latest: the time of some frames at 1 Mbit/s."""
 
 
 BURST: Final = 10_000
-"""Frames; more than a second of a fully loaded bus, so that a receive queue of any reasonable size is full."""
-STREAM: Final = 2_000
-"""Frames."""
+"""Frames: more than a second of a fully loaded bus, which fills a receive queue of any reasonable size."""
+STREAM: Final = 2_000  # frames
 
 Join: TypeAlias = Callable[[int], Awaitable[Transport]]
 Opening: TypeAlias = Callable[[], Awaitable[Transport]]
@@ -39,18 +37,18 @@ Opening: TypeAlias = Callable[[], Awaitable[Transport]]
 class Bus:
     """One bus, fresh for each case.
 
-    join: opens the member at a place: 0, 1 or 2, each a different one. A place is used again only after its member was closed.
-    Raise NotApplicable for a place that there is not.
+    join: opens the member at a place: 0, 1 or 2, each a different one. A place is used again only after its member was closed. It
+    raises NotApplicable if the bus does not have that place.
     """
 
     def __init__(self, join: Join) -> None:
         self.join = join
 
     async def told(self, bench: Bench, frames: Sequence[Frame]) -> Transport:
-        """A member that hears these frames, and no others, from now on.
+        """Return a member that hears these frames from now on, and no others.
 
-        Override it for a transport that can only hear. Somebody else then has to say them, perhaps by `bench.say`; who is opened
-        for it, `bench.keep` closes in the end.
+        Override it for a transport that can only hear. Something else must then send the frames, perhaps through `bench.say`;
+        `bench.keep` closes what was opened for it.
         """
         speaker, hearer = await bench.members(2)
         bench.say(speaker, frames)
@@ -61,9 +59,10 @@ class Bus:
 class Site:
     """How a transport is tried.
 
-    open_bus: makes a fresh bus. unopenable: openings that must fail, each in a way of its own, see `openings`. virtual_time: it
-    needs neither threads nor the world outside, so cases run on trio's MockClock. burst: how many frames are sent while nobody
-    takes any; fewer for what cannot count what it loses then. stream: how many are sent while they are taken.
+    open_bus: makes a fresh bus. unopenable: openings that must fail, each for a different reason; see `openings`. virtual_time:
+    the transport needs neither threads nor the outside world, so the cases run on trio's MockClock. burst: how many frames are
+    sent while nobody takes any; choose fewer if the transport cannot count its losses. stream: how many are sent while they are
+    taken.
     """
 
     open_bus: Callable[[], AbstractAsyncContextManager[Bus]]
@@ -74,18 +73,18 @@ class Site:
 
 
 def openings(*locators: str) -> tuple[Opening, ...]:
-    """What `open_transport` would open."""
+    """Return openings that call `open_transport` with these locators."""
     return tuple(functools.partial(open_transport, locator) for locator in locators)
 
 
 def at(*locators: str) -> Callable[[], AbstractAsyncContextManager[Bus]]:
-    """A bus that is already there: one locator for all its members, or one for each place (adapters that are cabled)."""
+    """Return a bus that exists already: one locator for all its members, or one for each place (adapters that are cabled)."""
 
     async def join(place: int) -> Transport:
         if len(locators) == 1:
             return await open_transport(locators[0])
         if place >= len(locators):
-            raise NotApplicable(f"it takes {place + 1} members of a bus, and {len(locators)} were given")
+            raise NotApplicable(f"it needs {place + 1} members of a bus, and {len(locators)} were given")
         return await open_transport(locators[place])
 
     @asynccontextmanager
@@ -96,7 +95,7 @@ def at(*locators: str) -> Callable[[], AbstractAsyncContextManager[Bus]]:
 
 
 class Bench:
-    """A fresh bus of a site. What is opened here is closed when the case is over. nursery: for tasks beside the case's own."""
+    """A fresh bus of a site. It closes what it opened when the case is over. nursery: for tasks beside the case's own."""
 
     def __init__(self, site: Site, bus: Bus, stack: AsyncExitStack, nursery: trio.Nursery) -> None:
         self.site = site
@@ -105,16 +104,16 @@ class Bench:
         self._stack = stack
 
     async def join(self, place: int) -> Transport:
-        """One more member of the bus."""
+        """Open one more member of the bus."""
         return self.keep(await self._bus.join(place))
 
     def keep(self, member: T) -> T:
-        """Close it when the case is over."""
+        """Close the member when the case is over."""
         self._stack.push_async_callback(member.aclose)
         return member
 
     async def members(self, count: int) -> list[Transport]:
-        """So many, at the places from 0 on."""
+        """Open `count` members, at the places from 0 on."""
         return [await self.join(place) for place in range(count)]
 
     async def close_all(self) -> None:
@@ -122,15 +121,15 @@ class Bench:
         await self._stack.aclose()
 
     async def told(self, frames: Sequence[Frame]) -> Transport:
-        """A member that hears these frames from others, and nothing else."""
+        """Return a member that hears these frames from others, and no others."""
         return await self._bus.told(self, frames)
 
     def say(self, member: Transport, frames: Sequence[Frame]) -> None:
-        """Send these frames from now on, in a task of their own."""
+        """Send these frames from now on, in a separate task."""
         self.nursery.start_soon(_say, member, frames)
 
     async def hear(self, member: Transport) -> Received:
-        """The next frame; passes over what the bus tells of its state. Violation if none comes, or if frames were lost."""
+        """Return the next frame; skip reports of the bus's state. Raises Violation if none comes, or if frames were lost."""
         received = await self._next(member)
         if isinstance(received, ReceiveOverrun):
             raise Violation(f"{received.failed}: {received.seen}")
@@ -142,10 +141,10 @@ class Bench:
                 received = await member.receive()
                 if isinstance(received, tuple | ReceiveOverrun):
                     return received
-        raise Violation(f"a frame that was sent has not come in {HEAR_TIME:g} s")
+        raise Violation(f"a frame that was sent did not come within {HEAR_TIME:g} s")
 
     async def numbers(self, member: Transport, count: int) -> list[int]:
-        """The numbers of the next frames."""
+        """Return the numbers of the next `count` frames."""
         numbers: list[int] = []
         try:
             while len(numbers) < count:
@@ -159,35 +158,36 @@ class Bench:
         return numbers
 
     async def numbers_until_end(self, member: Transport) -> list[int]:
-        """The numbers of all frames that come before END."""
+        """Return the numbers of all frames before END."""
         numbers = []
         while (frame := (await self.hear(member))[0]) != END:
             numbers.append(number_of(frame))
         return numbers
 
     async def account(self, member: Transport, count: int) -> None:
-        """Take the numbered frames 0 to count - 1 in, of which some may be lost, if the transport says so before it goes on."""
+        """Take in the frames 0 to count - 1. Some may be lost, if the transport reports the loss before it hands out a later
+        frame."""
         heard = told = 0
         expected = 0
         while heard + told < count:
             try:
                 received = await self._next(member)
             except Violation as nothing:
-                raise Violation(f"of {count} frames {heard} came and {told} were told as lost, then nothing more") from nothing
+                raise Violation(f"of {count} frames {heard} came and {told} were reported lost, then nothing more") from nothing
             if isinstance(received, ReceiveOverrun):
                 expect(received.lost > 0, f"an overrun of {received.lost} frames")
                 told += received.lost
                 continue
             number = number_of(received[0])
             heard += 1
-            expect(number >= expected, f"frame {number} came behind frame {expected - 1}: twice, or out of order")
+            expect(number >= expected, f"frame {number} came after frame {expected - 1}: twice, or out of order")
             expected = number + 1
             missing = expected - heard
-            expect(missing <= told, f"frame {number} came when {missing} before it were missing and {told} told as lost")
-        expect(heard + told == count, f"of {count} frames {heard} came, and {told} were told as lost")
+            expect(missing <= told, f"frame {number} came; {missing} before it were missing, {told} reported lost")
+        expect(heard + told == count, f"of {count} frames {heard} came, and {told} were reported lost")
 
     def disturb(self, scope: trio.CancelScope, random: Random) -> None:
-        """Cancel what runs in that scope, or is to run there, at some moment; or not."""
+        """Perhaps cancel this scope at some moment, before or while it runs."""
         choice = random.randrange(4)
         if choice == 0:
             scope.deadline = trio.current_time() + random.uniform(0, DISTURBANCE)
@@ -196,7 +196,7 @@ class Bench:
 
 
 async def turns(count: int) -> None:
-    """Let the other tasks run so many times."""
+    """Let the other tasks run `count` times."""
     for _ in range(count):
         await trio.lowlevel.checkpoint()
 

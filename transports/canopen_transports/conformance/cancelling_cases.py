@@ -1,4 +1,4 @@
-"""`send` and `receive` are whole or nothing."""
+"""`send` and `receive` either do all their work or nothing."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, number_of, numbered
 
 SEEDS: Final = (1, 2, 3)
-STORM: Final = 200
-"""Frames."""
+STORM: Final = 200  # frames
 
 
 @case
@@ -46,7 +45,7 @@ async def cancelled_receive(bench: Bench) -> None:
 
 @case
 async def cancelled_send(bench: Bench) -> None:
-    """A cancelled send has sent nothing; one that returned has sent, though it was cancelled meanwhile."""
+    """A cancelled send has sent nothing; a send that returned has sent, even if it was cancelled meanwhile."""
     one, other = await bench.members(2)
     sent: list[int] = []
 
@@ -65,14 +64,14 @@ async def cancelled_send(bench: Bench) -> None:
                 await trio.lowlevel.checkpoint()
                 scope.cancel()
     await one.send(END)
-    expect_numbers(await bench.numbers_until_end(other), sent, "what arrives, and the sends that returned")
-    expect(set(range(2, 30, 3)) <= set(sent), "a send that nobody cancelled did not return")
-    expect(not set(range(0, 30, 3)) & set(sent), "a send that was cancelled before it began has sent")
+    expect_numbers(await bench.numbers_until_end(other), sent, "frames that arrived, against the sends that returned")
+    expect(set(range(2, 30, 3)) <= set(sent), "a send that was not cancelled did not return")
+    expect(not set(range(0, 30, 3)) & set(sent), "a send that was cancelled before it began sent its frame")
 
 
 @case
 async def storm_on_receive(bench: Bench) -> None:
-    """Receives that are cancelled at random moments lose no frame, and take none twice."""
+    """Receives that are cancelled at random moments lose no frame and take none twice."""
     count = STORM * len(SEEDS)
     member = await bench.told([numbered(number) for number in range(count)])
     for place, seed in enumerate(SEEDS):
@@ -87,7 +86,7 @@ async def storm_on_receive(bench: Bench) -> None:
 
 @case
 async def storm_on_send(bench: Bench) -> None:
-    """Sends of several tasks that are cancelled at random moments have sent or not; the frames of each task keep their order."""
+    """Sends of several tasks, cancelled at random moments, have sent or not; the frames of each task keep their order."""
     one, other = await bench.members(2)
     tasks = 4
     sent: list[list[int]] = [[] for _ in range(tasks)]
@@ -112,8 +111,8 @@ async def storm_on_send(bench: Bench) -> None:
     heard = await bench.numbers_until_end(other)
     for task, expected in enumerate(sent):
         of_one = [number for number in heard if number in set(expected)]
-        expect_numbers(of_one, expected, f"what arrives of task {task}, and its sends that returned")
-    expect_numbers(sorted(heard), sorted(itertools.chain(*sent)), "what arrives of all, and the sends that returned")
+        expect_numbers(of_one, expected, f"frames of task {task}, against its sends that returned")
+    expect_numbers(sorted(heard), sorted(itertools.chain(*sent)), "frames of all tasks, against the sends that returned")
 
 
 CASES: Final[tuple[Case, ...]] = (cancelled_receive, cancelled_send, storm_on_receive, storm_on_send)

@@ -1,4 +1,4 @@
-"""Frames from one member to the others."""
+"""Frames travel from one member to the others."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from canopen_transports.conformance.frames import END, EVERY_KIND, IMPOSSIBLE, n
 from canopen_transports.transport import Transport
 
 PAUSE: Final = 0.05
-"""Seconds between two frames, by our clock."""
+"""Seconds between two frames, on our clock."""
 MUCH_LATER: Final = 600.0
-"""Seconds that nothing here takes: what is more is no time in ns."""
+"""Seconds; no case takes so long. A larger difference shows that a time stamp is not in ns."""
 
 
 @case
 async def every_kind_of_frame(bench: Bench) -> None:
-    """Data and remote frames, 11 and 29 bits, 0 to 8 bytes arrive as they were sent."""
+    """Data and remote frames, with 11 and 29 bits and 0 to 8 bytes, arrive as they were sent."""
     member = await bench.told(EVERY_KIND)
     for frame in EVERY_KIND:
         received, stamp = await bench.hear(member)
@@ -33,25 +33,25 @@ async def every_kind_of_frame(bench: Bench) -> None:
 
 @case
 async def impossible_frames(bench: Bench) -> None:
-    """What classical CAN cannot carry is refused by ValueError, and not sent."""
+    """A frame that classical CAN cannot carry is refused with ValueError, and not sent."""
     one, other = await bench.members(2)
     for reason, frame in IMPOSSIBLE.items():
         try:
             await one.send(frame)
         except ValueError:
             continue
-        expect(False, f"{frame!r} was taken ({reason})")
+        expect(False, f"{frame!r} was accepted ({reason})")
     await one.send(END)
     received, _ = await bench.hear(other)
-    expect(received == END, f"{received!r} came of what was refused")
+    expect(received == END, f"{received!r} came, though it was refused")
 
 
 @case
 async def order(bench: Bench) -> None:
-    """What one task sends arrives in that order, in both directions at once."""
+    """The frames of one task arrive in order, in both directions at once."""
     count = 200
     one, other = await bench.members(2)
-    async with trio.open_nursery() as nursery:  # apart by their numbers: two frames of one identifier at one time are an error
+    async with trio.open_nursery() as nursery:  # different numbers: two nodes must not send one identifier
         for first, sender, hearer in ((0, one, other), (count, other, one)):
             numbers = list(range(first, first + count))
             nursery.start_soon(_expect_numbers, bench, hearer, numbers)
@@ -64,7 +64,7 @@ async def _expect_numbers(bench: Bench, member: Transport, numbers: list[int]) -
 
 @case
 async def order_of_each_task(bench: Bench) -> None:
-    """Several tasks may send on one member: the frames of each arrive in its order."""
+    """Several tasks may send on one member: the frames of each task arrive in order."""
     one, other = await bench.members(2)
     tasks, count = 5, 40
 
@@ -82,19 +82,19 @@ async def order_of_each_task(bench: Bench) -> None:
 
 @case
 async def no_echo(bench: Bench) -> None:
-    """Our own frames do not come back."""
+    """A member does not receive its own frames."""
     one, other = await bench.members(2)
     for number in range(5):
         await one.send(numbered(number))
     expect_numbers(await bench.numbers(other, 5), list(range(5)), "what was sent")
-    await other.send(END)  # had they come back, they would stand before it
+    await other.send(END)  # an echo would come before it
     received, _ = await bench.hear(one)
     expect(received == END, f"{received}, which this member sent, came back to it")
 
 
 @case
 async def three_members(bench: Bench) -> None:
-    """Each of three members hears the two others, each once and in order."""
+    """Each of three members hears the two others, every frame once and in order."""
     members = await bench.members(3)
     for number in range(30):
         await members[number % 3].send(numbered(number))
@@ -107,32 +107,32 @@ async def three_members(bench: Bench) -> None:
 
 @case
 async def one_member_alone(bench: Bench) -> None:
-    """One member alone can send; who comes later misses what was said before, but nothing in between."""
+    """A lone member can send; a member that joins later misses what was sent before, but nothing in between."""
     one = await bench.join(0)
     for number in range(3):
         await one.send(numbered(number))
     late = await bench.join(1)
     await one.send(END)
     heard = await bench.numbers_until_end(late)
-    expect(heard == [0, 1, 2][3 - len(heard) :], f"frames 0, 1, 2 were sent before and while it came, and it heard {heard}")
+    expect(heard == [0, 1, 2][3 - len(heard) :], f"frames 0, 1, 2 were sent before and while it joined, and it heard {heard}")
 
 
 @case
 async def who_leaves(bench: Bench) -> None:
-    """A member that leaves, even one that has just sent, does not disturb the others."""
+    """A member that leaves, even just after sending, does not disturb the others."""
     one, other, leaver = await bench.members(3)
     await leaver.send(numbered(1))
-    expect_numbers(await bench.numbers(other, 1), [1], "what was sent by who is about to leave")
+    expect_numbers(await bench.numbers(other, 1), [1], "the frames of the member that is about to leave")
     await leaver.send(numbered(2))
     await leaver.aclose()
     await one.send(END)
     heard = await bench.numbers_until_end(other)
-    expect(heard in ([2], []), f"frame 2 was sent by who left at once, and {heard} came")
+    expect(heard in ([2], []), f"frame 2 was sent by a member that left at once, and {heard} came")
 
 
 @case
 async def who_comes_and_goes(bench: Bench) -> None:
-    """Members come and go while others talk, who miss nothing."""
+    """While members join and leave, the others miss nothing."""
     one, other = await bench.members(2)
     count, comings = 100, 5
     bench.say(one, [numbered(number) for number in range(count)])
@@ -144,13 +144,15 @@ async def who_comes_and_goes(bench: Bench) -> None:
             heard += await bench.numbers(other, 1)
         await guest.aclose()
     heard += await bench.numbers(other, count + comings - len(heard))
-    expect_numbers([number for number in heard if number < count], list(range(count)), "what the one sent that stayed")
-    expect_numbers([number for number in heard if number >= count], list(range(count, count + comings)), "what the guests sent")
+    expect_numbers([number for number in heard if number < count], list(range(count)), "the frames of the member that stayed")
+    expect_numbers(
+        [number for number in heard if number >= count], list(range(count, count + comings)), "the frames of the guests"
+    )
 
 
 @case
 async def time_stamps(bench: Bench) -> None:
-    """Time stamps are ns on a clock that goes on as ours does; or there is none."""
+    """Time stamps are ns on a clock that runs as fast as ours; or there are none."""
     one, other = await bench.members(2)
     stamps = []
     for number in range(2):

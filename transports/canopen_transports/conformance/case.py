@@ -1,12 +1,12 @@
-"""What a case is, and how it ends.
+"""A case, and how it ends.
 
-A body gets a `Bench` with a fresh bus and says what it expects by `expect`; the first expectation that is not met ends it. What
-can end a case:
+The body of a case gets a `Bench` with a fresh bus and states what it expects by `expect`. The first expectation that is not met
+ends it. A case ends in one of these ways:
 
     it returns              passed
-    Violation               the transport did what it must not, or did not what it must; or it left something behind
-    NotApplicable           the transport does not have what the case is about
-    anything else           failed, too: a transport raises what the contract says, and nothing else
+    Violation               failed: the transport broke a promise, or left something behind
+    NotApplicable           the transport lacks the feature that the case is about
+    anything else           failed: a transport raises only what the contract allows
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Body: TypeAlias = Callable[[Bench], Awaitable[None]]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One case. name: for programs. title: what is promised, in a line."""
+    """One case. name: for programs. title: the promise, in one line."""
 
     name: str
     title: str
@@ -42,13 +42,13 @@ class Case:
         return self.name
 
     def run(self, site: Site) -> None:
-        """Ask the transport, in a `trio.run` of its own. Raises what ends the case, see this module's text."""
+        """Run the case in its own `trio.run`. Raises the exception that ends the case; see this module's text."""
         clock = trio.testing.MockClock(autojump_threshold=0) if site.virtual_time else None
         failure: BaseException
         try:
             trio.run(self._in_trio, site, clock=clock)
         except trio.TooSlowError as error:
-            raise Violation(f"{self.title}: it hangs, not over after {LIMIT:g} s") from error
+            raise Violation(f"{self.title}: the case hangs; it was not over after {LIMIT:g} s") from error
         except BaseExceptionGroup as group:
             failure = group
             while isinstance(failure, BaseExceptionGroup):
@@ -56,14 +56,14 @@ class Case:
             raise failure from failure.__cause__
 
     def verdict(self, site: Site) -> Verdict:
-        """The same; never raises an Exception."""
+        """Run the case and return its verdict. Never raises an Exception."""
         try:
             self.run(site)
         except NotApplicable as reason:
             return Verdict(Result.NOT_APPLICABLE, str(reason))
         except Violation as violation:
             return Verdict(Result.FAILED, str(violation))
-        except Exception as error:  # noqa: BLE001 - whatever a transport may raise that it should not
+        except Exception as error:  # noqa: BLE001 - a faulty transport may raise anything
             return Verdict(Result.FAILED, f"{type(error).__name__}: {error}")
         return Verdict(Result.PASSED)
 
@@ -74,10 +74,10 @@ class Case:
                 await self.body(Bench(site, bus, stack, nursery))
                 nursery.cancel_scope.cancel()
         left = sorted(leftovers.held() - before)
-        expect(not left, f"all members are closed, and this is left: {', '.join(left)}")
+        expect(not left, f"all members are closed, but this is left open: {', '.join(left)}")
 
 
 def case(body: Body) -> Case:
-    """Makes a case of its body, whose docstring is the title."""
+    """Make a case of its body. The body's docstring is the title."""
     title = (body.__doc__ or "").strip().splitlines()[0].rstrip(".")
     return Case(body.__name__, title, body)

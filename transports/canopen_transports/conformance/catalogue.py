@@ -1,4 +1,4 @@
-"""All cases."""
+"""All cases of the kit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CASES: Final[tuple[Case, ...]] = (
     *optional_cases.CASES,
 )
 OPTIONAL: Final = optional_cases.CASES
-"""What they are about not every transport has."""
+"""Cases about features that not every transport has."""
 HEARING: Final = (
     opening_cases.what_cannot_be_opened_says_what_to_do,
     carrying_cases.every_kind_of_frame,
@@ -37,10 +37,10 @@ HEARING: Final = (
     closing_cases.closing_by_two_tasks,
     closing_cases.cancelled_close,
 )
-"""Those for which it is enough to hear; see `Bus.told`."""
+"""Cases for a transport that can only hear; see `Bus.told`."""
 
 
 def run_all(site: Site) -> Iterator[tuple[Case, Verdict]]:
-    """Run one case after the other, as they are asked for. Not within `trio.run`: each has its own."""
+    """Run the cases one after the other, each when it is asked for. Call it outside `trio.run`: each case starts its own."""
     for each in CASES:
         yield each, each.verdict(site)

@@ -1,4 +1,4 @@
-"""Leaving the bus, whatever is under way."""
+"""Leaving the bus, whatever the transport is doing."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from canopen_transports.conformance.frames import END, numbered
 from canopen_transports.transport import Transport
 
 TRAFFIC: Final = 50
-"""Frames after which we believe that it flows."""
+"""Frames; once so many have come, traffic flows."""
 ENDLESS: Final = 20_000
-"""Frames; many more than are sent until a transport is closed."""
+"""Frames; many more than can be sent before a transport is closed."""
 
 
 async def _expect_closed(call: Callable[[], Awaitable[object]], what: str) -> None:
-    """Violation unless it raises ClosedResourceError."""
+    """Raise Violation unless the call raises ClosedResourceError."""
     try:
         await call()
     except trio.ClosedResourceError:
@@ -37,14 +37,14 @@ async def _hear_on(member: Transport, on_frame: Callable[[], None]) -> None:
 
 
 async def _send_on(member: Transport, task: int = 0) -> None:
-    """No two tasks send the same identifier: two frames of one identifier at one time are an error on a real bus."""
+    """Send frames of one identifier per task: on a real bus, two nodes must not send one identifier at the same time."""
     for _ in range(ENDLESS):
         await member.send(numbered(task))
 
 
 @case
 async def closing_wakes_the_receiver(bench: Bench) -> None:
-    """A receive that waits wakes with ClosedResourceError when its transport is closed."""
+    """Closing a transport wakes its waiting receive with ClosedResourceError."""
     one = await bench.told(())
     async with trio.open_nursery() as nursery:
         nursery.start_soon(_expect_closed, functools.partial(_hear_on, one, lambda: None), "receive, while it was closed,")
@@ -54,7 +54,7 @@ async def closing_wakes_the_receiver(bench: Bench) -> None:
 
 @case
 async def closing_wakes_the_senders(bench: Bench) -> None:
-    """Sends under way, and those that wait for room, end with ClosedResourceError when their transport is closed."""
+    """Closing a transport ends its sends with ClosedResourceError: those under way, and those that wait for room."""
     one = await bench.join(0)
     async with trio.open_nursery() as nursery:
         for _ in range(3):
@@ -65,7 +65,7 @@ async def closing_wakes_the_senders(bench: Bench) -> None:
 
 @case
 async def closing_amid_traffic(bench: Bench) -> None:
-    """Closing wakes reader and sender in the midst of traffic, and the others talk on."""
+    """Closing amid traffic wakes reader and sender, and the others continue."""
     one, other, third = await bench.members(3)
     flows = trio.Event()
     count = 0
@@ -92,29 +92,29 @@ async def closing_amid_traffic(bench: Bench) -> None:
 
 @case
 async def what_is_closed_stays_closed(bench: Bench) -> None:
-    """Once closed, also twice, each send and receive raises ClosedResourceError, even if frames were waiting."""
+    """After closing, even twice, each send and receive raises ClosedResourceError, even if frames were waiting."""
     one, other = await bench.members(2)
     await other.send(END)
     await one.aclose()
     await one.aclose()
     for _ in range(2):
-        await _expect_closed(functools.partial(one.send, END), "send on what was closed")
-        await _expect_closed(one.receive, "receive on what was closed")
+        await _expect_closed(functools.partial(one.send, END), "send on a closed transport")
+        await _expect_closed(one.receive, "receive on a closed transport")
 
 
 @case
 async def closing_by_two_tasks(bench: Bench) -> None:
-    """Two tasks may close at once."""
+    """Two tasks may close a transport at the same time."""
     one = await bench.told(())
     async with trio.open_nursery() as nursery:
         nursery.start_soon(one.aclose)
         nursery.start_soon(one.aclose)
-    await _expect_closed(one.receive, "receive on what was closed by two")
+    await _expect_closed(one.receive, "receive on a transport that two tasks closed")
 
 
 @case
 async def cancelled_close(bench: Bench) -> None:
-    """A close that is cancelled closes all the same."""
+    """A cancelled close still closes the transport."""
     one = await bench.told(())
     with trio.CancelScope() as scope:
         scope.cancel()
@@ -124,16 +124,16 @@ async def cancelled_close(bench: Bench) -> None:
 
 @case
 async def opened_again(bench: Bench) -> None:
-    """A bus that was left can be joined again; what was not taken before is not heard afterwards."""
+    """A member can leave a bus and join it again; it does not hear frames that it left untaken."""
     one, other, third = await bench.members(3)
     for number in range(3):
         await one.send(numbered(number))
-    await bench.numbers(third, 3)  # so they are over
+    await bench.numbers(third, 3)  # so all three are over
     await other.aclose()
     other = await bench.join(1)
     await one.send(numbered(7))
     await one.send(END)
-    expect_numbers(await bench.numbers_until_end(other), [7], "what comes after a member came back")
+    expect_numbers(await bench.numbers_until_end(other), [7], "the frames after a member came back")
 
 
 CASES: Final[tuple[Case, ...]] = (

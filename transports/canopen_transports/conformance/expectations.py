@@ -1,24 +1,24 @@
-"""How a case says what it expects, and what ends it when that is not so."""
+"""How a case states what it expects."""
 
 from __future__ import annotations
 
 
 class Violation(AssertionError):
-    """A transport does not keep a promise."""
+    """A transport breaks a promise."""
 
 
 class NotApplicable(Exception):
-    """A transport does not have what the case is about."""
+    """A transport lacks the feature that the case is about."""
 
 
 def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else Violation with that text."""
+    """Raise Violation with this text unless the condition holds."""
     if not condition:
         raise Violation(otherwise)
 
 
 def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
-    """Go on if the lists are equal, else Violation that shows where they part, and what is missing or too much."""
+    """Raise Violation unless the lists are equal. Its text shows where they differ, and which numbers are missing or surplus."""
     if seen == expected:
         return
     place = next(
@@ -28,5 +28,5 @@ def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
     twice = len(seen) - len(set(seen))
     raise Violation(
         f"{what}: {len(seen)} frames instead of {len(expected)}; from place {place} on {seen[place : place + 5]} instead of "
-        f"{expected[place : place + 5]}; missing {missing[:5]}, too much {surplus[:5]}, {twice} more than once"
+        f"{expected[place : place + 5]}; missing {missing[:5]}, surplus {surplus[:5]}, {twice} more than once"
     )

@@ -1,4 +1,4 @@
-"""Many frames at once: none is lost silently, and other tasks live on."""
+"""Many frames at once: none is lost silently, and other tasks can run."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from canopen_transports.conformance.frames import END, number_of, numbered
 WAITING: Final = 200
 """Frames that any receive buffer holds."""
 SETTLING: Final = 0.05
-"""Seconds. Linux begins to take times somewhat after it was asked to; what comes before bears the time at which it was read."""
+"""Seconds. Linux begins to stamp frames some time after it was asked to; earlier frames have the time at which they were read."""
 
 
 @case
 async def burst_that_nobody_takes(bench: Bench) -> None:
-    """Of a burst that is taken only when it is over nothing is lost silently, and it goes on afterwards."""
+    """A burst that is taken only when it is over loses nothing silently; afterwards frames arrive as before."""
     one, other = await bench.members(2)
     for number in range(bench.site.burst):
         await one.send(numbered(number))
     await bench.account(other, bench.site.burst)
     await one.send(END)
     received, _ = await bench.hear(other)
-    expect(received == END, f"{received} came when all was told, instead of {END}")
+    expect(received == END, f"{received} came instead of {END}, after all frames were accounted for")
 
 
 @case
 async def stream(bench: Bench) -> None:
-    """A stream that is taken as it comes arrives in order, and nothing of it is lost silently."""
+    """A stream that is taken as it comes arrives in order and loses nothing silently."""
     member = await bench.told([numbered(number) for number in range(bench.site.stream)])
     await bench.account(member, bench.site.stream)
 
 
 @case
 async def time_stamps_in_a_stream(bench: Bench) -> None:
-    """Time stamps do not run back, and all frames have one or none has."""
+    """Time stamps do not run back, and either all frames have one or none has."""
     one, other = await bench.members(2)
     await trio.sleep(SETTLING)
     bench.say(one, [numbered(number) for number in range(WAITING)])
@@ -68,13 +68,13 @@ async def others_run(bench: Bench) -> None:
         nursery.start_soon(hear, scope)
         await turns(3)
         scope.cancel()
-    expect(len(heard) < WAITING, f"{WAITING} frames were taken in a row, while no other task could run")
+    expect(len(heard) < WAITING, f"{WAITING} frames were taken without letting another task run")
     expect_numbers(heard + await bench.numbers(other, WAITING - len(heard)), list(range(WAITING)), "before and after the cancel")
 
 
 @case
 async def two_receivers(bench: Bench) -> None:
-    """Of two tasks that receive at once each frame goes to one, or one of the two is refused by trio.BusyResourceError."""
+    """When two tasks receive at once, each frame goes to one of them, or one task is refused with trio.BusyResourceError."""
     count = 100
     member = await bench.told([numbered(number) for number in range(count)])
     heard: list[int] = []
@@ -97,7 +97,7 @@ async def two_receivers(bench: Bench) -> None:
     async with trio.open_nursery() as nursery:
         nursery.start_soon(hear)
         nursery.start_soon(hear)
-    expect_numbers(sorted(heard), list(range(count)), "what the two took")
+    expect_numbers(sorted(heard), list(range(count)), "the frames that the two receivers took")
 
 
 CASES: Final[tuple[Case, ...]] = (burst_that_nobody_takes, stream, time_stamps_in_a_stream, others_run, two_receivers)

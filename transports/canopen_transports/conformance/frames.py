@@ -12,7 +12,7 @@ EVERY_KIND: Final = (
     *(Frame(0x701, b"", REMOTE, dlc) for dlc in range(9)),
     *(Frame.parse(text) for text in ("12345678#R4", "1FFFFFFF#R")),
 )
-"""Data and remote, 11 and 29 bits, each length, the lowest and the highest identifiers."""
+"""Data and remote frames, with 11 and 29 bits, of each length, with the lowest and the highest identifiers."""
 IMPOSSIBLE: Final = {
     "identifier too high": Frame(0x800),
     "29-bit identifier too high": Frame(0x20000000, b"", EXTENDED),
@@ -23,16 +23,16 @@ IMPOSSIBLE: Final = {
     "remote frame with length 9": Frame(0x701, b"", REMOTE, 9),
     "unknown flag": Frame(0x601, b"", 4),
 }
-"""What classical CAN cannot carry, and why."""
+"""Frames that classical CAN cannot carry, by the reason."""
 END: Final = Frame.parse("7E5#0E")
-"""Comes last."""
+"""The frame that is sent last."""
 
 
 def numbered(number: int) -> Frame:
-    """A frame that says which one it is."""
+    """Return a frame that carries its number."""
     return Frame(0x100 + number % 0x400, number.to_bytes(4, "little"))
 
 
 def number_of(frame: Frame) -> int:
-    """Which one it is."""
+    """Return the number that a frame carries."""
     return int.from_bytes(frame.data, "little")

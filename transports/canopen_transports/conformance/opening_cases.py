@@ -1,4 +1,4 @@
-"""Getting on a bus, and failing to."""
+"""Joining a bus, and failing to."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from canopen_transports.conformance.frames import numbered
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
 
 MAX_LINES: Final = 10
-"""Of an error text: what is longer is not read."""
+"""The most lines that an error text may have: nobody reads more."""
 SEEDS: Final = range(12)
 
 
 @case
 async def what_cannot_be_opened_says_what_to_do(bench: Bench) -> None:
-    """A bus that cannot be opened is a TransportError with what was seen, why, and what to do; nothing stays open."""
+    """Opening a bus that cannot be opened raises TransportError with what was seen, why, and what to do; nothing stays open."""
     if not bench.site.unopenable:
         raise NotApplicable("the site names nothing that cannot be opened")
     for opening in bench.site.unopenable:
@@ -37,7 +37,7 @@ async def what_cannot_be_opened_says_what_to_do(bench: Bench) -> None:
         expect(error.code in (BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION), f"{about} the code is {error.code}")
         expect(bool(error.locator) and error.locator in error.failed, f"{about} it does not name the bus")
         expect(bool(error.seen), f"{about} it does not say what was seen")
-        # A locator that makes no sense is its own cause; what stands in the world's way has another.
+        # A locator that is not valid is its own cause.
         expect(bool(error.cause) or error.code == BAD_LOCATOR, f"{about} it does not say why; seen: {error.seen}")
         expect(bool(error.tries) and all(error.tries), f"{about} it does not say what to do")
         lines = str(error).splitlines()
@@ -48,7 +48,7 @@ async def what_cannot_be_opened_says_what_to_do(bench: Bench) -> None:
 
 @case
 async def opening_can_be_cancelled(bench: Bench) -> None:
-    """Cancelled, opening leaves nothing open, or gives the member; and the bus can be joined afterwards."""
+    """A cancelled opening leaves nothing open, or returns the member; afterwards the bus can be joined."""
     for seed in SEEDS:
         with trio.CancelScope() as scope:
             bench.disturb(scope, Random(seed))

@@ -1,4 +1,4 @@
-"""What only some transports can do: see `EagerTransport`, `BatchTransport`, `PushingTransport`, `FilteringTransport` and
+"""Features of some transports: see `EagerTransport`, `BatchTransport`, `PushingTransport`, `FilteringTransport` and
 `CyclicTransport`."""
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from canopen_transports.transport import (
 )
 
 EAGER: Final = 500
-"""Frames; more than any transmit queue holds."""
+"""Frames: more than any transmit queue holds."""
 PERIOD: Final = 5 * MILLISECOND
 KINDS: Final = tuple(Frame.parse(text) for text in ("123#01", "00000123#02", "123#R1", "124#03", "1FFFFFFF#04"))
 """Frames that a filter has to tell apart."""
@@ -33,7 +33,7 @@ KINDS: Final = tuple(Frame.parse(text) for text in ("123#01", "00000123#02", "12
 
 @case
 async def eager_send(bench: Bench) -> None:
-    """send_nowait sends at once or says that it did not; it keeps the order, also with send."""
+    """send_nowait sends at once or says that it did not; it keeps the order, also together with send."""
     one, other = await bench.members(2)
     if not isinstance(one, EagerTransport):
         raise NotApplicable("it has no send_nowait")
@@ -44,13 +44,13 @@ async def eager_send(bench: Bench) -> None:
                 await one.send(numbered(number))
 
     bench.nursery.start_soon(send)
-    expect_numbers(await bench.numbers(other, EAGER), list(range(EAGER)), "what was sent by send_nowait and send in turn")
+    expect_numbers(await bench.numbers(other, EAGER), list(range(EAGER)), "the frames sent by send_nowait and send in turn")
     for reason, frame in IMPOSSIBLE.items():
         with suppress(ValueError):
-            expect(not one.send_nowait(frame), f"send_nowait has taken {frame!r} ({reason})")
+            expect(not one.send_nowait(frame), f"send_nowait accepted {frame!r} ({reason})")
     await one.aclose()
     with suppress(trio.ClosedResourceError):
-        expect(not one.send_nowait(END), "send_nowait on what was closed says that it has sent")
+        expect(not one.send_nowait(END), "send_nowait on a closed transport says that it sent the frame")
 
 
 @case
@@ -72,11 +72,11 @@ async def many_at_once(bench: Bench) -> None:
                 items = await other.receive_many(limit)
                 expect(0 < len(items) <= limit, f"receive_many({limit}) returned {len(items)} items")
                 heard += [number_of(item[0]) for item in items if isinstance(item, tuple)]
-    expect_numbers(heard, list(range(EAGER)), "what receive_many returned")
+    expect_numbers(heard, list(range(EAGER)), "the frames that receive_many returned")
     await other.aclose()
     with suppress(trio.ClosedResourceError):
         await other.receive_many(1)
-        raise Violation("receive_many returns although the transport was closed")
+        raise Violation("receive_many on a closed transport returned, instead of raising trio.ClosedResourceError")
 
 
 @case
@@ -107,7 +107,7 @@ async def pushed_frames(bench: Bench) -> None:
 
 @case
 async def filters(bench: Bench) -> None:
-    """A filter lets through what it names, 11 and 29 bits and remote frames apart, until it is changed or taken away."""
+    """A filter lets through the frames that it names, by 11 or 29 bits and data or remote, until it is changed or removed."""
     one, other = await bench.members(2)
     if not (isinstance(other, FilteringTransport) and other.filtered):
         raise NotApplicable("it does not filter")

@@ -1,8 +1,8 @@
-"""Many frames by one system call: `recvmmsg`, which Python's `socket` does not have.
+"""Receive many frames by one system call: `recvmmsg`, which Python's `socket` does not have.
 
-For each frame the kernel hands out its time stamp (CLOCK_REALTIME, taken when the frame reached the kernel) and, where it had to
-drop frames for want of room before this one, how many it has dropped so far. These come as control messages, always in that
-order. The buffers are made once; a call costs one system call and some 2 us, a frame in it less than 2 us.
+With each frame the kernel gives its time stamp (CLOCK_REALTIME, taken when the frame reached the kernel). If it had to drop
+frames before this one for want of room, it also gives how many it has dropped so far. Both come as control messages, always in
+that order. The buffers are made once. A call costs one system call and some 2 us, and less than 2 us for each frame.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Final
 from canopen_transports.socketcan.kernel import CAN_FRAME, SO_RXQ_OVFL, SO_TIMESTAMPNS
 
 BATCH: Final = 64
-"""Frames by one call: 5 ms of a fully loaded 1 Mbit/s bus. Who has that many waiting should let others run in between."""
+"""Frames in one call: 5 ms of a fully loaded 1 Mbit/s bus. Between two batches of that size, other tasks should run."""
 
-# Two control messages, each led by its own length, the level and the type. (Linux: cmsghdr, timespec.)
+# Two control messages, each with its length, level and type first. (Linux: cmsghdr, timespec.)
 _CONTROL: Final = struct.Struct("@Nii2lNiiI4x0N")
 _SECOND: Final = 1_000_000_000
 
@@ -46,7 +46,7 @@ class _Slot(ctypes.Structure):
 
 
 class Batch:
-    """Room for up to BATCH received frames, used again and again. libc: the C library."""
+    """Room for up to BATCH received frames, reused for each call. libc: the C library."""
 
     def __init__(self, libc: ctypes.CDLL) -> None:
         self._receive = libc.recvmmsg
@@ -62,12 +62,12 @@ class Batch:
             message.part_count = 1
             message.control = control + number * _CONTROL.size
             message.control_length = _CONTROL.size
-        self._fresh = bytes(self._slots)  # the kernel writes over lengths and flags
+        self._fresh = bytes(self._slots)  # the kernel overwrites lengths and flags
         self._frame_view = memoryview(self._frames).cast("B")
         self._control_view = memoryview(self._control).cast("B")
 
     def receive(self, fd: int) -> int:
-        """Take what is there, up to BATCH frames, without waiting; how many. 0: none. Raises OSError as the socket has it."""
+        """Receive up to BATCH frames without waiting; return how many came. Raises OSError as the socket does."""
         ctypes.memmove(self._slots, self._fresh, len(self._fresh))
         ctypes.memset(self._control, 0, len(self._control))
         count: int = self._receive(fd, self._slots, BATCH, socket.MSG_DONTWAIT, None)
@@ -79,7 +79,8 @@ class Batch:
         raise OSError(number, os.strerror(number))
 
     def frames(self, count: int) -> Iterator[tuple[int, int, bytes, int | None, int]]:
-        """The frames of the last call: CAN-ID with its flags, length, eight data bytes, time stamp in ns, dropped so far."""
+        """Yield the frames of the last call: CAN-ID with flags, length, eight data bytes, time stamp in ns, frames dropped so
+        far."""
         frames = CAN_FRAME.iter_unpack(self._frame_view[: count * CAN_FRAME.size])
         controls = _CONTROL.iter_unpack(self._control_view[: count * _CONTROL.size])
         for (can_id, length, data), (_, _, kind, seconds, rest, _, _, second_kind, dropped) in zip(frames, controls, strict=True):

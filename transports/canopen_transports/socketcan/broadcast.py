@@ -1,13 +1,13 @@
 """Cyclic frames that the kernel sends by itself (CAN_BCM, the broadcast manager).
 
-It keeps a period by a timer of its own, to some 10 us, however late our process is: the steadiest SYNC that a computer without
-special hardware has. What it costs: the process learns of a SYNC only by receiving it, so a set-point comes behind it with the
-delay of a wake; and the kernel tells nobody when a frame did not get out (interface down, queue full).
+A timer of the kernel keeps the period to some 10 us, however late our process is: the steadiest SYNC of a computer without
+special hardware. Its cost: the process learns of a SYNC only by receiving it, so a set-point follows with the delay of a wake-up.
+And the kernel does not report a frame that did not get out (interface down, queue full).
 
-Several frames are sent in turn, one per period, then again from the first: a SYNC with a counter (0x1019) is that.
+Several frames are sent in turn, one each period, then again from the first: a SYNC with a counter (0x1019) is such a series.
 
-The frames are sent by a socket other than the transport's, so that the transport receives them, with their time stamps. When the
-process ends, however it ends, the kernel stops sending.
+The frames go out by another socket than the transport's, so that the transport receives them, with time stamps. When the process
+ends, in whatever way, the kernel stops sending.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from canopen_transports.transport import check_frame
 
 # struct bcm_msg_head: opcode, flags, count, two intervals as seconds and microseconds, CAN-ID, number of frames
 _HEAD: Final = struct.Struct("@3I4l2I")
-_PADDING: Final = bytes(-_HEAD.size % 8)  # the frames behind it are aligned
+_PADDING: Final = bytes(-_HEAD.size % 8)  # the frames after it are aligned
 
 MIN_PERIOD: Final = 1_000
 """ns: the broadcast manager counts in microseconds."""
 
 
 def check_cyclic(frames: Sequence[Frame], period: int) -> None:
-    """ValueError unless the kernel can send these frames in turn, one each `period` (ns): 1 to 256 frames, from 1 us."""
+    """Raise ValueError unless the kernel can send these frames in turn, one each `period`: 1 to 256 frames, 1000 ns or more."""
     if not 1 <= len(frames) <= MAX_CYCLIC_FRAMES:
         raise ValueError(f"the kernel sends 1 to {MAX_CYCLIC_FRAMES} frames in turn, not {len(frames)}")
     if period < MIN_PERIOD:
@@ -40,11 +40,11 @@ def check_cyclic(frames: Sequence[Frame], period: int) -> None:
 
 
 class Broadcast:
-    """The kernel sends these frames on one interface, the first one now and one more each `period`, until it is closed."""
+    """Lets the kernel send frames on one interface until it is closed: the first frame now, then one each `period`."""
 
     def __init__(self, interface: str, frames: Sequence[Frame], period: int) -> None:
-        """frames, period: as `check_cyclic` has them. Raises OSError as the kernel does."""
-        name = frames[0].can_id | frames[0].flags << 30  # under which the kernel holds it; each frame has its own identifier
+        """frames, period: as for `check_cyclic`. Raises OSError as the kernel does."""
+        name = frames[0].can_id | frames[0].flags << 30  # names the job to the kernel; each frame has its own identifier
         seconds, microseconds = divmod(period // 1000, 1_000_000)
         flags = socket.CAN_BCM_SETTIMER | socket.CAN_BCM_STARTTIMER
         head = _HEAD.pack(socket.CAN_BCM_TX_SETUP, flags, 0, 0, 0, seconds, microseconds, name, len(frames))
@@ -53,7 +53,8 @@ class Broadcast:
         self._socket = self._begun()
 
     def restart(self) -> None:
-        """Begin again, on a new interface of that name: the kernel goes on with the one that is gone. Raises OSError."""
+        """Start again on a new interface of the same name: the kernel keeps the job on the interface that is gone. Raises
+        OSError."""
         self._socket.close()
         self._socket = self._begun()
 

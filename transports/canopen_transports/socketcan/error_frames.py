@@ -1,7 +1,7 @@
-"""What SocketCAN's error frames say (linux/can/error.h): the identifier tells the kinds of error, the data bytes their details.
+"""SocketCAN's error frames (linux/can/error.h): the identifier gives the kinds of error, the data bytes the details.
 
-A CAN controller reports far more than anybody wants to read: with error reporting on, a wrong bit rate brings thousands of these
-frames in a second. `ErrorReport` says what one means; who turns them into events tells only what has changed.
+A CAN controller reports far more than anyone wants to read: with error reporting on, a wrong bit rate brings thousands of these
+frames a second. `ErrorReport` decodes one frame; the transport reports only what has changed.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ _VIOLATIONS: Final = (  # data[2]
     (0x40, "active error flag"),
     (0x80, "while sending"),
 )
-_ACKNOWLEDGE_SLOT: Final = 0x19  # data[3]: where on the frame it happened
+_ACKNOWLEDGE_SLOT: Final = 0x19  # data[3]: where in the frame it happened
 
 
 class ErrorReport:
-    """What an error frame says.
+    """The meaning of an error frame.
 
-    text: for people. state: the BusState that it reports, None for what is part of normal life (lost arbitration) or only counts.
-    overrun: whether the controller lost received frames.
+    text: for people. state: the BusState that it reports; None if it is part of normal operation (lost arbitration), or only
+    counters. overrun: whether the controller lost received frames.
     """
 
     __slots__ = ("overrun", "state", "text")
@@ -78,7 +78,7 @@ class ErrorReport:
         texts += [text for bit, text in _VIOLATIONS if violation & bit]
         if no_acknowledge and not can_id & _NO_ACKNOWLEDGE:
             texts.append("no acknowledge")
-        if data[6] or data[7]:  # counters, if flagged; older drivers have them without the flag
+        if data[6] or data[7]:  # error counters; older drivers give them without their flag
             texts.append(f"tx error counter {data[6]}, rx error counter {data[7]}")
         self.text = ", ".join(texts) or "unknown error"
         self.overrun = bool(controller & _OVERRUN)
@@ -86,7 +86,7 @@ class ErrorReport:
 
 
 def _state(can_id: int, controller: int, no_acknowledge: bool) -> BusState | None:
-    """The gravest first."""
+    """Return the worst state that is reported."""
     if can_id & _BUS_OFF:
         return BusState.BUS_OFF
     if can_id & _RESTARTED or controller & _ACTIVE:

@@ -1,6 +1,6 @@
 """The kernel's constants and structures (linux/can.h, can/raw.h, can/bcm.h, if.h) that Python's `socket` does not have.
 
-Their values are those of all architectures that Linux runs CAN on today, but for the socket options of PA-RISC and SPARC.
+Their values hold on all architectures on which Linux runs CAN today, except the socket options of PA-RISC and SPARC.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SO_TIMESTAMPNS: Final = 35
 SO_RXQ_OVFL: Final = 40
 SO_MEMINFO: Final = 55
 MEMINFO: Final = struct.Struct("9I")
-"""What SO_MEMINFO gives; the last one counts what the socket dropped."""
+"""The result of SO_MEMINFO; the last counter is that of the frames that the socket dropped."""
 
 CAN_RAW_ERR_FILTER: Final = 2  # not in every Python
 MAX_FILTERS: Final = 512
@@ -40,19 +40,19 @@ _IFREQ: Final = struct.Struct("16sH22x")
 
 
 def pack(frame: Frame) -> bytes:
-    """A frame as the kernel takes it. REMOTE and EXTENDED stand in the same order there, as bits 30 and 31."""
+    """Return a frame in the kernel's form, with REMOTE and EXTENDED as bits 30 and 31."""
     return CAN_FRAME.pack(frame.can_id | frame.flags << 30, frame.dlc, frame.data)
 
 
 def filter_for(key: RoutingKey) -> bytes:
-    """The filter that lets through the frames of one routing key: this CAN-ID, of this length, data or remote."""
+    """Return the kernel's filter for the frames of one routing key: this CAN-ID, 11 or 29 bits, data or remote."""
     number = socket.CAN_EFF_MASK if key & KEY_EXTENDED else socket.CAN_SFF_MASK
     flags = (key & ~socket.CAN_EFF_MASK) << 1
     return CAN_FILTER.pack(key & number | flags, number | socket.CAN_EFF_FLAG | socket.CAN_RTR_FLAG)
 
 
 def is_up(sock: socket.socket, interface: str) -> bool | None:
-    """Whether a network interface is up; None where there is none of that name."""
+    """Return whether a network interface is up; None if there is none of that name."""
     try:
         answer = fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, _IFREQ.pack(interface.encode(), 0))
     except OSError:
@@ -61,7 +61,7 @@ def is_up(sock: socket.socket, interface: str) -> bool | None:
 
 
 def has_carrier(interface: str) -> bool | None:
-    """Whether an interface that is up has a carrier: its controller is not bus-off. None where the system does not tell."""
+    """Return whether an interface that is up has a carrier: its controller is not bus-off. None if the system does not tell."""
     try:
         return Path("/sys/class/net", interface, "carrier").read_text() == "1\n"
     except OSError:

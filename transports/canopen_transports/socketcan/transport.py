@@ -1,27 +1,27 @@
 """A raw CAN socket on trio: no thread, nothing between the kernel and the frame.
 
-**Receiving.** One system call takes all frames that are there, up to a batch (batch.py), each with the kernel's time stamp. They
-are kept until they are asked for, so that a cancelled `receive` has taken none; between two batches other tasks run. Frames that
-the kernel had to drop are told at their place by its own counter; those dropped last, behind which nothing came, by a look at the
-same counter when a burst is over.
+**Receiving.** One system call takes all waiting frames, up to a batch (batch.py), each with the kernel's time stamp. They are
+kept until `receive` asks for them, so that a cancelled `receive` has taken none. Other tasks run between two batches. The kernel
+counts the frames that it drops: its counter comes with the next frame, so the loss is reported at its place. When a burst is
+over, we read the same counter once more, as no frame may follow the last loss.
 
-**Sending.** A full queue shows in two ways. The socket's own limit: the kernel says EAGAIN, and tells by poll when there is room
-again. The interface's queue (`txqueuelen`, as a rule 10 frames): ENOBUFS, and nobody tells when it has room. So the socket's
-limit is set so low (SEND_BUFFER) that it is reached first: we then never have more frames under way than that queue holds, and no
-SYNC stands behind a long row of SDO frames. Where other programs fill the queue, ENOBUFS remains, and is tried again each
-ROOM_POLL.
+**Sending.** A queue can be full in two ways. At the socket's own limit the kernel says EAGAIN, and poll tells when there is room
+again. At the limit of the interface's queue (`txqueuelen`, usually 10 frames) it says ENOBUFS, and nothing tells when there is
+room. So we set the socket's limit so low (SEND_BUFFER) that it is reached first. Then we never have more frames under way than
+that queue holds, and no SYNC waits behind a long row of SDO frames. If other programs fill the queue, ENOBUFS remains, and we try
+again each ROOM_POLL.
 
-**What is no frame.** Error frames become `BusStateChanged` where they tell something new. At an interface that goes down we look
-each UP_POLL until it is up again, be it the same or, after an adapter was plugged in again, a new one of that name; the two
-reports stand around what may be missing. What was received before it went down is handed out first. While the bus is away,
-sending raises `FrameNotSent`. It also raises it at bus-off, where the kernel accepts frames and silently drops them. A bus-off
-that came before we listened, or whose error frame was lost, shows by the interface's carrier.
+**Reports.** An error frame becomes a `BusStateChanged` if it reports something new. If the interface goes down, we look each
+UP_POLL until it is up again; after an adapter was plugged in again, that is a new interface of the same name. Frames may be
+missing between the two reports, DOWN and UP; frames from before DOWN are handed out first. While the bus is away, sending raises
+`FrameNotSent`. It also raises it at bus-off, where the kernel accepts frames and silently drops them. The interface's carrier
+shows a bus-off that came before we listened, or whose error frame was lost.
 
-**Filters.** `?filter=ids`: the kernel only lets through what the caller asks for by `set_filters` (a master's pump does: the
-CAN-IDs that its machines want). That spares the wakes for foreign frames, but hides from error messages what other nodes say.
+**Filters.** With `?filter=ids` the kernel lets through only what the caller asks for by `set_filters`; a master's pump asks for
+the CAN-IDs that its machines want. That spares wake-ups for other frames, but hides the other nodes from error messages.
 
-Left out: CAN FD (the kernel gives such frames only to those who ask for them), and time stamps of the adapters' own hardware
-clocks, each of which begins somewhere else.
+Left out: CAN FD (the kernel gives such frames only on request), and time stamps of the adapters' own hardware clocks, whose zero
+differs.
 """
 
 from __future__ import annotations
@@ -54,22 +54,22 @@ from canopen_transports.socketcan.error_frames import ErrorReport
 from canopen_transports.transport import MAX_LENGTH, MAX_STANDARD_ID, Received, check_frame
 
 ROOM_TIME: Final = 1.0
-"""Seconds that a sender waits for room. Ten frames, a network queue's usual length, take 0.13 s even at 10 kbit/s."""
+"""Seconds that a sender waits for room. The ten frames of a usual network queue take 0.13 s even at 10 kbit/s."""
 ROOM_POLL: Final = 0.001
 """Seconds between two tries after ENOBUFS: four frames at 500k."""
 UP_POLL: Final = 0.05
 """Seconds between two looks at an interface that is down."""
 SEND_BUFFER: Final = 1
-"""Bytes for frames under way: the least that the kernel allows, 4608, where it counts 384 to 770 for a frame: 6 to 12 frames."""
+"""Bytes for frames under way. The kernel raises it to its least, 4608; it counts 384 to 770 for a frame, so 6 to 12 frames fit.
+"""
 RECEIVE_BUFFER: Final = 4 << 20
-"""Bytes for received frames; doubled and counted likewise: 10 000 frames. Without root's rights the kernel gives what
-rmem_max allows."""
+"""Bytes for received frames. The kernel doubles it: 10 000 frames fit. Without root's rights it gives at most rmem_max."""
 CROWD: Final = 16
-"""So many frames at once make it worth a look at whether more were dropped: fewer fill no receive buffer."""
+"""After so many frames at once we look whether the kernel dropped more: fewer fill no receive buffer."""
 QUIET_TIME: Final = 1.0
 """Seconds before the same kind of fault is reported again: some come with each frame."""
 MAX_BACKLOG: Final = 256
-"""Batches that are taken in at most when the interface goes down: more than the receive buffer holds."""
+"""The most batches that are read when the interface goes down: more than the receive buffer holds."""
 
 _GONE: Final = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)
 _DOWN_OR_OFF: Final = (BusState.DOWN, BusState.BUS_OFF)
@@ -79,9 +79,9 @@ _COUNTER: Final = 0xFFFFFFFF  # the kernel counts dropped frames in 32 bits
 class SocketCanTransport(trio.abc.AsyncResource):
     """A raw CAN socket; made by `open_socketcan`.
 
-    filtered: whether the kernel shall only let through what `set_filters` says; a Network that is driven with such a transport
-    hears not all (`hears_all`). sends_sync: whether the bus's SYNC shall be sent by `start_cyclic`. state: the controller's, or
-    DOWN. errors, last_error: how many error frames came, and what the last one said. received: how many frames.
+    filtered: whether `set_filters` shall take effect; a Network on such a transport does not hear all frames (`hears_all`).
+    sends_sync: whether `start_cyclic` shall send the bus's SYNC. state: the controller's, or DOWN. errors, last_error: how many
+    error frames came, and the text of the last one. received: how many frames.
     """
 
     def __init__(self, locator: Locator, *, filtered: bool = False, sends_sync: bool = False) -> None:
@@ -107,7 +107,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         self._look_at_carrier()
 
     def _open(self) -> None:
-        """A new socket, bound to the interface of our name."""
+        """Make a new socket, bound to the interface of our name."""
         sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             sock.setblocking(False)
@@ -129,15 +129,16 @@ class SocketCanTransport(trio.abc.AsyncResource):
         self._dropped = self._dropped_at_look = 0
 
     def is_up(self) -> bool | None:
-        """Whether the interface is up, None where it is gone. (The kernel binds to one that is DOWN, too.)"""
+        """Return whether the interface is up; None if it is gone. (The kernel also binds to an interface that is DOWN.)"""
         return kernel.is_up(self._socket, self._locator.channel)
 
     # ---- sending ----
 
     async def send(self, frame: Frame) -> None:
-        """Hand the frame to the kernel, waiting up to ROOM_TIME for room; then TransportError (CO110) with the likely causes.
+        """Hand the frame to the kernel. Waits up to ROOM_TIME for room, then raises TransportError (CO110) with the likely
+        causes.
 
-        FrameNotSent while the interface is down or the controller bus-off.
+        Raises FrameNotSent while the interface is down or the controller bus-off.
         """
         check_frame(frame)
         await trio.lowlevel.checkpoint_if_cancelled()
@@ -148,12 +149,12 @@ class SocketCanTransport(trio.abc.AsyncResource):
         await trio.lowlevel.cancel_shielded_checkpoint()
 
     def send_nowait(self, frame: Frame) -> bool:
-        """Hand the frame to the kernel at once; False, and nothing was sent, where it has no room or others wait for it."""
+        """Hand the frame to the kernel at once. Returns False, and sends nothing, if there is no room or another task waits."""
         check_frame(frame)
         return not self._send_lock.locked() and not self._try_to_send(frame, kernel.pack(frame))
 
     def _try_to_send(self, frame: Frame, data: bytes) -> int:
-        """Send, or EAGAIN or ENOBUFS for want of room; else 0."""
+        """Send the frame and return 0; if there is no room, return EAGAIN or ENOBUFS."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if self.state in _DOWN_OR_OFF and not self._is_back():
@@ -177,10 +178,8 @@ class SocketCanTransport(trio.abc.AsyncResource):
             if number == errno.ENOBUFS:
                 await trio.sleep(ROOM_POLL)
             else:
-                with (
-                    suppress(trio.ClosedResourceError),
-                    trio.move_on_at(give_up),
-                ):  # closed, or the bus is away: the next try tells
+                # ClosedResourceError: the transport was closed, or the bus is away. The next try shows which.
+                with suppress(trio.ClosedResourceError), trio.move_on_at(give_up):
                     await trio.lowlevel.wait_writable(self._socket)
 
     def _not_sent(self, frame: Frame) -> FrameNotSent:
@@ -194,11 +193,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
     # ---- receiving ----
 
     async def receive(self) -> Received | Report:
-        """The next frame, with the kernel's time stamp (CLOCK_REALTIME), or a report. One task at a time."""
+        """Return the next frame, with the kernel's time stamp (CLOCK_REALTIME), or a report. One task at a time."""
         return (await self.receive_many(1))[0]
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """What the kernel has received, as soon as there is something: one batch at most. One task at a time."""
+        """Wait until the kernel has received something; return at most one batch. One task at a time."""
         await trio.lowlevel.checkpoint_if_cancelled()
         items = self._items
         while not items:
@@ -214,15 +213,15 @@ class SocketCanTransport(trio.abc.AsyncResource):
                 await trio.sleep(UP_POLL)
             return
         if self._is_burst:
-            await trio.lowlevel.checkpoint()  # there is probably more; but others shall run, too
+            await trio.lowlevel.checkpoint()  # more frames probably wait, but other tasks shall run, too
         else:
-            with suppress(trio.ClosedResourceError):  # closed, or the bus is away: the next turn tells
+            with suppress(trio.ClosedResourceError):  # closed, or the bus is away: the next turn shows which
                 await trio.lowlevel.wait_readable(self._socket)
-        if not self._closed and not self._items:  # a sender may have found the bus away meanwhile
+        if not self._closed and not self._items:  # a sender may have seen the bus go away meanwhile
             self._read()
 
     def _read(self) -> None:
-        """Take in a batch."""
+        """Read one batch."""
         dropped = self._dropped
         try:
             count = self._take()
@@ -234,10 +233,10 @@ class SocketCanTransport(trio.abc.AsyncResource):
         crowded = self._is_burst or count >= CROWD
         self._is_burst = count == BATCH
         if crowded and not self._is_burst:
-            self._note_dropped(self._dropped_at_look)  # all that was there at the last look has been taken in
+            self._note_dropped(self._dropped_at_look)  # all frames from before the last look were read
             self._dropped_at_look = self._drop_counter()
             self._is_burst = self._dropped_at_look != self._dropped  # frames queued before the drop are handed out first
-        if self._dropped != dropped:  # an error frame may be among what was lost
+        if self._dropped != dropped:  # an error frame may be among the lost frames
             self._look_at_carrier()
 
     def _take(self) -> int:
@@ -256,7 +255,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
                 flags = can_id >> 30
                 can_id &= socket.CAN_EFF_MASK
                 if can_id > MAX_STANDARD_ID and not flags & EXTENDED:
-                    continue  # nothing that a wire carries: some program wrote it, and the kernel does not look
+                    continue  # no wire carries this: a program wrote it, and the kernel does not check
                 length = min(length, MAX_LENGTH)
                 if flags & REMOTE:
                     items.append((Frame(can_id, b"", flags, length), stamp))
@@ -267,9 +266,9 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return count
 
     def _note_dropped(self, dropped: int) -> None:
-        """The kernel has dropped so many frames so far; what is new of it is reported here."""
+        """Report the frames that are new in the kernel's count of dropped frames."""
         lost = (dropped - self._dropped) & _COUNTER
-        if 0 < lost <= _COUNTER >> 1:  # else it comes from before our last look
+        if 0 < lost <= _COUNTER >> 1:  # else the count is older than our last look
             self._dropped = dropped
             self._items.append(ReceiveOverrun(self.locator, lost, "the kernel's receive buffer for this socket was full"))
 
@@ -279,7 +278,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         )
         return counters[-1]
 
-    # ---- what is no frame ----
+    # ---- reports ----
 
     def _on_error_frame(self, can_id: int, data: bytes) -> None:
         report = ErrorReport(can_id, data)
@@ -288,7 +287,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         if report.overrun:
             self._items.append(ReceiveOverrun(self.locator, 1, report.text))
         state = report.state
-        if state in (BusState.FAULT, BusState.NO_ACKNOWLEDGE):  # no state of the controller, and it may come with each frame
+        if state in (BusState.FAULT, BusState.NO_ACKNOWLEDGE):  # not a state of the controller; may come with each frame
             now = trio.current_time()
             if now >= self._quiet_until[state]:
                 self._quiet_until[state] = now + QUIET_TIME
@@ -306,10 +305,10 @@ class SocketCanTransport(trio.abc.AsyncResource):
             likely = diagnosis.not_acknowledged(self._locator, "go on", seen, self.received)
             cause, tries = likely.cause, likely.tries
         self._items.append(BusStateChanged(self.locator, state, seen, cause=cause, tries=tries))
-        trio.lowlevel.notify_closing(self._socket)  # a waiting receiver has something to return
+        trio.lowlevel.notify_closing(self._socket)  # wake a waiting receiver
 
     def _why_away(self) -> tuple[str, str, tuple[str, ...]]:
-        """What is seen of an interface that is not up, the cause, what to do."""
+        """Return what is seen of an interface that is not up, the cause, and what to do."""
         name = self._locator.channel
         if self.is_up() is None:
             cause = "the adapter was unplugged, or somebody removed or renamed it"
@@ -317,7 +316,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return f"{name} is DOWN", "somebody set it down, or the adapter was unplugged", (diagnosis.bring_up(self._locator),)
 
     def _look_at_carrier(self) -> None:
-        """Word of bus-off, or of its end, may have come before we listened, or be among what was lost."""
+        """Follow the carrier: the error frame of a bus-off, or of its end, may have come before we listened, or been lost."""
         if kernel.has_carrier(self._locator.channel) is False:
             if self.state not in _DOWN_OR_OFF:
                 self._change(BusState.BUS_OFF, f"{self._locator.channel} has no carrier")
@@ -325,9 +324,9 @@ class SocketCanTransport(trio.abc.AsyncResource):
             self._carrier_was_lost = True
 
     def _go_down(self) -> None:
-        """The interface went down, or away. What came before stands before the report."""
+        """Report that the interface went down or away, after all frames that came before."""
         for _ in range(MAX_BACKLOG):
-            with suppress(OSError):  # more word of the same
+            with suppress(OSError):  # the same error again
                 if not self._take():
                     break
         self._note_dropped(self._drop_counter())
@@ -336,7 +335,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         self._report(BusState.DOWN, *self._why_away())
 
     def _is_back(self) -> bool:
-        """Whether the bus that is away has come back; then it is reported. (Of the end of bus-off an error frame tells, too.)"""
+        """Return whether the bus is back, and report it if so. (An error frame also reports the end of bus-off.)"""
         name = self._locator.channel
         if self.state is BusState.BUS_OFF:
             runs = self._carrier_was_lost and kernel.has_carrier(name) is True
@@ -347,13 +346,13 @@ class SocketCanTransport(trio.abc.AsyncResource):
         if not self.is_up():
             return False
         seen = f"{name} is UP again"
-        if self._socket.getsockname() != (name,):  # its index is no sign: a new one may have the same
+        if self._socket.getsockname() != (name,):  # not the index: a new interface may have the same one
             old = self._socket
             try:
                 if self._broadcast is not None:
                     self._broadcast.restart()
                 self._open()
-            except OSError:  # it went away again under our hands
+            except OSError:  # it went away again meanwhile
                 return False
             trio.lowlevel.notify_closing(old)
             old.close()
@@ -368,7 +367,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
     def set_filters(self, keys: Iterable[RoutingKey] | None) -> bool:
         """Receive only frames of these routing keys (`Network.can_ids()`) from now on; None: all. No frame is lost in between.
 
-        Whether the kernel filters now: more than 512 keys are more than it can, so all frames come again.
+        Returns whether the kernel filters now. It cannot filter for more than 512 keys; then all frames come.
         """
         wanted = None if keys is None else [kernel.filter_for(key) for key in dict.fromkeys(keys)]
         everything = wanted is None or len(wanted) > kernel.MAX_FILTERS
@@ -378,9 +377,10 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return not everything
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
-        """Let the kernel send these frames in turn, one each `period` ns (see `Broadcast`). We receive them like foreign ones.
+        """Let the kernel send these frames in turn, one each `period` ns (see `Broadcast`). We receive them like frames of
+        others.
 
-        Frames that are sent already start again. Raises ValueError for impossible frames or an impossible period, and
+        Replaces cyclic frames that are already sent. Raises ValueError for impossible frames or an impossible period, and
         TransportError if the kernel refuses.
         """
         if self._closed:
@@ -399,7 +399,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
             self._broadcast = None
 
     async def aclose(self) -> None:
-        """Leave the bus; a waiting task wakes with ClosedResourceError."""
+        """Leave the bus. A waiting task wakes with ClosedResourceError."""
         if not self._closed:
             self._closed = True
             self._items.clear()
@@ -413,7 +413,7 @@ _OPTIONS: Final[dict[str, tuple[Option, ...]]] = {"filter": ("ids",), "sync": ("
 
 
 def open_socketcan(locator: Locator) -> SocketCanTransport:
-    """The transport for a locator that was parsed and whose interface is there. Raises TransportError."""
+    """Open the bus of a locator whose interface exists. Raises TransportError."""
     for name, value in locator.options.items():
         if value not in _OPTIONS.get(name, ()):
             raise diagnosis.unknown_option(locator, f"{name}={value}", [f"{key}={each[0]}" for key, each in _OPTIONS.items()])

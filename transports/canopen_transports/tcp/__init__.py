@@ -1,7 +1,7 @@
 """A bus between processes, by TCP: `canopen bus serve` in one terminal, `-b tcp` in the others. No hardware, no kernel module.
 
-framing: what travels, pure. outgoing: a member's queue, pure. address: HOST:PORT, and what to say about it. client: the
-transport. server: the bus.
+framing     the protocol, pure           outgoing    the queue for one member, pure
+address     HOST:PORT, and its errors    client      the transport                     server      the bus
 """
 
 from canopen_transports.tcp.client import TcpTransport, open_tcp

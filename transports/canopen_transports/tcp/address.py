@@ -1,4 +1,4 @@
-"""The address in `tcp:HOST:PORT`, and what there is to say when it cannot be reached."""
+"""The address in `tcp:HOST:PORT`, and the errors when it cannot be reached."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ _ADDRESS: Final = re.compile(r"(?:(\[[0-9A-Fa-f:.]+\]|[^\[\]:\s/]+)(?::([0-9]{1,
 
 
 def parse_address(locator: str, channel: str) -> tuple[str, int]:
-    """Host and port of a locator's channel: "localhost:20301", "[::1]:20301", "localhost", "". Raises TransportError (CO100)."""
+    """Return host and port of a locator's channel: "localhost:20301", "[::1]:20301", "localhost", "". Raises TransportError
+    (CO100)."""
     match = _ADDRESS.fullmatch(channel)
     port = int(match[2] or DEFAULT_PORT) if match is not None else 0
     if match is None or not 1 <= port <= 65535:
@@ -29,12 +30,12 @@ def parse_address(locator: str, channel: str) -> tuple[str, int]:
 
 
 def address_text(host: str, port: int) -> str:
-    """HOST:PORT, as it stands in a locator."""
+    """Return HOST:PORT as it stands in a locator."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer can reach what listens there. A name other than localhost counts as not."""
+    """Return whether only this computer can reach this address. A name other than localhost counts as not."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -42,7 +43,8 @@ def is_loopback(host: str) -> bool:
 
 
 def joining(locator: str) -> tuple[str, str]:
-    """How to join what listens there: the locators for this computer and for others, "" where these need no other or cannot."""
+    """Return the locators by which this computer and other computers join the bus; the second is "" if it is the same or
+    impossible."""
     host, port = parse_address(locator, locator.partition(":")[2])
     if host not in ("0.0.0.0", "::"):
         return locator, ""
@@ -51,7 +53,7 @@ def joining(locator: str) -> tuple[str, str]:
 
 
 def serve_command(host: str, port: int) -> str:
-    """How a server for this address is started."""
+    """Return the command that starts a server at this address."""
     command = "canopen bus serve" + (f" --port {port}" if port != DEFAULT_PORT else "")
     if is_loopback(host):
         return f"{command}    (in another terminal)"
@@ -59,11 +61,11 @@ def serve_command(host: str, port: int) -> str:
 
 
 def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeError) -> TransportError:
-    """Why there is no connection. UnicodeError: the host is a name that none can have."""
+    """Return why there is no connection. UnicodeError: the host is not a valid name."""
     number = _error_number(error)
     tries: tuple[str, ...] = (serve_command(host, port),)
     if isinstance(error, socket.gaierror | UnicodeError):
-        seen, cause = _unknown_name(host, error), "it is mistyped, or no name server is reached that knows it"
+        seen, cause = _unknown_name(host, error), "the name is mistyped, or no name server that knows it can be reached"
         tries = (f"tcp:{DEFAULT_HOST}:{port}",)
     elif isinstance(error, TimeoutError) or number == errno.ETIMEDOUT:
         seen, cause = f"{host} port {port} did not answer", "the computer is off, or a firewall is between"
@@ -75,20 +77,20 @@ def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeE
 
 
 def no_bus_server(locator: str, host: str, port: int, seen: str) -> TransportError:
-    """Somebody listens, but it is no bus server of ours, or it does not want us."""
+    """Return the error if another program listens there, or the bus server refuses us."""
     tries = (serve_command(host, port + 1 if port < 65535 else DEFAULT_PORT),)
     cause = "another program uses this port, or another version of this one; or the bus server is stopped (Ctrl-Z)"
     return TransportError(CANNOT_OPEN, locator, f"cannot open {locator}", seen=seen, cause=cause, tries=tries)
 
 
 def connection_lost(locator: str, doing: str, seen: str, cause: str) -> TransportError:
-    """The connection worked and has ended. It is not opened again without the caller's knowledge: frames would be missing."""
+    """Return the error for a connection that has ended. We do not reconnect: the caller would miss frames without knowing it."""
     tries = (serve_command(*parse_address(locator, locator.partition(":")[2])), "start this program again once it runs")
     return TransportError(BUS_LOST, locator, f"cannot {doing} on {locator}", seen=seen, cause=cause, tries=tries)
 
 
 def cannot_listen(host: str, port: int, error: OSError | UnicodeError) -> TransportError:
-    """Why no server can be started there. UnicodeError: the host is a name that none can have."""
+    """Return why no server can be started there. UnicodeError: the host is not a valid name."""
     where = f"tcp:{address_text(host, port)}"
     number, code = _error_number(error), CANNOT_OPEN
     seen = _unknown_name(host, error) if isinstance(error, socket.gaierror | UnicodeError) else str(error)
@@ -109,7 +111,7 @@ def _unknown_name(host: str, error: socket.gaierror | UnicodeError) -> str:
 
 
 def _error_number(error: BaseException) -> int | None:
-    """The errno of an OSError, or of the first one of those that it was raised from (trio tries each address of a name)."""
+    """Return the errno of an OSError, or of the first OSError behind it (trio tries each address of a name)."""
     if isinstance(error, BaseExceptionGroup):
         return _error_number(error.exceptions[0])
     number = error.errno if isinstance(error, OSError) else None

@@ -1,8 +1,8 @@
-"""`tcp:HOST:PORT`: a member of the bus that `canopen bus serve` makes, in this process or another, on this computer or another.
+"""`tcp:HOST:PORT`: a member of the bus of `canopen bus serve`, which runs in any process on any computer.
 
-`framing` says what travels. Frames have no time stamps: the bus is only in the server's memory, and when a frame was there cannot
-be measured here. A connection that ends is a TransportError (CO111), for good: what is said meanwhile is lost, so whoever wants
-to go on opens the bus again, and starts over.
+`framing` defines the protocol. Frames have no time stamps: the bus exists only in the server's memory, and the client cannot
+measure when a frame was there. If the connection ends, the transport ends with a TransportError (CO111), because frames of the
+meantime are lost. To continue, open the bus again and start over.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from canopen_transports.tcp.framing import HELLO, Bye, FramingError, LineSplitte
 from canopen_transports.transport import Received, check_frame
 
 CONNECT_TIME: Final = 5.0
-"""Seconds until a computer that does not answer counts as not there."""
+"""Seconds after which a computer that does not answer counts as missing."""
 HELLO_TIME: Final = 3.0
-"""Seconds that a server may take for its hello."""
+"""Seconds that a server may take to say hello."""
 ROOM_TIME: Final = 1.0
-"""Seconds that a sender waits while the server takes nothing. It always reads, so it is stopped, or the network is."""
+"""Seconds that a sender waits while the server takes nothing. The server always reads, so it or the network has stopped."""
 READ_SIZE: Final = 1 << 16
 KEEP_ALIVE: Final = (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3))
-"""Seconds, seconds, tries: of a computer that was switched off the other learns within half a minute."""
+"""Seconds, seconds, tries: within half a minute we notice that the other computer was switched off."""
 
 _SERVER_GONE: Final = "the bus server was ended, or it cut us off because we took frames too slowly"
 
@@ -39,20 +39,20 @@ class TcpTransport(trio.abc.AsyncResource):
         self.locator = locator
         self._socket = sock
         self._lines = lines
-        self._waiting = deque(waiting)  # lines; no more are read while there are some, so they are bounded by READ_SIZE
+        self._waiting = deque(waiting)  # lines; bounded, as nothing is read while lines wait
         self._failure: TransportError | None = None
         self._closed = False
         self._send_lock = trio.Lock()
 
     async def send(self, frame: Frame) -> None:
-        """Hand the frame to the server, waiting up to ROOM_TIME for it to take it; then TransportError (CO110)."""
+        """Hand the frame to the server. Waits up to ROOM_TIME until the server takes it, then raises TransportError (CO110)."""
         check_frame(frame)
         line = encode(frame)
         async with self._send_lock:
             self._check_open()
             try:
                 with trio.move_on_after(ROOM_TIME) as limit:
-                    sent = await self._socket.send(line)  # cancelled, it has sent nothing
+                    sent = await self._socket.send(line)  # if cancelled, it has sent nothing
                 if limit.cancelled_caught:
                     raise self._stuck(frame)
                 if sent < len(line):
@@ -63,12 +63,12 @@ class TcpTransport(trio.abc.AsyncResource):
                 raise self._lose("send", str(error), _SERVER_GONE) from error
 
     async def receive(self) -> Received | Report:
-        """The next frame of another member; a ReceiveOverrun if the server had to drop frames for us."""
+        """Return the next frame of another member; a ReceiveOverrun if the server had to drop frames for us."""
         await self._read()
         return self._next()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """What other members have sent, as soon as there is something."""
+        """Wait until other members have sent something; return it."""
         await self._read()
         taken: list[Received | Report] = []
         while self._waiting and len(taken) < limit:
@@ -77,7 +77,7 @@ class TcpTransport(trio.abc.AsyncResource):
             except TransportError:
                 if not taken:
                     raise
-                break  # the end of the connection, which the next call raises again
+                break  # the connection has ended; the next call raises it again
         return taken
 
     async def _read(self) -> None:
@@ -107,7 +107,9 @@ class TcpTransport(trio.abc.AsyncResource):
         try:
             item = decode(self._waiting.popleft())
         except FramingError as error:
-            raise self._lose("receive", str(error), "what listens there is no bus server of this version") from error
+            raise self._lose(
+                "receive", str(error), "the program that listens there is not a bus server of this version"
+            ) from error
         if isinstance(item, Frame):
             return item, None
         if isinstance(item, Lost):
@@ -115,7 +117,7 @@ class TcpTransport(trio.abc.AsyncResource):
         raise self._lose("receive", f"the bus server says: {item.reason}", "")
 
     async def _finish(self, frame: Frame, rest: bytes) -> None:
-        """Send the rest of a line. What was begun has to be ended, or the server could make nothing of what comes next."""
+        """Send the rest of a line. A line that was begun must be ended, or the server cannot read the next one."""
         with trio.CancelScope(shield=True, deadline=trio.current_time() + ROOM_TIME) as limit:
             while rest:
                 rest = rest[await self._socket.send(rest) :]
@@ -137,13 +139,13 @@ class TcpTransport(trio.abc.AsyncResource):
             raise self._end()
 
     def _end(self) -> Exception:
-        """Why there is nothing more to do: we closed, or the connection was lost."""
+        """Return why the transport has ended: we closed it, or the connection was lost."""
         if self._closed or self._failure is None:
             return trio.ClosedResourceError(f"{self.locator} was closed")
         return self._failure
 
     def _lose(self, doing: str, seen: str, cause: str) -> Exception:
-        """The connection is no longer of use. A server that is about to end waits for us to close it."""
+        """Give up the connection, and return why. Closing is needed: a server that is about to end waits for it."""
         if self._failure is None:
             self._failure = connection_lost(self.locator, doing, seen, cause)
         self._socket.close()
@@ -151,7 +153,7 @@ class TcpTransport(trio.abc.AsyncResource):
 
 
 async def open_tcp(locator: str, channel: str) -> TcpTransport:
-    """Join the bus of a bus server. Raises TransportError: CO100, CO101. Cancelled, it leaves nothing open."""
+    """Join the bus of a bus server. Raises TransportError: CO100, CO101. If cancelled, nothing stays open."""
     host, port = parse_address(locator, channel)
     try:
         with trio.fail_after(CONNECT_TIME):
@@ -175,7 +177,7 @@ async def open_tcp(locator: str, channel: str) -> TcpTransport:
 
 
 async def _greet(sock: trio.socket.SocketType, lines: LineSplitter) -> list[bytes]:
-    """Say hello; the first lines that come back, none if nothing does."""
+    """Say hello; return the first lines of the answer, or none."""
     received: list[bytes] = []
     with trio.move_on_after(HELLO_TIME):
         try:
@@ -185,7 +187,7 @@ async def _greet(sock: trio.socket.SocketType, lines: LineSplitter) -> list[byte
                 if not chunk:
                     break
                 received = lines.feed(chunk)
-        except OSError:  # closed on us, which says enough
+        except OSError:  # the server closed the connection: no answer
             pass
     return received
 
@@ -197,11 +199,15 @@ def _greeting_seen(first: bytes) -> str:
         item = None
     if isinstance(item, Bye):
         return f"the bus server says: {item.reason}"
-    return f"what listens there says {shown(first)}, not hello" if first else "what listens there says nothing"
+    return (
+        f"the program that listens there says {shown(first)}, not hello"
+        if first
+        else "the program that listens there says nothing"
+    )
 
 
 def keep_alive(sock: trio.socket.SocketType) -> None:
-    """Have the system notice when the other computer is gone."""
+    """Make the system notice that the other computer is gone."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in KEEP_ALIVE:
         if hasattr(socket, name):

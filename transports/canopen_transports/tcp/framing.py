@@ -1,17 +1,16 @@
-"""How frames travel on `tcp:`: lines of text, in candump's notation. Pure: bytes in, lines and frames out.
+"""The protocol of `tcp:`: lines of text, in candump's notation. Pure: bytes in, lines and frames out.
 
-    canopen-bus 1               hello and version, the first line of both sides; the server says it when the other is a member
-    605#4041600000000000        a frame, as `Frame.parse` reads it; both ways
-    lost 17                     server to member: at this place 17 frames are missing, as the member took them too slowly
-    bye the line ... is no frame        server to member: why it is cut off; the last line
+    canopen-bus 1                      hello and version: the first line of each side; the server's makes the other a member
+    605#4041600000000000               a frame, as `Frame.parse` reads it; both ways
+    lost 17                            server to member: 17 frames are missing here, as the member took them too slowly
+    bye the line ... is no frame       server to member: why it is cut off; the last line
 
-Lines end with LF; a CR before it is dropped. Everything else is refused: identifiers, lengths and digits are checked on both
-sides.
+Lines end with LF; a CR before it is dropped. Each side checks identifiers, lengths and digits, and refuses any other line.
 
-Why text: `nc localhost 20301`, type the hello, and the bus is on the screen; a frame is sent by typing it. Records of 16 bytes
-would be five times cheaper (0.6 us to write and read a frame, against 3.8 us), but next to what a frame costs anyway on its way
-through two sockets (some 200 us) that is little, and at full load of a 1 Mbit/s bus, 8000 frames a second, it is 3 % of one core.
-The server reads no frames at all: it checks a line by one regular expression and hands it on as it is (0.8 us).
+Why text: with `nc localhost 20301` and a typed hello, the bus is on the screen; typing a frame sends it. Records of 16 bytes
+would be five times cheaper (0.6 us instead of 3.8 us to write and read a frame). But a frame's way through two sockets costs some
+200 us anyway, and at full load of a 1 Mbit/s bus, 8000 frames a second, text takes 3 % of one core. The server does not parse
+frames: it checks a line by one regular expression and passes it on unchanged (0.8 us).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from canopen_proto.frame import EXTENDED, REMOTE, Frame
 
 HELLO: Final = b"canopen-bus 1"
 MAX_LINE: Final = 256
-"""Bytes of a line without its end. A frame has 25 at most, the rest is room for the reason behind `bye`."""
+"""Bytes of a line without its end. A frame has 25 at most; the rest is room for the reason in a `bye`."""
 MAX_LOST: Final = 10**9
 
 _FRAME: Final = re.compile(rb"([0-7][0-9A-F]{2}|[01][0-9A-F]{7})#(?:(R)([0-8]?)|((?:[0-9A-F]{2}){0,8}))")
@@ -32,7 +31,7 @@ _BYE: Final = b"bye "
 
 
 class FramingError(ValueError):
-    """A line that has no place in the protocol. The text says which."""
+    """A line that is not part of the protocol. The text says which."""
 
 
 class Lost(NamedTuple):
@@ -51,9 +50,9 @@ Item: TypeAlias = Frame | Lost | Bye
 
 
 class LineSplitter:
-    """Lines from chunks as they come from a socket. At most MAX_LINE + 1 bytes are kept.
+    """Splits chunks from a socket into lines. Keeps at most MAX_LINE + 1 bytes.
 
-    A line that is longer comes out as its first MAX_LINE + 1 bytes, which nothing here accepts; after it no more lines come.
+    A longer line comes out as its first MAX_LINE + 1 bytes, which no function here accepts. No line comes after it.
     """
 
     def __init__(self) -> None:
@@ -66,7 +65,7 @@ class LineSplitter:
         return bool(self._rest)
 
     def feed(self, chunk: bytes) -> list[bytes]:
-        """The lines that are whole now, without their ends."""
+        """Add a chunk; return the lines that are complete now, without their ends."""
         if self._is_deaf:
             return []
         *whole, self._rest = (self._rest + chunk).split(b"\n")
@@ -83,23 +82,23 @@ class LineSplitter:
 
 
 def encode(frame: Frame) -> bytes:
-    """The line of a frame that has passed `check_frame`, with its end."""
+    """Return the line, with its end, for a frame that has passed `check_frame`."""
     return b"%s\n" % str(frame).encode("ascii")
 
 
 def lost_line(count: int) -> bytes:
-    """The line for lost frames."""
+    """Return the line for lost frames."""
     return b"lost %d\n" % min(count, MAX_LOST - 1)
 
 
 def bye_line(reason: str) -> bytes:
-    """The line that ends a connection. The reason is cut to fit, and made plain ASCII."""
+    """Return the line that ends a connection, with the reason in ASCII and cut to fit."""
     text = " ".join(reason.split()).encode("ascii", "backslashreplace")
     return _BYE + text[: MAX_LINE - len(_BYE)] + b"\n"
 
 
 def checked(line: bytes) -> bytes:
-    """A line with a frame as it is handed on, with its end. Raises FramingError. For the server."""
+    """Return a frame's line as the server passes it on, with its end. Raises FramingError."""
     good = line.upper()
     if _FRAME.fullmatch(good) is None:
         raise FramingError(f"the line {shown(line)} is no CAN frame; a frame is written like 605#4041600000000000")
@@ -107,7 +106,7 @@ def checked(line: bytes) -> bytes:
 
 
 def decode(line: bytes) -> Item:
-    """What a line of the server's says. Raises FramingError."""
+    """Return the meaning of a line from the server. Raises FramingError."""
     match = _FRAME.fullmatch(line)
     if match is not None:
         identifier, remote, dlc, data = match.groups()
@@ -124,5 +123,5 @@ def decode(line: bytes) -> Item:
 
 
 def shown(line: bytes) -> str:
-    """A line of somebody else's, as a message may show it."""
+    """Return the beginning of a foreign line, for a message."""
     return repr(line[:40]).removeprefix("b") + ("..." if len(line) > 40 else "")

@@ -1,4 +1,4 @@
-"""What waits to be written to one member of a bus server: bounded, and it says where it lost some. Pure."""
+"""The bounded queue of lines for one member of a bus server; it marks lost lines at their place. Pure."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Final
 from canopen_transports.tcp.framing import bye_line, lost_line
 
 QUEUE_SIZE: Final = 8192
-"""Lines, as many as a receive queue holds of frames: one second of a fully loaded 1 Mbit/s bus. What the system's own buffers
-hold, some megabytes on Linux, comes on top."""
+"""Lines, as many as a receive queue has frames: one second of a fully loaded 1 Mbit/s bus. The system's own buffers come on top;
+on Linux they hold some megabytes."""
 BATCH: Final = 512
 """Lines that are written at once: some 10 KB."""
 
 
 class Outgoing:
-    """Lines for one member. A loss is marked by a `lost` line at its place, however many lines are missing there."""
+    """Lines for one member. One `lost` line marks a loss at its place, however many lines are missing there."""
 
     def __init__(self, size: int = QUEUE_SIZE) -> None:
         self._size = size
@@ -37,13 +37,13 @@ class Outgoing:
         self._lines.append(line)
 
     def end(self, reason: str) -> None:
-        """Drop what waits: the member gets nothing but the reason for its end."""
+        """Replace what waits by the reason why the member is cut off."""
         self._lines.clear()
         self._lost = 0
         self._lines.append(bye_line(reason))
 
     def take(self) -> bytes:
-        """What is to be written next."""
+        """Return the bytes to write next."""
         lines = self._lines
         taken = list(islice(lines, BATCH))
         for _ in taken:

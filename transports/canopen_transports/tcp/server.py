@@ -1,14 +1,14 @@
-"""The bus server of `canopen bus serve`: what one member sends goes to all the others, in one order for all.
+"""The bus server of `canopen bus serve`: a frame of one member goes to all the others, in one order for all.
 
-It trusts nobody. A connection becomes a member by its hello (see `framing`), which has to come within HELLO_TIME. Then:
+It trusts nobody. A connection becomes a member by its hello (see `framing`), which must come within HELLO_TIME. Then:
 
-- What is no frame ends a connection, and so does a line that is begun and not ended within HALF_LINE_TIME.
-- A member that takes its frames too slowly loses some, and is told how many and where (`lost`). One that takes none for
-  STALL_TIME is cut off.
-- Who is cut off is told why (`bye`), if it takes that within FAREWELL_TIME.
-- At most MAX_CONNECTIONS at a time, each with a bounded queue. As many more are told so; what comes on top is closed at once.
+- A line that is not a frame ends the connection; so does a line that is not ended within HALF_LINE_TIME.
+- A member that takes its frames too slowly loses some; the server tells it how many and where (`lost`). A member that takes none
+  for STALL_TIME is cut off.
+- The server tells a member why it is cut off (`bye`), if the member takes that within FAREWELL_TIME.
+- At most MAX_CONNECTIONS exist at a time, each with a bounded queue. As many more are told so; others are closed at once.
 
-What it leaves out: names and passwords (it serves loopback, unless somebody decides otherwise), bit rate and arbitration.
+Left out: names and passwords (it listens on loopback unless its user decides otherwise), bit rate and arbitration.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from canopen_transports.tcp.framing import HELLO, FramingError, LineSplitter, ch
 from canopen_transports.tcp.outgoing import QUEUE_SIZE, Outgoing
 
 MAX_CONNECTIONS: Final = 64
-"""More processes than anybody runs on one bus; with full queues they take some 16 MB."""
+"""More processes than anyone runs on one bus; with full queues they take some 16 MB."""
 HELLO_TIME: Final = 20.0
 """Seconds. A program says hello at once, a person with `nc` types it."""
 HALF_LINE_TIME: Final = 5.0
@@ -34,9 +34,9 @@ HALF_LINE_TIME: Final = 5.0
 STALL_TIME: Final = 5.0
 """Seconds in which a member takes nothing at all, though the system's buffers are full."""
 FAREWELL_TIME: Final = 3.0
-"""Seconds for the reason to arrive."""
+"""Seconds in which a member must take the reason."""
 READ_SIZE: Final = 4096
-"""Bytes: at most some 800 frames, after which the others have their turn."""
+"""Bytes: at most some 800 frames; then the other members have their turn."""
 
 Tell = Callable[[str], object]
 
@@ -46,9 +46,9 @@ class _Member:
         self.name = name
         self.out = Outgoing(queue_size)
         self.work = trio.lowlevel.ParkingLot()
-        self.scope = trio.CancelScope()  # of all it has
+        self.scope = trio.CancelScope()  # of all its tasks
         self.reading = trio.CancelScope()
-        self.deadline = math.inf  # of its hello, or of the line that it has begun
+        self.deadline = math.inf  # for its hello, or for the end of a line
         self.writing_since = math.inf
         self.reason = ""
         """Why it is cut off; "" as long as it is not."""
@@ -58,7 +58,7 @@ class _Member:
         self.work.unpark_all()
 
     def cut_off(self, reason: str) -> None:
-        """Nothing more to it but the reason, nothing more from it."""
+        """Send the reason and nothing else, and read no more from the member."""
         if not self.reason:
             self.reason = reason
             self.out.end(reason)
@@ -68,7 +68,7 @@ class _Member:
 
 
 class BusServer:
-    """One bus. tell: called with what happens, for people. on_frame: called with each frame. queue_size: lines for a member."""
+    """One bus. tell: called with news for people. on_frame: called with each frame. queue_size: lines for each member."""
 
     def __init__(
         self, tell: Tell = lambda text: None, on_frame: Callable[[Frame], object] | None = None, *, queue_size: int = QUEUE_SIZE
@@ -81,11 +81,11 @@ class BusServer:
 
     @property
     def members(self) -> int:
-        """How many are on the bus."""
+        """How many members the bus has."""
         return len(self._members)
 
     async def watch(self) -> None:
-        """Look after members that stall. To be run beside `serve`; never returns."""
+        """Cut off members that stall. Runs beside `serve`; never returns."""
         while True:
             await trio.sleep(1.0)
             now = trio.current_time()
@@ -97,7 +97,7 @@ class BusServer:
                     member.cut_off(what)
 
     async def serve(self, stream: trio.abc.HalfCloseableStream, name: str) -> None:
-        """Serve one connection until it ends. name: what to call it."""
+        """Serve one connection until it ends. name: what the news calls it."""
         if len(self._connections) >= 2 * MAX_CONNECTIONS:
             await trio.aclose_forcefully(stream)
             return
@@ -118,7 +118,7 @@ class BusServer:
             self._leave(member)
 
     def end(self, reason: str) -> None:
-        """Cut all off. Their connections end within FAREWELL_TIME."""
+        """Cut all members off. Their connections end within FAREWELL_TIME."""
         for member in self._connections:
             member.cut_off(reason)
 
@@ -184,7 +184,7 @@ class BusServer:
             member.reading.cancel()
 
     async def _see_off(self, stream: trio.abc.HalfCloseableStream) -> None:
-        """Read on to the end: a connection that is closed with unread bytes would take the reason back."""
+        """Read to the end: closing a connection with unread bytes would discard the reason."""
         await stream.send_eof()
         while await stream.receive_some(READ_SIZE):
             pass
@@ -201,8 +201,10 @@ async def serve_bus(
     server: BusServer,
     task_status: trio.TaskStatus[list[str]] = trio.TASK_STATUS_IGNORED,
 ) -> None:
-    """Listen until cancelled; then the members are told. Started in a nursery it gives the locators, of port 0 with the port that
-    the system chose. Raises TransportError (CO101, CO102)."""
+    """Listen until cancelled, then tell the members. Raises TransportError (CO101, CO102).
+
+    Started in a nursery it returns the locators; for port 0 they have the port that the system chose.
+    """
     try:
         listeners = await trio.open_tcp_listeners(port, host=host)
     except (OSError, UnicodeError) as error:
@@ -212,7 +214,7 @@ async def serve_bus(
         try:
             keep_alive(stream.socket)
             peer = stream.socket.getpeername()
-        except OSError:  # it has gone again already
+        except OSError:  # it is gone already
             await stream.aclose()
             return
         await server.serve(stream, address_text(peer[0], peer[1]))
@@ -230,7 +232,7 @@ async def serve_bus(
 
 
 async def _hold(over: trio.Event, task_status: trio.TaskStatus[trio.Nursery]) -> None:
-    """A place for connections that outlives a cancel until their members were told of it; `cut_off` sets them a limit."""
+    """Hold the connections open after a cancel until their members were told; `cut_off` limits that time."""
     with trio.CancelScope(shield=True):
         async with trio.open_nursery() as connections:
             task_status.started(connections)

@@ -1,8 +1,8 @@
-"""CAN as copper has it: how long frames are, who may send when, what faults do. Pure: no I/O, no clock, no trio.
+"""CAN as it is on a cable: how long frames are, who may send when, what faults do. Pure: no I/O, no clock, no trio.
 
     frame_bits      the exact length of a frame in bits, and its bounds
     wire            the bus machine: arbitration, transmit queues, faults by a seed, error counters, load
-    response_time   how long a frame waits at worst, without simulating it
+    response_time   the longest time that a frame may wait, without a simulation
 
 Time is ns on any monotonic clock, and an argument, as in the core.
 """

@@ -1,15 +1,15 @@
-"""`Confinement`: who is to blame for errors, and what becomes of him (ISO 11898-1; Bosch CAN specification, fault confinement).
+"""`Confinement`: counts each member's errors, and takes it off the bus (ISO 11898-1; Bosch CAN specification, fault confinement).
 
     a transmitter sees an error              TEC + 8
-    a receiver sees an error                 REC + 1; and 8 more who saw it first: the others' flags follow upon his own
-    a frame got out                          TEC - 1
+    a receiver sees an error                 REC + 1; the one that saw it first, 8 more: the flags of the others follow its own
+    a frame was sent                         TEC - 1
     a frame was taken                        REC - 1; from 128 on it becomes 119 (the standard allows 119 to 127)
     TEC or REC 96                            error warning
-    TEC or REC 128                           error-passive: it no longer disturbs others, and waits 8 bits after having sent
+    TEC or REC 128                           error-passive: it no longer disturbs others, and waits 8 bits after sending
     TEC 256                                  bus-off: its queue is lost; error-active again after 128 times 11 recessive bits
-    no acknowledge, of one error-passive     nothing: who is alone never becomes bus-off
+    no acknowledge, of one error-passive     no change: a lone member never becomes bus-off
 
-Rules that cannot apply here: bits that stay dominant behind an error flag (there are none), overload frames.
+Rules that cannot apply here: bits that stay dominant after an error flag (there are none), overload frames.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ PASSIVE_LIMIT: Final = 128
 BUS_OFF_LIMIT: Final = 256
 AFTER_PASSIVE: Final = 119
 RECOVERY: Final = 128
-"""Times 11 recessive bits that a member which is bus-off has to see."""
+"""How many times a member that is bus-off must see 11 recessive bits."""
 RECESSIVE: Final = 11
 
 
 class Confinement:
-    """The error counters and states of a wire's members. events: where state changes and lost frames are reported.
+    """The error counters and states of a wire's members. events: the list to which it appends changes of state and lost frames.
 
     disturbed: the members whose counters are not 0.
     """
@@ -56,7 +56,7 @@ class Confinement:
         self._recount(segment, member, now)
 
     def got_through(self, segment: Segment, senders: Container[WireMember], takers: Container[WireMember], now: Time) -> None:
-        """Count a frame that these have sent and those have taken, without an error."""
+        """Count a frame without an error: `senders` sent it, `takers` took it."""
         for member in list(self.disturbed):
             if member in senders:
                 member.transmit_errors = max(member.transmit_errors - 1, 0)
@@ -70,14 +70,14 @@ class Confinement:
                 del self.disturbed[member]
 
     def recover(self, segment: Segment, member: WireMember, now: Time) -> None:
-        """Begin the way back from bus-off."""
+        """Start a member's way back from bus-off."""
         self.settle(segment, now)
         member.recovery = RECOVERY
         segment.recovering.append(member)
 
     def settle(self, segment: Segment, now: Time, frames: int = 0) -> None:
-        """Count the times 11 recessive bits since the bus became free, and one for each frame (ACK delimiter to intermission, or
-        error delimiter to intermission)."""
+        """Count the runs of 11 recessive bits since the bus became free, and one for each frame (between its delimiter and
+        intermission)."""
         seen = frames
         if not frames and segment.current is None and now > segment.free_at:
             seen = (now - segment.free_at) // self._time_of(1)
@@ -91,14 +91,14 @@ class Confinement:
                 self._recount(segment, member, now)
 
     def next_recovery(self, segment: Segment) -> Time:
-        """When the first of those that recover is back, if nothing is sent meanwhile."""
+        """Return when the first recovering member is back if no frame is sent until then."""
         return segment.free_at + self._time_of(min(member.recovery for member in segment.recovering))
 
     def _time_of(self, times: int) -> Time:
         return duration(RECESSIVE * times, self._bitrate)
 
     def _recount(self, segment: Segment, member: WireMember, now: Time) -> None:
-        """The state follows the counters."""
+        """Set the member's state by its counters."""
         state = _state_of(member)
         if state is member.state:
             return

@@ -1,4 +1,4 @@
-"""What becomes of a frame that has won the arbitration: decided when it begins, by the faults' rates and the seed."""
+"""Decides, when a frame has won the arbitration, how its transmission will end: by the fault rates and the seed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from canopen_transports.wire.segment import Segment, Transmission
 
 
 def decide(sending: Transmission, segment: Segment, rates: FaultRates, random: Random, acknowledge: bool) -> int:
-    """Set the outcome and the victim of a transmission; the bits until that shows.
+    """Set the outcome and the victim of a transmission. Returns the number of bits until that shows.
 
-    A frame that nobody acknowledges is a LOSS whose victim is its sender.
+    A frame that nobody acknowledges is a LOSS with its sender as the victim.
     """
     frame, senders = sending.waiting.frame, sending.senders
     bits = frame_bits(frame)
@@ -41,7 +41,7 @@ def _hit(
     if draw < rates.corruption:
         sending.victim = random.choice([*sending.senders, *hearing])
         if sending.victim in hearing and sending.victim.state is BusState.PASSIVE:
-            sending.outcome = FaultKind.LOSS  # its flag is recessive, and disturbs nobody
+            sending.outcome = FaultKind.LOSS  # its error flag is recessive and disturbs nobody
             return bits - INTERMISSION
         sending.outcome = FaultKind.CORRUPTION
         return random.randint(1, bits - INTERMISSION - 1)
@@ -54,7 +54,7 @@ def _hit(
 
 
 def first_difference(one: Frame, other: Frame) -> int:
-    """At which bit on the wire two frames with one arbitration field begin to differ, from 1 on; stuff bits are counted."""
+    """Return the place of the first bit in which two frames with one arbitration field differ, from 1 on; stuff bits count."""
     (first, first_count), (second, second_count) = stuffed_part(one), stuffed_part(other)
     common = min(first_count, second_count)
     first >>= first_count - common

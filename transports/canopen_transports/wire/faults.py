@@ -1,4 +1,4 @@
-"""What can go wrong on a wire, and how often. Which frame is hit, and who is, comes from the seed of the wire."""
+"""The faults of a wire, and how often they happen. The wire's seed decides which frame is hit, and at which member."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ class FaultKind(Enum):
     LOSS = "lost at one receiver"
     """One receiver missed it: its receive buffer was full, or it was error-passive when it saw an error."""
     REPETITION = "repeated"
-    """The last bit of EOF was disturbed: all receivers have taken the frame, its sender sends it again."""
+    """The last bit of EOF was disturbed: all receivers have taken the frame, and its sender sends it again."""
     CORRUPTION = "corrupted"
-    """Somebody saw a bit error, a stuff error or a CRC error: an error frame, and the frame is sent again."""
+    """A member saw a bit error, a stuff error or a CRC error: an error frame follows, and the frame is sent again."""
     DELAY = "late at one receiver"
-    """One receiver got it, and all that came behind it, later: a gateway, a controller that is read too seldom."""
+    """One receiver got it late, and so all frames after it: a gateway, or a controller that is read too seldom."""
     COLLISION = "collided"
-    """Two members sent different frames with one identifier. It never comes from the rates, always from the members."""
+    """Two members sent different frames with one identifier. The members cause this, never the rates."""
     CUT = "destroyed by a cut"
-    """The cable was cut, or mended, in the middle of it."""
+    """The cable was cut or mended during the frame."""
     NOT_SENT = "not sent"
     """It was queued when its member went bus-off."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultRates:
-    """How often a frame is hit: probabilities per frame, of which at most one comes true.
+    """How often a frame is hit: probabilities for each frame; at most one comes true.
 
-    delay_time: how late a late frame is at most, ns. LocalProtocolError for rates that are none, or together above 1.
+    delay_time: how late a late frame is at most, ns. Raises LocalProtocolError for rates outside 0 to 1, or with a sum above 1.
     """
 
     loss: float = 0.0
@@ -49,5 +49,5 @@ class FaultRates:
 
     @property
     def total(self) -> float:
-        """How many frames of all are hit."""
+        """The probability that a frame is hit at all."""
         return self.loss + self.repetition + self.corruption + self.delay

@@ -1,4 +1,4 @@
-"""How many bits a classical CAN frame is long: exactly, at least and at worst (ISO 11898-1; Bosch CAN specification 2.0).
+"""The length of a classical CAN frame in bits: exact, least and most (ISO 11898-1; Bosch CAN specification 2.0).
 
 A frame on the wire, in bits:
 
@@ -7,11 +7,11 @@ A frame on the wire, in bits:
     then     CRC delimiter 1 | ACK slot 1 | ACK delimiter 1 | EOF 7 | intermission 3          13
 
 The first part is stuffed: after five equal bits the transmitter inserts one of the other value, which counts as the first of the
-next five. So at worst one stuff bit comes after the first five bits and one after each four that follow. How many there are
-depends on identifier, length, data and CRC; here they are counted on the bits as they stand on the wire.
+next five. So at worst there is one stuff bit after the first five bits and one after each four that follow. Their number depends
+on identifier, length, data and CRC; this module counts them on the bits of the wire.
 
-The intermission belongs to the length: no other frame begins before it is over. The CRC has the generator polynomial 0x4599 and
-begins with 0, so that zeros before the frame do not change it; bits can therefore be taken a byte at a time from the end.
+The intermission is part of the length: no other frame begins before it is over. The CRC has the generator polynomial 0x4599 and
+starts with 0, so zeros before the frame do not change it; therefore the bits can be taken a byte at a time from the end.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ STUFFED_STANDARD: Final = 34
 """Stuffed bits of a frame without data, before stuffing."""
 STUFFED_EXTENDED: Final = 54
 MAX_RUN: Final = 5
-"""Equal bits in a row; behind them comes a stuff bit."""
+"""After so many equal bits comes a stuff bit."""
 
 
 def duration(bits: int, bitrate: int) -> Time:
-    """How long that many bits take, in ns, to the nearest. bitrate: bit/s."""
+    """Return the time of so many bits, in ns, rounded. bitrate: bit/s."""
     return (bits * SECOND + bitrate // 2) // bitrate
 
 
 def least_bits(data_length: int, *, extended: bool = False) -> int:
-    """The length of a frame without any stuff bit: 8n + 47, or 8n + 67 with a 29-bit identifier."""
+    """Return the length of a frame without any stuff bit: 8n + 47, or 8n + 67 with a 29-bit identifier."""
     return (STUFFED_EXTENDED if extended else STUFFED_STANDARD) + 8 * data_length + FRAME_TAIL
 
 
 def worst_bits(data_length: int, *, extended: bool = False) -> int:
-    """The length of a frame with as many stuff bits as there can be."""
+    """Return the length of a frame with the most stuff bits possible."""
     stuffed = (STUFFED_EXTENDED if extended else STUFFED_STANDARD) + 8 * data_length
     return stuffed + FRAME_TAIL + (stuffed - 1) // (MAX_RUN - 1)
 
 
 def frame_bits(frame: Frame) -> int:
-    """The exact length of this frame, from SOF to the end of the intermission."""
+    """Return the exact length of this frame, from SOF to the end of the intermission."""
     bits, count = stuffed_part(frame)
     return count + stuff_bits(bits, count) + FRAME_TAIL
 
 
 def stuffed_part(frame: Frame) -> tuple[int, int]:
-    """The bits from SOF to the end of the CRC, before stuffing: as a number, SOF first; and how many they are."""
+    """Return the bits from SOF to the end of the CRC, before stuffing, as a number with SOF first; and their count."""
     remote = frame.flags & REMOTE
     if frame.flags & EXTENDED:
         # SOF 0, base ID, SRR 1, IDE 1, the other 18 bits, RTR, r1 0, r0 0
@@ -75,7 +75,7 @@ def stuffed_part(frame: Frame) -> tuple[int, int]:
 
 
 def crc15(bits: int) -> int:
-    """The CRC of a bit string that is given as a number, the first bit the highest."""
+    """Return the CRC of a bit string, given as a number with the first bit the highest."""
     table = _crc_table()
     crc = 0
     for byte in bits.to_bytes((bits.bit_length() + 7) // 8, "big"):
@@ -84,7 +84,7 @@ def crc15(bits: int) -> int:
 
 
 def stuff_bits(bits: int, count: int) -> int:
-    """How many stuff bits a string of `count` bits takes, given as a number, the first bit the highest."""
+    """Return how many stuff bits a string of `count` bits takes, given as a number with the first bit the highest."""
     rest = count & 7
     total, state = _NOTHING_YET
     for place in range(count - 1, count - 1 - rest, -1):
@@ -108,13 +108,13 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-# Where stuffing is: the value of the last bits (0 or 1) and how many of them were equal (0 at first, else 1 to 4; five equal bits
-# become one of the other value). As a number: the value, and the count times two.
+# The state of stuffing: the value of the last bit (0 or 1), and how many equal bits there were (0 at first, else 1 to 4; five
+# equal bits become one of the other value). As a number: the value, plus twice the count.
 _NOTHING_YET: Final = (0, 0)
 
 
 def _after_bit(state: int, bit: int) -> tuple[int, int]:
-    """The stuff bits (0 or 1) that a bit causes, and the state behind it."""
+    """Return the stuff bits (0 or 1) that a bit causes, and the state after it."""
     run = (state >> 1) + 1 if state & 1 == bit else 1
     if run == MAX_RUN:
         return 1, 1 << 1 | bit ^ 1
@@ -123,7 +123,7 @@ def _after_bit(state: int, bit: int) -> tuple[int, int]:
 
 @cache
 def _stuff_table() -> tuple[tuple[int, int], ...]:
-    """For each state and byte: the stuff bits, and the state behind it."""
+    """Return, for each state and byte, the stuff bits and the state after it."""
     table = []
     for start in range(2 * MAX_RUN):
         for byte in range(256):

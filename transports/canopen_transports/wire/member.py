@@ -1,14 +1,14 @@
 """`WireMember`: one CAN controller on the wire, with its transmit queue. (Its error counters: confinement.py.)
 
-**Transmit queue.** Which of the waiting frames takes part in the arbitration is the controller's and the driver's choice:
+**Transmit queue.** Controller and driver choose which of the waiting frames takes part in the arbitration:
 
-- FIFO: the oldest. So do Linux's SocketCAN (its network queue hands frames to the controller in order, most drivers use one
-  mailbox or a hardware FIFO), PEAK's and most other USB adapters, and CANopen stacks with one software queue. A SYNC then waits
-  behind an SDO that is queued before it: priority inversion, which the classic analysis knows nothing of.
-- PRIORITY: the lowest identifier. So do controllers with several mailboxes that are sent by identifier (bxCAN, FlexCAN, MCAN
-  with a queue instead of a FIFO) where the driver fills them that way. This is what the classic analysis presumes.
+- FIFO: the oldest. Linux's SocketCAN does so (its network queue hands frames over in order, and most drivers use one mailbox or a
+  hardware FIFO), as do PEAK's and most other USB adapters, and CANopen stacks with one software queue. A SYNC then waits behind
+  an SDO that was queued before it: a priority inversion, which the classic analysis does not consider.
+- PRIORITY: the lowest identifier. Controllers with several mailboxes that are sent by identifier do so (bxCAN, FlexCAN, MCAN with
+  a queue instead of a FIFO), if the driver fills them that way. The classic analysis presumes this.
 
-A frame that is being sent is never overtaken: it stays at the head until it is out.
+A frame that is being sent is never overtaken: it stays at the head until it is sent.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from canopen_proto.machine import LocalProtocolError, Time
 from canopen_transports.errors import BusState
 
 TRANSMIT_QUEUE_SIZE: Final = 64
-"""Frames; 16 times what a small controller has, and about what a driver's queue holds."""
+"""Frames: 16 times what a small controller has, and about what a driver's queue holds."""
 
 
 class QueueOrder(Enum):
@@ -38,7 +38,7 @@ class QueueFull(LocalProtocolError):
 
 
 class Waiting(NamedTuple):
-    """A frame in a transmit queue. Sorted by its arbitration, then by its age."""
+    """A frame in a transmit queue. Sorted by arbitration, then by age."""
 
     arbitration: int
     number: int
@@ -47,10 +47,10 @@ class Waiting(NamedTuple):
 
 
 def arbitration(frame: Frame) -> int:
-    """The bits by which the bus decides, as a number: the lower one wins.
+    """Return the bits by which the bus decides, as a number: the lower one wins.
 
-    They are the identifier's and RTR, SRR and IDE as they follow on the wire: of equal 11 bits a data frame goes before a remote
-    frame, and both before a 29-bit frame that begins with them.
+    They are the identifier, RTR, SRR and IDE in the order of the wire. With equal first 11 bits, a data frame goes before a
+    remote frame, and both before a 29-bit frame.
     """
     remote = frame.flags & REMOTE
     if frame.flags & EXTENDED:
@@ -59,10 +59,10 @@ def arbitration(frame: Frame) -> int:
 
 
 class WireMember:
-    """A place on the wire; made by `Wire.join`, which alone changes it. All is read-only outside.
+    """A place on the wire; made by `Wire.join`. Only the wire changes it; all else reads.
 
     number: in the order of joining, from 0. state: ACTIVE, WARNING, PASSIVE or BUS_OFF. transmit_errors, receive_errors: the
-    counters. sent: frames that got out.
+    counters. sent: how many frames were sent.
     """
 
     __slots__ = (
@@ -80,11 +80,11 @@ class WireMember:
         self.transmit_errors = 0
         self.receive_errors = 0
         self.sent = 0
-        self.sending: Waiting | None = None  # stays at the head, whatever comes
+        self.sending: Waiting | None = None  # stays at the head
         self.suspended_until: Time = 0
         self.delayed_until: Time = 0
         self.babbles_until: Time | None = None
-        self.recovery = 0  # times 11 recessive bits that are still to be seen; of a member that is bus-off
+        self.recovery = 0  # runs of 11 recessive bits still to come, at bus-off
         self.unacknowledged = False
         self._order = order
         self._queued = 0
@@ -102,7 +102,7 @@ class WireMember:
 
     @property
     def queued(self) -> int:
-        """How many frames wait, with the one that is being sent."""
+        """How many frames wait, including the one that is being sent."""
         return len(self._queue) + len(self._heap) + (self.sending is not None)
 
     @property
@@ -111,7 +111,7 @@ class WireMember:
         return self.queued < self.size
 
     def put(self, frame: Frame, now: Time) -> None:
-        """Queue a frame. QueueFull where there is no room."""
+        """Queue a frame. Raises QueueFull if there is no room."""
         if not self.has_room:
             raise QueueFull(f"the transmit queue of member {self.number} is full: {self.size} frames")
         waiting = Waiting(arbitration(frame), self._queued, frame, now)
@@ -122,17 +122,17 @@ class WireMember:
             heapq.heappush(self._heap, waiting)
 
     def head(self) -> Waiting | None:
-        """What competes for the bus, while this member sends nothing."""
+        """Return the frame that competes for the bus while this member sends nothing, or None."""
         if self._queue:
             return self._queue[0]
         return self._heap[0] if self._heap else None
 
     def begin(self) -> None:
-        """The head is on the wire."""
+        """Start to send the head."""
         self.sending = self._queue.popleft() if self._queue else heapq.heappop(self._heap)
 
     def failed(self) -> None:
-        """It did not get out, and competes again: with what else has come meanwhile, where the order is that of priority."""
+        """Put the frame that failed back, to compete again; by priority, it competes with frames that came meanwhile."""
         waiting, self.sending = self.sending, None
         if waiting is None:
             return
@@ -142,7 +142,7 @@ class WireMember:
             heapq.heappush(self._heap, waiting)
 
     def clear(self) -> list[Waiting]:
-        """Empty the queue; what was in it."""
+        """Empty the queue and return what was in it."""
         self.failed()
         dropped = sorted([*self._queue, *self._heap], key=lambda waiting: waiting.number)
         self._queue.clear()

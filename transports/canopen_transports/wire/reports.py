@@ -12,7 +12,7 @@ from canopen_transports.wire.member import WireMember
 
 
 class Delivery(NamedTuple):
-    """A frame that came out of the wire. at: the end of EOF. queued: when it was queued. senders: as a rule one."""
+    """A frame that came out of the wire. at: the end of EOF. queued: when it was queued. senders: usually one."""
 
     at: Time
     frame: Frame
@@ -22,7 +22,7 @@ class Delivery(NamedTuple):
 
 
 class FaultHappened(NamedTuple):
-    """A frame was hit. member: who missed it or had it late; else who sent it."""
+    """A frame was hit. member: the one that missed it or got it late, else its sender."""
 
     at: Time
     kind: FaultKind
@@ -31,7 +31,7 @@ class FaultHappened(NamedTuple):
 
 
 class StateReported(NamedTuple):
-    """What a member's controller reports. state: its new one, or NO_ACKNOWLEDGE once for each frame that has none."""
+    """A report of a member's controller. state: its new state, or NO_ACKNOWLEDGE once for each frame that nobody acknowledges."""
 
     at: Time
     state: BusState

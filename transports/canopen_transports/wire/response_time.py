@@ -1,32 +1,30 @@
-"""How long a CAN frame waits at worst: the classic analysis, without simulating anything.
+"""The longest time that a CAN frame may wait: the classic analysis, without a simulation.
 
 R. I. Davis, A. Burns, R. J. Bril, J. J. Lukkien: "Controller Area Network (CAN) schedulability analysis: Refuted, revisited and
 revised", Real-Time Systems 35 (2007), 239-272.
 
-Theory of operation
--------------------
-Each message m has a priority (its identifier), a period T (or a shortest distance), a queuing jitter J (how much later than its
-period's beginning it may be queued) and a transmission time C, at worst with all stuff bits, the intermission with it. Frames are
-not preemptive, so the longest one of lower priority may just have begun: the blocking B. The priority level-m busy period begins
-then, and lasts (equation 8)
+Each message m has a priority (its identifier), a period T (or a shortest distance), a queuing jitter J (how long after the start
+of its period it may be queued) and a transmission time C with the most stuff bits and the intermission. A frame that is being
+sent is not interrupted, so the longest frame of lower priority may just have begun: the blocking B. Then the priority level-m
+busy period begins, and lasts (equation 8)
 
     t = B + sum over k of priority m or higher of ceil((t + J_k) / T_k) C_k
 
-Several instances of m may lie in it, Q = ceil((t + J) / T); for the q-th of them (equations 11 and 12)
+It may contain several instances of m, Q = ceil((t + J) / T); for the q-th of them (equations 11 and 12)
 
     w(q) = B + q C + sum over k of higher priority of ceil((w + J_k + bit) / T_k) C_k        R(q) = J + w(q) - q T + C
 
-The worst of these is the response time: from the beginning of the period to the end of the intermission. (The receivers have the
-frame 3 bits before that.) The older analysis, which looked at q = 0 only, was refuted by this paper: a frame may wait longest in
-its second instance.
+The largest of these is the response time: from the start of the period to the end of the intermission. (The receivers have the
+frame 3 bits earlier.) The paper refuted the older analysis, which looked at q = 0 only: a frame may wait longest in its second
+instance.
 
-It presumes that each member sends its most urgent frame first (see QueueOrder). For members that send in the order of queuing
-(`queue` of a Message) the bound here is simpler than the published one (R. I. Davis, S. Kollmann, V. Pollex, F. Slomka:
-"Schedulability analysis for CAN with FIFO queues", ECRTS 2011), and not below it: a frame is as urgent as the least urgent one
-of its queue only, and waits for all of its queue; and to the others it comes with the jitter that its own queue gives it.
+The analysis presumes that each member sends its most urgent frame first (see QueueOrder). For members that send in the order of
+queuing (`queue` of a Message) the bound here is simpler than the published one (R. I. Davis, S. Kollmann, V. Pollex, F. Slomka:
+"Schedulability analysis for CAN with FIFO queues", ECRTS 2011), and not below it. A frame is only as urgent as the least urgent
+one of its queue, and waits for all frames of its queue. To other members it comes with the jitter that its own queue gives it.
 
-Errors: `error_interval` is the shortest time between two errors on the bus; each costs an error frame and the longest frame that
-may have to be sent again.
+Errors: `error_interval` is the shortest time between two errors on the bus. Each error costs an error frame and a repetition of
+the longest frame.
 """
 
 from __future__ import annotations
@@ -39,9 +37,9 @@ from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_transports.wire.frame_bits import duration
 
 MAX_INSTANCES: Final = 1_000
-"""Of one message in one busy period: the next one is always waiting already. A network that is meant to work has a few."""
+"""Instances of one message in one busy period: its next frame always waits already. A network that is meant to work has a few."""
 MAX_ROUNDS: Final = 100
-"""Of letting queues and response times make each other longer, until the network is said not to fit."""
+"""Rounds in which queues and response times may make each other longer, before the network counts as overloaded."""
 ERROR_OVERHEAD: Final = 31
 """Bits of an error frame at worst: flag and echo 12, delimiter 8, intermission 3, suspend transmission 8."""
 
@@ -50,9 +48,9 @@ ERROR_OVERHEAD: Final = 31
 class Message:
     """A frame that is sent again and again.
 
-    priority: lower goes first; two messages with one priority are taken to wait for each other. time: how long it takes on the
-    wire at worst, ns. period: ns, or the shortest distance of two. jitter: ns. deadline: ns, by default the period. queue: the
-    FIFO of the member that it is sent by; None for a member that sends its most urgent frame first.
+    priority: the lower one goes first; two messages of one priority wait for each other. time: on the wire at worst, ns. period:
+    ns, or the shortest distance of two frames. jitter: ns. deadline: ns, default: the period. queue: the name of its member's
+    FIFO; None if the member sends its most urgent frame first.
     """
 
     name: str
@@ -65,18 +63,18 @@ class Message:
 
     def __post_init__(self) -> None:
         if self.time < 1 or self.period < 1 or self.jitter < 0:
-            raise LocalProtocolError(f"message {self.name}: its time and period are 1 ns or more, and its jitter is none below 0")
+            raise LocalProtocolError(f"message {self.name}: time and period must be at least 1 ns, and the jitter at least 0")
 
     @property
     def due(self) -> Time:
-        """Its deadline."""
+        """The deadline in ns."""
         return self.period if self.deadline is None else self.deadline
 
 
 @dataclass(frozen=True, slots=True)
 class ResponseTime:
-    """What the analysis says of a message. worst: ns, NEVER where it grows without end. instance: which one waits longest, from
-    0 on. instances: how many lie in the longest busy period. blocking: by one frame of lower priority, ns."""
+    """The result for one message. worst: ns, NEVER if it grows without end. instance: which one waits longest, from 0. instances:
+    how many lie in the longest busy period. blocking: by one frame of lower priority, ns."""
 
     message: Message
     worst: Time
@@ -86,19 +84,19 @@ class ResponseTime:
 
     @property
     def fits(self) -> bool:
-        """Whether it always meets its deadline."""
+        """Whether the message always meets its deadline."""
         return self.worst <= self.message.due
 
 
 def utilisation(messages: Sequence[Message]) -> float:
-    """Which part of the bus they need at worst."""
+    """Return the part of the bus that the messages need at worst."""
     return sum(message.time / message.period for message in messages)
 
 
 def response_times(messages: Sequence[Message], bitrate: int, *, error_interval: Time = NEVER) -> list[ResponseTime]:
-    """The worst-case response time of each message, in the order given. bitrate: bit/s."""
+    """Return the worst-case response time of each message, in the order given. bitrate: bit/s."""
     bit = duration(1, bitrate)
-    seen = list(messages)  # as they look to others: what a queue holds back comes late
+    seen = list(messages)  # as others see them: a queue makes its frames late
     for _ in range(MAX_ROUNDS):
         found = [_of_message(number, messages, seen, bit, error_interval) for number in range(len(messages))]
         late = [
@@ -114,7 +112,7 @@ def response_times(messages: Sequence[Message], bitrate: int, *, error_interval:
 
 
 def _is_above_queues(message: Message, messages: Sequence[Message]) -> bool:
-    """Whether no message of a queue is as urgent as this one: then what happens in the queues is nothing to it."""
+    """Return whether this message is more urgent than all messages of queues, so that the queues do not delay it."""
     return all(other.queue is None or other.priority > message.priority for other in messages)
 
 
@@ -154,7 +152,7 @@ def _of_message(
 
 
 def _fixed_point(start: Time, own: Time, granularity: Time, messages: Sequence[Message], longest: Time) -> Time:
-    """The smallest t from `start` on with t = own + what the messages need in t; NEVER where it is above `longest`."""
+    """Return the smallest t >= `start` with t = own + the time that the messages need in t; NEVER if it is above `longest`."""
     time = start
     while time <= longest:
         needed = own + sum(-(-(time + each.jitter + granularity) // each.period) * each.time for each in messages)

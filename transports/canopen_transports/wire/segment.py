@@ -1,4 +1,4 @@
-"""A piece of cable, and what is on it at a time."""
+"""A piece of cable, and the frame on it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from canopen_transports.wire.member import Waiting, WireMember
 
 
 class Transmission:
-    """What is on the wire. outcome: None where it gets through. ends: when that shows."""
+    """A frame on the wire. outcome: None if it will succeed. ends: when the outcome shows."""
 
     __slots__ = ("begun", "ends", "outcome", "senders", "victim", "waiting")
 
@@ -25,7 +25,7 @@ class Transmission:
 
 
 class Segment:
-    """A piece of cable, and who is on it. unheard_since: since when `is_unheard` holds."""
+    """A piece of cable, and its members. unheard_since: the time since which `is_unheard` holds, or None."""
 
     __slots__ = ("_others", "begins", "current", "free_at", "members", "recovering", "unheard_since", "wanting")
 
@@ -40,7 +40,7 @@ class Segment:
         self._others: dict[WireMember, tuple[tuple[WireMember, ...], tuple[WireMember, ...]]] = {}
 
     def winners(self, now: Time) -> list[WireMember]:
-        """Who of those that want to send has the lowest arbitration field: as a rule one."""
+        """Return the members whose waiting frame has the lowest arbitration field: usually one."""
         best = -1
         winners: list[WireMember] = []
         for member in self.wanting:
@@ -54,7 +54,8 @@ class Segment:
         return winners
 
     def others(self, senders: Sequence[WireMember]) -> tuple[tuple[WireMember, ...], tuple[WireMember, ...]]:
-        """Who acknowledges a frame of these, and who of them takes it: one that babbles does not listen."""
+        """Return the members that acknowledge a frame of these senders, and those of them that take it: a babbling one does not
+        listen."""
         if len(senders) == 1 and (known := self._others.get(senders[0])) is not None:
             return known
         hearing = tuple([each for each in self.members if each not in senders and each.state is not BusState.BUS_OFF])
@@ -64,7 +65,7 @@ class Segment:
         return found
 
     def remove(self, member: WireMember) -> None:
-        """Somebody is no longer here."""
+        """Take a member off this cable."""
         self.members.remove(member)
         self.wanting.pop(member, None)
         if member in self.recovering:
@@ -72,11 +73,11 @@ class Segment:
         self.changed()
 
     def changed(self) -> None:
-        """Somebody came, left, went bus-off or returned."""
+        """Forget who hears whom: a member came, left, went bus-off or returned."""
         self._others.clear()
 
     @property
     def is_unheard(self) -> bool:
-        """Whether its one member that is not bus-off repeats a frame in vain, and its counters no longer change."""
+        """Whether the only member that is not bus-off repeats a frame in vain, and its counters no longer change."""
         lone = [member for member in self.members if member.state is not BusState.BUS_OFF]
         return len(lone) == 1 and lone[0].unacknowledged and lone[0].state is BusState.PASSIVE

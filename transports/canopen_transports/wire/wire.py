@@ -1,31 +1,28 @@
-"""`Wire`: a CAN bus as a machine. Members queue frames; who has the lowest identifier sends; all others hear it; faults happen.
+"""`Wire`: a CAN bus as a machine. Members queue frames; the lowest identifier is sent; all others hear it; faults happen.
 
-Theory of operation
--------------------
-**Arbitration.** When the bus is free, all members that have a frame begin with it at once, and the lowest arbitration field goes
-on. Frames that are queued at the same time take part together. A bus that is idle is taken at once. Two equal frames go out as
-one; two different ones with one identifier destroy each other, again and again, until their members are bus-off.
+**Arbitration.** When the bus is free, all members that have a frame start to send it at once, and the lowest arbitration field
+wins. Frames that are queued at the same time take part together. On an idle bus a frame starts at once. Two equal frames are sent
+as one; two different frames with one identifier destroy each other again and again, until their members are bus-off.
 
-**Time.** A frame takes its exact number of bits (frame_bits.py). Its receivers have it at the end of EOF, the intermission of 3
-bits follows. An error frame is an error flag, to which the flags of the others add up to 12 bits, 8 bits of delimiter, and the
-intermission. An error-passive member waits 8 bits more after having sent, before it sends again.
+**Time.** A frame takes its exact number of bits (frame_bits.py). The receivers have it at the end of EOF; 3 bits of intermission
+follow. An error frame is an error flag and the flags of the others, 12 bits together, then 8 bits of delimiter and the
+intermission. An error-passive member waits 8 bits more between two frames of its own.
 
-**Acknowledge.** A frame that nobody else hears is not acknowledged, and is sent again for ever; its member becomes error-passive,
-but not bus-off (ISO 11898-1, fault confinement, exception 1). From then on its attempts are not computed, until there is
-somebody. `acknowledge=False` is a bus on which somebody unseen acknowledges.
+**Acknowledge.** A frame that nobody else hears is not acknowledged, and is sent again for ever. Its member becomes error-passive,
+but not bus-off (ISO 11898-1, fault confinement, exception 1). From then on its attempts are not computed until another member
+joins. With `acknowledge=False` an unseen node acknowledges.
 
-**Faults** come from the rates and the seed, or are ordered: `bus_off`, `babble`, `cut` and `mend`. One seed and one sequence of
-calls give one trace. What happened is told: `FaultHappened` for each frame that was hit, `StateReported` for each change of a
-member's state. A member that is bus-off loses its queue, and returns after 128 times 11 recessive bits (or by `restart`).
+**Faults** come from the rates and the seed, or from commands: `bus_off`, `babble`, `cut` and `mend`. The same seed and calls give
+the same trace. `FaultHappened` reports each frame that was hit, `StateReported` each change of a member's state. A member that
+goes bus-off loses its queue, and returns after 128 times 11 recessive bits (or by `restart`).
 
-**A cut cable** makes two buses, each of which goes on by itself. A frame that is on the wire at that moment, or when the cable is
-mended, is destroyed.
+**A cut cable** makes two buses, each of which runs by itself. The cut destroys a frame that is on the wire; so does the mending.
 
-What it simplifies: all members see a bit at the same time (no propagation, no clock tolerance, no resynchronisation); a frame
-that comes in the first bit of another waits; an error flag and its echoes always last 12 bits; there are no overload frames.
+Simplified: all members see a bit at the same time (no propagation, no clock tolerance, no resynchronisation); a frame that is
+queued in the first bit of another waits; an error flag and its echoes always last 12 bits; there are no overload frames.
 
-As a machine of the core: `send` and the other commands mutate, `drain` gives what came of it, `next_deadline` says when to call
-`handle_timeout`. A late driver loses nothing: what was due happens at the time when it was due.
+It is driven like a machine of the core: `send` and the other commands change it, `drain` returns what came out, `next_deadline`
+says when to call `handle_timeout`. A late driver loses nothing: each step happens at the time when it was due.
 """
 
 from __future__ import annotations
@@ -54,13 +51,16 @@ ERROR_FRAME: Final = 2 * ERROR_FLAG + ERROR_DELIMITER
 SUSPEND: Final = 8
 """Bits that an error-passive member waits after it has sent."""
 MAX_STEPS: Final = 10_000
-"""In one call of `handle_timeout`: a driver that comes hours late gets what happened in portions."""
+"""Steps in one call of `handle_timeout`: a driver that comes hours late gets the results in portions."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireSettings:
-    """bitrate: bit/s. rates: of faults, `seed` says whom they hit. acknowledge: whether frames need a second member.
-    auto_recovery: members return from bus-off by themselves, as soon as they may."""
+    """The properties of a wire.
+
+    bitrate: bit/s. rates: of faults; `seed` decides what they hit. acknowledge: whether frames need a second member.
+    auto_recovery: whether members return from bus-off by themselves, as soon as they may.
+    """
 
     bitrate: int = 1_000_000
     rates: FaultRates = field(default_factory=FaultRates)
@@ -70,7 +70,7 @@ class WireSettings:
 
 
 class Wire:
-    """See this module's text. frames, error_frames: how many there were so far. rates: of faults, and may be set."""
+    """See this module's text. frames, error_frames: their numbers so far. rates: of faults; may be set."""
 
     def __init__(self, settings: WireSettings = WireSettings(), now: Time = 0) -> None:
         if settings.bitrate < 1:
@@ -96,25 +96,25 @@ class Wire:
 
     @property
     def members(self) -> tuple[WireMember, ...]:
-        """Who is on the wire."""
+        """The members on the wire."""
         return tuple(member for segment in self._segments for member in segment.members)
 
     @property
     def is_cut(self) -> bool:
-        """Whether there are two halves."""
+        """Whether the cable is in two halves."""
         return len(self._segments) > 1
 
     def time_of(self, bits: int) -> Time:
-        """How long that many bits take, in ns."""
+        """Return the time of so many bits, in ns."""
         time = self._tails.get(bits)
         if time is None:
             time = self._tails[bits] = duration(bits, self.settings.bitrate)
         return time
 
     def load(self, now: Time) -> float:
-        """Which part of the time since `begin_load` the bus was busy, intermissions and error frames with it: 0 to 1.
+        """Return the part of the time since the start, or since `begin_load`, in which the bus was busy: 0 to 1.
 
-        A frame counts when it ends. On a cut cable, that of both halves together.
+        Intermissions and error frames count as busy. A frame counts when it ends. On a cut cable, the sum of both halves.
         """
         unheard = sum(now - each.unheard_since for each in self._segments if each.unheard_since is not None)
         return (self._busy + unheard) / (now - self._since) if now > self._since else 0.0
@@ -130,7 +130,7 @@ class Wire:
     # ---- commands ----
 
     def join(self, now: Time, *, order: QueueOrder = QueueOrder.FIFO, queue_size: int = TRANSMIT_QUEUE_SIZE) -> WireMember:
-        """One more member. order, queue_size: of its transmit queue. On a cut cable it joins the first half."""
+        """Add a member. order, queue_size: of its transmit queue. On a cut cable it joins the first half."""
         self._advance(now)
         member = WireMember(self._joined, order, queue_size)
         self._joined += 1
@@ -140,7 +140,7 @@ class Wire:
         return member
 
     def leave(self, member: WireMember, now: Time) -> None:
-        """Take a member off the wire. What it has queued vanishes; of a frame that is on the wire the rest is sent."""
+        """Take a member off the wire. Its queued frames vanish; a frame that is on the wire is sent to its end."""
         self._advance(now)
         if not member.joined:
             return
@@ -150,7 +150,7 @@ class Wire:
             self._forget(segment, member)
 
     def send(self, member: WireMember, frame: Frame, now: Time) -> None:
-        """Queue a frame. Raises QueueFull where there is no room, LocalProtocolError for a member that is bus-off or has left."""
+        """Queue a frame. Raises QueueFull if there is no room, LocalProtocolError if the member is bus-off or has left."""
         self._advance(now)
         if not member.joined or member.state is BusState.BUS_OFF:
             raise LocalProtocolError(f"{member!r} cannot send: it is {member.state.value if member.joined else 'gone'}")
@@ -173,13 +173,13 @@ class Wire:
         self._schedule(segment)
 
     def restart(self, member: WireMember, now: Time) -> None:
-        """Begin the recovery of a member that is bus-off, as `auto_recovery` does: it takes 128 times 11 recessive bits."""
+        """Start the recovery of a member that is bus-off, as `auto_recovery` does. It takes 128 times 11 recessive bits."""
         self._advance(now)
         if member.state is BusState.BUS_OFF and not member.recovery:
             self._confinement.recover(self._segment_of(member), member, self._now)
 
     def babble(self, frame: Frame, until: Time, now: Time) -> WireMember:
-        """A member that has gone mad: it sends this frame again and again until then, and leaves. It hears nothing."""
+        """Add a faulty member, which hears nothing, sends this frame again and again until `until`, and then leaves."""
         member = self.join(now, queue_size=1)
         member.babbles_until = until
         self._segments[0].changed()
@@ -187,7 +187,7 @@ class Wire:
         return member
 
     def cut(self, half: Iterable[WireMember], now: Time) -> None:
-        """Cut the cable: these members here, all others there. LocalProtocolError where it is cut already."""
+        """Cut the cable: these members on one side, all others on the other. Raises LocalProtocolError if it is cut already."""
         self._advance(now)
         if self.is_cut:
             raise LocalProtocolError("the cable is cut already; mend it first")
@@ -202,7 +202,7 @@ class Wire:
             self._schedule(segment)
 
     def mend(self, now: Time) -> None:
-        """Join the two halves again. A whole cable stays as it is."""
+        """Join the two halves again. Does nothing if the cable is whole."""
         self._advance(now)
         if not self.is_cut:
             return
@@ -214,10 +214,10 @@ class Wire:
         self._segments = [Segment(sorted(self.members, key=lambda member: member.number), free_at)]
         self._schedule(self._segments[0])
 
-    # ---- time, and what comes out ----
+    # ---- time and output ----
 
     def next_deadline(self) -> Time:
-        """When to call `handle_timeout`; NEVER if nothing goes on."""
+        """Return when to call `handle_timeout`; NEVER if nothing is under way."""
         deadline = self._late[0][0] if self._late else NEVER
         if deadline == NEVER and len(self._segments) == 1:
             return self._due(self._segments[0])
@@ -228,20 +228,20 @@ class Wire:
         return deadline
 
     def handle_timeout(self, now: Time) -> None:
-        """Let happen what is due. Early calls do nothing; after a very late one `next_deadline` may still be due."""
+        """Do what is due. An early call does nothing; after a very late one `next_deadline` may still be due."""
         self._run(now + 1, MAX_STEPS)
         if self.next_deadline() > now:
             self._now = max(self._now, now)
 
     def drain(self) -> tuple[list[Delivery], list[WireEvent]]:
-        """What came out since the last drain, each in order."""
+        """Return the frames and the events since the last drain, each in order."""
         drained = self._deliveries, self._events[:]
         self._deliveries = []
         self._events.clear()
         return drained
 
     def _advance(self, now: Time) -> None:
-        """Let happen what was due before now; what is due at this very time waits for more commands."""
+        """Do what was due before now. What is due right now waits for more commands."""
         if now > self._now:
             self._run(now, None)
             self._now = now
@@ -277,7 +277,7 @@ class Wire:
     # ---- a transmission ----
 
     def _schedule(self, segment: Segment) -> None:
-        """When the next frame begins; on a bus where one is sent now, that is seen at its end."""
+        """Set when the next frame begins. While a frame is being sent, its end does that."""
         if segment.current is not None:
             return
         if segment.unheard_since is not None:
@@ -308,7 +308,7 @@ class Wire:
         sending.ends = now + self.time_of(decide(sending, segment, self.rates, self._random, self.settings.acknowledge))
 
     def _finish(self, segment: Segment, sending: Transmission) -> None:
-        """What was decided at the beginning shows now."""
+        """Carry out what was decided when the frame began."""
         now, outcome = sending.ends, sending.outcome
         segment.current = None
         if outcome is FaultKind.CORRUPTION or outcome is FaultKind.COLLISION:
@@ -374,7 +374,7 @@ class Wire:
         self._suspend(segment, member)
 
     def _fail(self, segment: Segment, sending: Transmission, outcome: FaultKind, now: Time) -> None:
-        """An error frame follows."""
+        """Start an error frame."""
         self._events.append(FaultHappened(now, outcome, sending.waiting.frame, sending.senders[0]))
         self._end_in_error(segment, sending.senders, ERROR_FRAME, now)
         for member in segment.others(sending.senders)[0]:
@@ -391,7 +391,7 @@ class Wire:
     def _end_in_error(
         self, segment: Segment, senders: list[WireMember], bits: int, now: Time, to_blame: list[WireMember] | None = None
     ) -> None:
-        """An error frame of so many bits: the senders have their frame again."""
+        """End a transmission with an error frame of so many bits. The senders get their frame back."""
         self.error_frames += 1
         segment.free_at = now + self.time_of(bits + INTERMISSION)
         for member in senders:
@@ -401,12 +401,12 @@ class Wire:
             self._suspend(segment, member)
 
     def _suspend(self, segment: Segment, member: WireMember) -> None:
-        """One that is error-passive waits after having sent, and lets others begin before it."""
+        """Make an error-passive member wait after sending, so that others can begin first."""
         if member.state is BusState.PASSIVE:
             member.suspended_until = segment.free_at + self.time_of(SUSPEND)
 
     def _destroy(self, segment: Segment, outcome: FaultKind) -> None:
-        """What is on the wire now is lost, and is sent again."""
+        """Destroy the frame on the wire; it is sent again."""
         sending = segment.current
         if sending is not None:
             segment.current = None
