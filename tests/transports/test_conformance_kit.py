@@ -274,7 +274,7 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (Echoes, "no_echo", "came back"),
         (Swaps, "order", "from place 0 on \\[\\d*1, \\d*0"),
         (Loses, "order", "nothing more"),
-        (Loses, "stream", "1 before it were missing 0 reported lost"),
+        (Loses, "stream", "1 before it were missing, 0 reported lost"),
         (Repeats, "stream", "twice, or out of order"),
         (ForgetsLengths, "every_kind_of_frame", "was sent, and"),
         (HandsOutItsBuffer, "every_kind_of_frame", "no Frame with bytes|bytes object expected"),

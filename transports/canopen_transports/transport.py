@@ -88,13 +88,13 @@ class BatchTransport(Protocol):
 
 @runtime_checkable
 class PushingTransport(Protocol):
-    """The additional method of a transport that can hand over a frame in the very turn in which it is sent."""
+    """The additional method of a transport that can hand over a frame without waking a task."""
 
     def push_to(self, receiver: Callable[[Received], None] | None) -> None:
-        """Call `receiver` with each frame that comes, as long as no other waits before it. None: end this.
+        """Call `receiver` with each frame that comes while no earlier frame waits. None: stop calling it.
 
-        A frame that comes right behind many others need not be pushed: it comes by `receive`, as reports do. The receiver may
-        send, but must not raise.
+        After many frames in a row, a frame may come by `receive` instead, as reports always do. The receiver may send, but must
+        not raise.
         """
 
 

@@ -25,13 +25,13 @@ from canopen_transports.transport import Received, check_frame
 from canopen_transports.virtual_wire import WireTransport, open_wire
 
 MAX_PUSHED: Final = 64
-"""Frames that are pushed in a row: what comes on top waits in the queues, so that other tasks get their turn."""
+"""Frames that are pushed in a row. Later ones wait in the queues, so that other tasks have their turn."""
 
 _buses: trio.lowlevel.RunVar[dict[str, _Line]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
 
 
 class _Line:
-    """What the members of one bus share: who they are, and the frames under way."""
+    """The part of a bus that its members share: the list of members, and the frames under way."""
 
     def __init__(self) -> None:
         self.members: tuple[VirtualTransport, ...] = ()
@@ -39,11 +39,11 @@ class _Line:
         self._is_carrying = False
 
     def carry(self, sender: VirtualTransport, received: Received) -> None:
-        """Hand a frame to all but its sender, then those that a receiver sends when it gets one: one order for all."""
+        """Hand a frame to all members but its sender, then the frames that their receivers send meanwhile: one order for all."""
         under_way = self._under_way
         under_way.append((sender, received))
         if self._is_carrying:
-            return  # called by what a receiver does: the loop below takes it
+            return  # a receiver sends: the loop of the outer call hands its frame over
         self._is_carrying = True
         room = MAX_PUSHED
         try:
@@ -94,7 +94,7 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._line.carry(self, (frame, round(self._clock.current_time() * 1e9)))
 
     def take(self, received: Received, at_once: bool) -> None:
-        """A frame has come: push it, if that is wanted and nothing waits before it, else queue it."""
+        """Push a frame to the receiver, or queue it if there is no receiver or earlier frames wait."""
         if at_once and self._receiver is not None and self._queue.is_empty():
             self._receiver(received)
         else:

@@ -81,7 +81,7 @@ async def many_at_once(bench: Bench) -> None:
 
 @case
 async def pushed_frames(bench: Bench) -> None:
-    """push_to hands over each frame once and in order: behind those that wait, which come by receive, until it is ended."""
+    """push_to hands over each frame once and in order, after the waiting frames, which come by receive, until it is ended."""
     one, other = await bench.members(2)
     if not isinstance(other, PushingTransport):
         raise NotApplicable("it has no push_to")
@@ -95,14 +95,14 @@ async def pushed_frames(bench: Bench) -> None:
     other.push_to(lambda received: pushed.append(number_of(received[0])))
     await send(range(10, 20))
     expect_numbers(pushed, [], "frames that were pushed past others")
-    expect_numbers(await bench.numbers(other, 20), list(range(20)), "what waited")
+    expect_numbers(await bench.numbers(other, 20), list(range(20)), "the frames that waited")
     await send(range(20, EAGER))
     left = EAGER - 20 - len(pushed)
     heard = pushed + (await bench.numbers(other, left) if left else [])
-    expect_numbers(heard, list(range(20, EAGER)), "what was pushed, and what came by receive behind that")
+    expect_numbers(heard, list(range(20, EAGER)), "the frames that were pushed, and those that came by receive after them")
     other.push_to(None)
     await send(range(10))
-    expect_numbers(await bench.numbers(other, 10), list(range(10)), "what came when nothing was pushed any longer")
+    expect_numbers(await bench.numbers(other, 10), list(range(10)), "the frames that came after pushing had ended")
 
 
 @case
