@@ -1,4 +1,4 @@
-"""The object dictionary: its description (`model`), one device's memory for it (`values`), and the files it comes from."""
+"""The object dictionary: its description (`model`), and one device's memory for it (`values`)."""
 
 from canopen_proto.dictionary.model import (
     Access,

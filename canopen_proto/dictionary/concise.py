@@ -37,7 +37,7 @@ _ENTRY = struct.Struct("<HBI")
 
 @mypyc_attr(native_class=False)
 class ConciseError(LocalProtocolError, ValueError):
-    """These bytes are no concise DCF. offset: the byte at which that is seen."""
+    """The bytes are not a valid concise DCF. offset: the first wrong byte."""
 
     def __init__(self, message: str, offset: int) -> None:
         super().__init__(message)
@@ -45,7 +45,8 @@ class ConciseError(LocalProtocolError, ValueError):
 
 
 def pack_concise(entries: Iterable[Write]) -> bytes:
-    """The bytes of these entries, in this order. Raises ConciseError for an impossible place, or more bytes than MAX_CONCISE."""
+    """Return the concise DCF of these entries, in this order. Raises ConciseError for an index or subindex out of range, and for
+    more than MAX_CONCISE bytes."""
     data = bytearray(_COUNT.size)
     count = 0
     for index, subindex, value in entries:
@@ -55,29 +56,29 @@ def pack_concise(entries: Iterable[Write]) -> bytes:
         data += value
         count += 1
         if len(data) > MAX_CONCISE:
-            raise ConciseError(f"a concise DCF has {MAX_CONCISE} bytes at most; entry {count} ends beyond that", len(data))
+            raise ConciseError(f"a concise DCF has at most {MAX_CONCISE} bytes; entry {count} ends beyond that", len(data))
     _COUNT.pack_into(data, 0, count)
     return bytes(data)
 
 
 def from_concise(data: bytes) -> list[Write]:
-    """The entries of a concise DCF, in its order. No bytes at all are no entries.
+    """Return the entries of a concise DCF in order; none for empty data.
 
-    Raises ConciseError, which names the byte, where the bytes are not exactly the entries that they announce, or more than
-    MAX_CONCISE. Time and memory go by len(data), whatever the counts in it say.
+    Raises ConciseError, which names the byte, if the data do not match the counts in them, or are longer than MAX_CONCISE. Time
+    and memory depend on len(data) only, not on the counts.
     """
     if len(data) > MAX_CONCISE:
-        raise ConciseError(f"a concise DCF has {MAX_CONCISE} bytes at most, not {len(data)}", MAX_CONCISE)
+        raise ConciseError(f"a concise DCF has at most {MAX_CONCISE} bytes, not {len(data)}", MAX_CONCISE)
     if not data:
         return []
     if len(data) < _COUNT.size:
-        raise ConciseError(f"a concise DCF begins with a count of {_COUNT.size} bytes; there are {len(data)} bytes in all", 0)
+        raise ConciseError(f"a concise DCF begins with a count of {_COUNT.size} bytes; only {len(data)} bytes were given", 0)
     (count,) = _COUNT.unpack_from(data)
     entries: list[Write] = []
     at = _COUNT.size
     for number in range(1, count + 1):
         if len(data) - at < _ENTRY.size:
-            raise ConciseError(f"byte {at}: {count} entries are announced; the data end before entry {number}", at)
+            raise ConciseError(f"byte {at}: {count} entries are announced, but the data end before entry {number}", at)
         index, subindex, size = _ENTRY.unpack_from(data, at)
         at += _ENTRY.size
         if len(data) - at < size:
@@ -86,5 +87,5 @@ def from_concise(data: bytes) -> list[Write]:
         entries.append((index, subindex, bytes(data[at : at + size])))
         at += size
     if at != len(data):
-        raise ConciseError(f"byte {at}: {len(data) - at} bytes stand behind the last of {count} entries", at)
+        raise ConciseError(f"byte {at}: {len(data) - at} more bytes follow the last of {count} entries", at)
     return entries

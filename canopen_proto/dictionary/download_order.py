@@ -1,25 +1,26 @@
-"""In which order a device's settings are written to it, and what is never written.
+"""The order in which a tool writes a device's settings, and the objects that it never writes.
 
 Theory of operation
 -------------------
 A configuration tool downloads the settings of a DCF, a backup or a concise DCF (CiA 302-3) into a device that is pre-operational.
-The order is not free: some objects may change only while a service does not exist, and a service must not run on half a setting.
+The order matters: some objects may change only while a service does not exist, and a service must not run on half a setting.
 `download_order` gives the writes, in four parts:
 
-1. switch off    what the table `SWITCHES` names, if it is to be set, or if something that depends on it is: PDOs first
-2. communication the objects 0x1000 to 0x1FFF by index; a PDO's two records at its communication parameter, in the order mapping
-                 count 0, transmission type and times, entries, count. (The type in between: a multiplexed PDO in source address
-                 mode goes with an event-driven type only, whichever of the two is written while the other stands.)
+1. switch off    the objects of the table `SWITCHES` that are set, or on which another object that is set depends: PDOs first
+2. communication the objects 0x1000 to 0x1FFF by index. A PDO's two records stand together, at its communication parameter, in the
+                 order mapping count 0, transmission type and times, entries, count. (The type comes before the count because a
+                 multiplexed PDO in source address mode allows only an event-driven type.)
 3. application   all other objects, by index and subindex
-4. switch on     the switches that were to be on, by index: PDOs exist again when everything else is right
+4. switch on     the switches that are to be on, by index: PDOs exist again when everything else is set
 
-So a download that is broken off leaves PDOs destroyed, never half mapped. A switch that nobody sets, but that had to be off (the
-COB-ID of a PDO whose mapping is set), gets back what the device has; where that is unknown, its initial value in the dictionary;
-where that says nothing either, it is left alone, and a strict device refuses the write that depends on it.
+So a download that is broken off leaves PDOs destroyed, never half mapped. A switch may have to be off although the values do not
+set it: the COB-ID of a PDO whose mapping is set. It gets back the device's present value if that is known, else its initial value
+in the dictionary. If the dictionary has none either, the switch is left alone, and a strict device refuses the write that depends
+on it.
 
-Left out, each with its reason: what cannot be written or bears flag 0 of ObjFlags (CiA 306-1); commands, histories and the SDO
-channel that we speak through (`NOT_SETTINGS`); mapping entries beyond the mapping count; subindex 4 of a PDO communication
-parameter, which is reserved.
+Left out, each with its reason: objects that are not writable or have flag 0 of ObjFlags (CiA 306-1); commands, histories and the
+SDO channel in use (`NOT_SETTINGS`); mapping entries beyond the mapping count; subindex 4 of a PDO communication parameter, which
+is reserved.
 
 Source: CiA 301 v4.2.0, 7.5.2.5, .6, .15, .17, .19, .22, .31 and 7.5.2.33 to 7.5.2.38; CiA 302-3 for the purpose.
 """
@@ -41,13 +42,13 @@ PRODUCES: Final = 1 << 30
 CONSUMES: Final = 1 << 31
 """COB-ID TIME: the device consumes it. CiA 301 v4.2.0, 7.5.2.15."""
 NO_DOWNLOAD: Final = 1
-"""ObjFlags, bit 0: refuses to be written by a download. CiA 306-1."""
+"""ObjFlags, bit 0: a download must not write the object. CiA 306-1."""
 
 _RPDO, _TPDO = indices.RPDO1_COMMUNICATION_PARAMETER, indices.TPDO1_COMMUNICATION_PARAMETER  # first communication parameters
 _TO_MAPPING: Final = 0x200
 _RESERVED_SUBINDEX: Final = 4
 MPDO_COUNTS: Final = (0xFE, 0xFF)
-"""Mapping counts that make a PDO a multiplexed one, of one entry. CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38."""
+"""Mapping counts of a multiplexed PDO, which has one entry. CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38."""
 
 NOT_SETTINGS: Final = {
     indices.PREDEFINED_ERROR_FIELD: "a history",
@@ -73,14 +74,14 @@ Write: TypeAlias = tuple[int, int, bytes]
 
 @dataclass(frozen=True, slots=True)
 class DownloadOrder:
-    """What `download_order` gives. writes: in their order. left_out: the reason for each value that is not written, by mux."""
+    """The result of `download_order`. writes: in order. left_out: why a value is not written, by mux."""
 
     writes: tuple[Write, ...]
     left_out: Mapping[Mux, str]
 
 
 class Switch(NamedTuple):
-    """An object that starts and ends a service: where it stands, and its value with the service off."""
+    """An object that starts and ends a service. off: makes its value into one with the service off."""
 
     indices: range
     subindices: range
@@ -102,16 +103,18 @@ SWITCHES: Final = (
     Switch(range(0x1006, 0x1007), range(1), _zero),  # 0x1019 may change only while it is 0
     Switch(range(0x1012, 0x1013), range(1), lambda value: value & ~(PRODUCES | CONSUMES)),
     Switch(range(0x1014, 0x1015), range(1), _invalid),
-    Switch(range(0x1016, 0x1017), range(1, 0x80), _zero),  # no node may stand in two entries, not even in between
+    Switch(range(0x1016, 0x1017), range(1, 0x80), _zero),  # no node may be in two entries, not even for a moment
     Switch(range(0x1028, 0x1029), range(1, 0x80), _invalid),
     Switch(range(0x1201, 0x1300), range(1, 3), _invalid),
 )
-"""In the order in which they are switched off."""
+"""The switches, in the order in which they are switched off."""
 
 
 def settings_of(dictionary: ObjectDictionary, node_id: int, *, defaults: bool = False) -> dict[Mux, Value]:
-    """What a device of that node-ID is to be set to, by mux: what a DCF has configured; with `defaults` all else too that has a
-    default value, but for objects that a backup could not read: nobody knows what they held."""
+    """Return the values that a DCF configures for the device with this node-ID, by mux.
+
+    defaults: add the defaults of all other objects, except those that a backup could not read.
+    """
     return {
         variable.mux: variable.initial_of(node_id)
         for variable in dictionary
@@ -126,11 +129,11 @@ def download_order(
     *,
     standing: Mapping[Mux, Value] | None = None,
 ) -> DownloadOrder:
-    """The writes that set a device to these values.
+    """Return the writes that set a device to these values, as the text of this module describes.
 
-    values: by mux. standing: what the device has now, as far as it is known; strict devices want the CAN-ID unchanged in the
-    write that destroys a PDO. Raises ObjectNotFound for a mux that the dictionary does not have, and ValueRangeError where a
-    value does not fit its object; an object's limits are not looked at. Source: see this module's text.
+    values: by mux. standing: the device's present values, as far as they are known; strict devices want the CAN-ID unchanged in
+    the write that destroys a PDO. Raises ObjectNotFound for a mux that the dictionary does not have, and ValueRangeError if an
+    object's type cannot hold its value; limits of objects are not checked.
     """
     order = _Order(dictionary, node_id, standing or {})
     for key, value in values.items():
@@ -190,7 +193,7 @@ class _Order:
 
     @staticmethod
     def _switched_off(write: Write, switch: Switch) -> Write | None:
-        """The same object's write that ends the service; None where its type has no room for that."""
+        """Return the write that ends the service by this object; None if the object's type is too small for that value."""
         index, subindex, data = write
         try:
             return index, subindex, switch.off(int.from_bytes(data, "little")).to_bytes(len(data), "little")
@@ -198,7 +201,7 @@ class _Order:
             return None
 
     def _settings(self, key: Mux, value: Value) -> Iterator[tuple[tuple[int, ...], Write]]:
-        """The writes of what is no switch, each with its place among all of them."""
+        """Return the writes of an object that is no switch, each with a key that sorts it among all writes."""
         index, subindex = split_mux(key)
         area = 0 if index in indices.COMMUNICATION_AREA else 1
         if index not in indices.PDO_RECORDS:
@@ -215,7 +218,7 @@ class _Order:
                 yield (area, index - _TO_MAPPING, 3), write
 
     def _leave_out_unused_entries(self) -> None:
-        """Entries beyond the count say nothing, and devices refuse the 0 that stands there. A missing count is added."""
+        """Leave out mapping entries beyond the count: devices refuse the 0 in them. A missing count is added."""
         counts: dict[int, int] = {}
         for key in sorted(self.values):
             index, subindex = split_mux(key)
@@ -229,7 +232,7 @@ class _Order:
                 self.left_out[key] = "beyond the number of mapped objects"
 
     def _add_implied(self, key: Mux) -> None:
-        """What must be off for another object's sake gets back what it has."""
+        """Add an object that another one depends on, with the value that the device has, if it is not in `values`."""
         variable = self.dictionary.get(*split_mux(key))
         value = self._known(key)
         if key in self.values or variable is None or value is None:
@@ -251,7 +254,7 @@ class _Order:
 
 
 def reason_to_leave_out(parent: Object, variable: Variable) -> str:
-    """Why a download never writes this object; "" where it does."""
+    """Return why a download never writes this object; "" if it may."""
     if not variable.access.writable:
         return "read-only"
     if (variable.object_flags | parent.object_flags) & NO_DOWNLOAD:
@@ -262,7 +265,7 @@ def reason_to_leave_out(parent: Object, variable: Variable) -> str:
 
 
 def _entries_used(count: Value | None) -> int:
-    """How many mapping entries count; all of them where the count is not known."""
+    """Return how many mapping entries are in use; 255 if the count is not known."""
     if not isinstance(count, int):
         return 0xFF
     return 1 if count in MPDO_COUNTS else count
@@ -277,7 +280,7 @@ def _switch_at(key: Mux) -> tuple[int, Switch | None]:
 
 
 def switches_of(key: Mux) -> tuple[Mux, ...]:
-    """The switches that must be off when this object is written."""
+    """Return the switches that must be off while this object is written."""
     index, subindex = split_mux(key)
     if index in indices.PDO_RECORDS:
         return (mux(index & ~_TO_MAPPING, 1),)

@@ -1,23 +1,21 @@
-"""The object dictionary as a description: which objects a device has, what they are called, of which type they are.
+"""The object dictionary as a description: the objects of a device, their names and their types.
 
 Theory of operation
 -------------------
-An `Object` stands at an index (16 bits) and has one `Variable` per subindex (8 bits); CiA 301 v4.2.0, 7.4. A variable is what
-SDO and PDO transfer. Variables carry names (aliases): "statusword" or, for a field of a record, "record:field". Names and
-numbers are equally good keys; see `Key`. Files of CiA 306 and CiA 311 give the field its own name only ("COB-ID"), which many
-records have: it is found as "record:field" too, and by its own name where no other field has that.
+An `Object` stands at an index (16 bits) and has one `Variable` per subindex (8 bits); CiA 301 v4.2.0, 7.4. SDO and PDO transfer
+variables. A variable has names (aliases): "statusword" or, for a field of a record, "record:field". Names and numbers are equally
+good keys; see `Key`. Files of CiA 306 and CiA 311 give a field only its own name ("COB-ID"), which many records have. Such a
+field is also found as "record:field", and by its own name if no other record has that.
 
-To that the product's own files (see csv.py) add
+The product's own files (`canopen_data.csv`) add
 
-- constants: named values of an object, each with a mask. A value bears a constant when `(value & mask) == constant`; one value
-  may bear several, and one (mask, value) may have several names.
-- PDO descriptions: which objects one PDO carries in which order, some of them fillers.
+- constants: named values of an object, each with a mask. A value bears a constant if `(value & mask) == constant`. One value may
+  bear several constants, and one (mask, value) may have several names.
+- PDO descriptions: the objects and fillers of one PDO, in order.
 - pseudo objects, which have a name but no place in any device: `NMT` at index 0x0000, whose constants are the NMT commands.
 
-A description never changes once it is made: six drives may share one. What the objects *hold* is in `values.Values`, one for
-each device. Making a new description out of others: `with_objects` and `with_names_of`.
-
-What a file says of the device as a whole (vendor, bit rates, commissioning) is in `description.DeviceDescription`.
+A description never changes once it is made: six drives may share one. Each device has its own `values.Values`. `with_objects` and
+`with_names_of` make a new description out of others.
 """
 
 from __future__ import annotations
@@ -57,7 +55,7 @@ __all__ = [
 
 @mypyc_attr(native_class=False)
 class NotInDictionary(LocalProtocolError, KeyError):
-    """A name or number that the dictionary does not have; the text says which are near."""
+    """A name or number is not in the dictionary. The text suggests similar ones."""
 
     def __str__(self) -> str:  # KeyError would show its text in quotes
         return str(self.args[0])
@@ -79,7 +77,7 @@ class PdoNotFound(NotInDictionary):
 
 
 class Direction(StrEnum):
-    """Of a PDO, as the device sees it: it receives RPDOs (master to device) and transmits TPDOs (device to master)."""
+    """The direction of a PDO, as the device sees it: it receives RPDOs and transmits TPDOs."""
 
     RPDO = "RPDO"
     TPDO = "TPDO"
@@ -87,20 +85,20 @@ class Direction(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A named value of an object. value: as the wire has it (unsigned), only with bits of the mask."""
+    """A named value of an object. value: unsigned, as on the wire; only bits of the mask are set."""
 
     name: str
     mask: int
     value: int
 
     def is_in(self, value: int) -> bool:
-        """Whether a value bears this constant. A negative value counts as its two's complement."""
+        """Return whether a value bears this constant. A negative value counts as its two's complement."""
         return value & self.mask == self.value
 
 
 @dataclass(frozen=True, slots=True)
 class Filler:
-    """Bits of a PDO that stand for nothing: sent as 0, ignored on receipt; in a device a dummy entry."""
+    """Bits of a PDO without meaning: sent as 0, ignored when received. In a device they are a dummy entry."""
 
     name: str
     bit_length: int
@@ -108,9 +106,9 @@ class Filler:
 
 @dataclass(frozen=True, slots=True)
 class PdoDescription:
-    """Which objects a PDO carries, first bits first.
+    """The objects that a PDO carries, lowest bits first.
 
-    cob_base: the node-ID is added to it. number: 1..4 where cob_base is of the predefined connection set, else None.
+    cob_base: the CAN-ID without the node-ID. number: 1..4 if cob_base is in the predefined connection set, else None.
     """
 
     name: str
@@ -121,19 +119,19 @@ class PdoDescription:
 
     @property
     def bit_length(self) -> int:
-        """Bits of all entries together."""
+        """The bits of all entries together."""
         return sum(entry.bit_length or 0 for entry in self.entries)
 
     def can_id(self, node_id: int) -> int:
-        """The CAN-ID with which it is sent to or by that node."""
+        """Return the CAN-ID of the PDO that this node receives or sends."""
         return self.cob_base + node_id
 
 
 @dataclass(slots=True, unsafe_hash=True)  # not frozen: one is made for each value that is read
 class Message:
-    """One object's value as it was transferred: of which node, its name, which constants the value bears, and when.
+    """One transferred value, with its node, the object's name and the constants that the value bears.
 
-    timestamp: what the transport said (its own clock), None where it said nothing.
+    timestamp: the transport's own clock; None if the transport gives none.
     """
 
     node_id: int
@@ -148,18 +146,18 @@ class Message:
 
 
 PSEUDO_INDEX: Final = 0x0000
-"""Index of pseudo objects; CiA 301 v4.2.0, table 41, keeps it unused. They are found by name only: no device has them."""
+"""The index of pseudo objects, which are found by name only. CiA 301 v4.2.0, table 41, leaves this index unused."""
 
 _NUMBER: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1,2}))?")
 MAX_NAME_COMPARED: Final = 100
-"""Characters of a name for which near ones are sought: comparing takes time by the square of the length."""
+"""Characters. No similar names are searched for a longer one: the time for it grows with the square of the length."""
 _SEPARATORS: Final = re.compile(r"[\s_-]+")
 
 
 class ObjectDictionary:
-    """The objects of a device, by number and by name, with constants and PDO descriptions. Never changes once made.
+    """The objects of a device by number and by name, with constants and PDO descriptions. Never changes once made.
 
-    Iteration gives all variables by index and subindex, without pseudo objects. source: where it came from, for people.
+    Iteration gives all variables by index and subindex, without pseudo objects. source: the file's name, for error texts.
     """
 
     __slots__ = ("_by_mux", "_constants", "_fillers", "_names", "_pseudo", "objects", "pdos", "source")
@@ -173,12 +171,12 @@ class ObjectDictionary:
         fillers: Iterable[Filler] = (),
         source: str = "",
     ) -> None:
-        """constants: by mux. Where two objects share an index, or two variables a name, the later one wins it."""
+        """constants: by mux. If two objects share an index, or two variables a name, the later one gets it."""
         by_index = {each.index: each for each in objects}
         self._pseudo = by_index.pop(PSEUDO_INDEX, None)
         self.objects: Mapping[int, Object] = MappingProxyType(dict(sorted(by_index.items())))
         by_mux = {variable.mux: variable for each in self.objects.values() for variable in each.variables.values()}
-        if (keys := list(by_mux)) != (ordered := sorted(keys)):  # they are in order in most files, and sorted soon then
+        if (keys := list(by_mux)) != (ordered := sorted(keys)):  # most files are in order, and sorting them is quick
             by_mux = {key: by_mux[key] for key in ordered}
         self._by_mux: dict[Mux, Variable] = by_mux
         self._names: _Names | None = None
@@ -188,18 +186,19 @@ class ObjectDictionary:
         self.source = source
 
     def _name_all(self) -> _Names:
-        """Take up the names when the first one is looked for: a caller that works with numbers need not wait for them."""
+        """Collect the names when the first one is looked for: a caller that uses only numbers does not wait for them."""
         self._names = _Names([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
         return self._names
 
     # ---- objects ----
 
     def get(self, index: int, subindex: int = 0) -> Variable | None:
-        """The variable at index 0..0xFFFF, subindex 0..0xFF, or None. One dict look-up."""
+        """Return the variable at index 0..0xFFFF, subindex 0..0xFF, or None. One dict look-up."""
         return self._by_mux.get(mux(index, subindex))
 
     def has_index(self, index: int) -> bool:
-        """Whether there is an object at this index (then a missing subindex is another fault than a missing object)."""
+        """Return whether there is an object at this index. (A missing subindex and a missing object have different abort
+        codes.)"""
         return index in self.objects
 
     def __iter__(self) -> Iterator[Variable]:
@@ -219,14 +218,14 @@ class ObjectDictionary:
         return True
 
     def variable(self, key: Key) -> Variable:
-        """The variable that a key names; see `Key`.
+        """Return the variable that a key names; see `Key`.
 
-        A name counts before a number, and an exact name before one that differs in case, or in spaces, hyphens and underscores.
-        Raises ObjectNotFound, whose text names near ones.
+        Text is tried as an exact name, then as a name with other case, spaces, hyphens or underscores, then as a number. Raises
+        ObjectNotFound, whose text suggests similar names.
         """
         if isinstance(key, str):
             names = self._names or self._name_all()
-            found = names.exact.get(key)  # nearly always: it costs one look-up
+            found = names.exact.get(key)  # nearly always enough
             return self._by_text(key, names) if found is None else found
         if isinstance(key, Variable):
             return key
@@ -235,7 +234,7 @@ class ObjectDictionary:
         return self.at(*key)
 
     def _by_text(self, text: str, names: _Names) -> Variable:
-        """What a text means that is not a name as it is spelt."""
+        """Return the variable for a text that is no exact name. Raises ObjectNotFound."""
         found = names.folded.get(_fold(text))
         if found is not None:
             return found
@@ -245,7 +244,7 @@ class ObjectDictionary:
         return self.at(int(number[1], 16), int(number[2] or "0", 16))
 
     def at(self, index: int, subindex: int) -> Variable:
-        """The variable at an index and subindex. Raises ObjectNotFound, which says what there is; `get` gives None instead."""
+        """Return the variable at an index and subindex. Raises ObjectNotFound, which lists the subindices; `get` returns None."""
         if 0 < index <= 0xFFFF and 0 <= subindex <= 0xFF:
             found = self._by_mux.get(mux(index, subindex))
             if found is not None:
@@ -269,11 +268,11 @@ class ObjectDictionary:
     # ---- constants ----
 
     def constants_of(self, key: Key) -> tuple[Constant, ...]:
-        """The constants of an object, in the order of the file."""
+        """Return the constants of an object, in the order of the file."""
         return self._constants.get(self.variable(key).mux, ())
 
     def constant(self, key: Key, name: str) -> Constant:
-        """One constant. Raises ConstantNotFound, whose text names near ones."""
+        """Return one constant of an object. Raises ConstantNotFound, whose text suggests similar names."""
         variable = self.variable(key)
         constants = self._constants.get(variable.mux, ())
         for each in constants:
@@ -283,7 +282,7 @@ class ObjectDictionary:
         raise ConstantNotFound(f"{variable.label} has no constant {name!r}{near}")
 
     def constant_value(self, key: Key, name: str) -> int:
-        """What to write for a constant: its value, negative where the object is signed and the value's highest bit is set."""
+        """Return the number to write for a constant: negative if the object is signed and the constant's highest bit is set."""
         variable = self.variable(key)
         value = self.constant(variable, name).value
         if is_signed(variable.data_type) and variable.bit_length is not None and value >> variable.bit_length - 1:
@@ -291,21 +290,21 @@ class ObjectDictionary:
         return value
 
     def matches(self, key: Key, constant_name: str, value: Value) -> bool:
-        """Whether a value bears a constant: `(value & mask) == constant`. Raises ConstantNotFound."""
+        """Return whether a value bears a constant: `(value & mask) == constant`. Raises ConstantNotFound."""
         constant = self.constant(key, constant_name)
         return isinstance(value, int) and constant.is_in(value)
 
     def names_of(self, key: Key, value: Value) -> tuple[str, ...]:
-        """The names of all constants that a value bears."""
+        """Return the names of all constants that a value bears."""
         constants = self.constants_of(key)
         if not constants or not isinstance(value, int):
             return ()
         return tuple(constant.name for constant in constants if constant.is_in(value))
 
     def value_from(self, key: Key, value: Value) -> Value:
-        """The value that a caller means: a constant's name becomes its value, anything else stays as it is.
+        """Return a value with a constant's name replaced by its number; any other value stays as it is.
 
-        Text for an object that holds no text can only be a constant: raises ConstantNotFound where it is none.
+        Text for an object that holds no text must be a constant: raises ConstantNotFound if it is none.
         """
         if not isinstance(value, str):
             return value
@@ -321,7 +320,7 @@ class ObjectDictionary:
         return MappingProxyType(self._fillers)
 
     def pdo(self, name: str) -> PdoDescription:
-        """A PDO description by name. Raises PdoNotFound."""
+        """Return a PDO description by its name. Raises PdoNotFound."""
         for each in self.pdos:
             if each.name == name:
                 return each
@@ -329,14 +328,14 @@ class ObjectDictionary:
         raise PdoNotFound(f"PDO {name!r} is not in the dictionary{self._of_source()}{near}")
 
     def message(self, node_id: int, key: Key, value: Value, timestamp: int | None = None) -> Message:
-        """A transferred value with its name and the constants that it bears."""
+        """Return a Message for a transferred value. timestamp: as in Message."""
         variable = self.variable(key)
         return Message(node_id, variable.name, value, self.names_of(variable, value), timestamp)
 
     # ---- new dictionaries out of this one ----
 
     def with_objects(self, objects: Iterable[Object], source: str | None = None) -> ObjectDictionary:
-        """This dictionary with more objects; one whose index it has already takes the place of the old one."""
+        """Return this dictionary with more objects. A new object replaces the one that has its index."""
         pseudo = [self._pseudo] if self._pseudo else []
         return ObjectDictionary(
             [*pseudo, *self.objects.values(), *objects],
@@ -347,11 +346,11 @@ class ObjectDictionary:
         )
 
     def with_names_of(self, other: ObjectDictionary) -> ObjectDictionary:
-        """This dictionary, called by the names of another one.
+        """Return this dictionary with the names of another one: a device's EDS gets the aliases of the product's CSV files.
 
-        The objects, types and access rights stay; names, constants, pseudo objects and fillers of `other` come with them (its
-        constants go before ours of the same name). Its PDO descriptions come where every entry is an object here too and is
-        of the same length. This is how a device described by an EDS gets the aliases of the product's CSV files.
+        Objects, types and access rights stay. Names, constants, pseudo objects and fillers of `other` are added; a constant of
+        `other` replaces ours of the same name. A PDO description is taken over if this dictionary has all its objects, with the
+        same lengths.
         """
         objects = [_renamed(each, other) for each in self.objects.values()]
         pseudo = other._pseudo or self._pseudo
@@ -369,7 +368,7 @@ class ObjectDictionary:
         return named
 
     def _own(self, pdo: PdoDescription) -> PdoDescription | None:
-        """The same PDO of this dictionary's variables, or None where one is missing or of another length."""
+        """Return the PDO with this dictionary's variables; None if one is missing or has another length."""
         entries: list[Variable | Filler] = []
         for entry in pdo.entries:
             ours = self._by_mux.get(entry.mux) if isinstance(entry, Variable) else entry
@@ -380,7 +379,7 @@ class ObjectDictionary:
 
 
 class _Names:
-    """What names stand for. exact: as they are spelt. shared: fields that several records have, and how many."""
+    """The variables by name. exact: by the exact name. shared: field names of several records, and how many records."""
 
     __slots__ = ("exact", "folded", "shared")
 
@@ -407,7 +406,7 @@ class _Names:
         self.folded = {_fold(name): variable for name, variable in self.exact.items()}
 
     def example(self, field: str) -> str:
-        """One of the whole names of a field that several records have."""
+        """Return one whole name ("record:field") of a field that several records have."""
         return next(name for name in self.exact if name.endswith(f":{field}"))
 
 
@@ -430,8 +429,8 @@ def _fold(name: str) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """ "; did you mean ...?" where something is near, else what there is where that is little, else nothing."""
-    import difflib  # only here, for a name that is not there
+    """Return the end of an error text: "; did you mean ...?" for similar names, else all names if there are few, else ""."""
+    import difflib  # only a wrong name needs it
 
     if len(name) > MAX_NAME_COMPARED:
         return ""

@@ -2,9 +2,9 @@
 
 Theory of operation
 -------------------
-A variable is what SDO and PDO transfer: its place, its name, its type, what may be done with it, what it holds at first. Most
-fields are CiA 301's (v4.2.0, 7.4); what only an EDS or DCF knows of it (CiA 306-1) stands at the end, and no machine of the core
-looks at it: a configuration tool does. Neither class changes once made.
+A variable is what SDO and PDO transfer. It has a place, a name, a type, access rights and an initial value. The first fields are
+those of CiA 301 (v4.2.0, 7.4). The last ones come from an EDS or DCF (CiA 306-1); only configuration tools use them. Neither
+class changes once made.
 
 A vendor's file has thousands of variables, most of which are never used: so they are cheap to make.
 """
@@ -22,7 +22,8 @@ from canopen_proto.multiplexer import Mux, mux
 
 
 class Access(StrEnum):
-    """What SDO may do with an object (CiA 301 v4.2.0, 7.4.8.3). RWR and RWW are RW that a TPDO, an RPDO may carry (CiA 306)."""
+    """What SDO may do with an object (CiA 301 v4.2.0, 7.4.8.3). RWR is RW that a TPDO may carry, RWW that an RPDO may (CiA
+    306)."""
 
     RO = "ro"
     WO = "wo"
@@ -54,18 +55,16 @@ class ObjectType(IntEnum):
 
 @dataclass(slots=True, unsafe_hash=True)  # not frozen: that makes one cost three times as much
 class Variable:
-    """What stands at one index and subindex.
+    """The object at one index and subindex.
 
-    default: what it holds after start-up; None = the type's zero, or the limit next to it. adds_node_id: the device's node-ID is
-    added to the default ("$NODEID+0x80" of an EDS). low_limit, high_limit: what a write may not pass, None = the type's own
-    limits. pdo_mappable: a PDO may carry it, in the direction that its access allows. mux and codec (how its values become bytes)
-    follow from the rest.
+    default: its value after start-up; None = the type's zero, or the limit nearest to it. adds_node_id: the device's node-ID is
+    added to the default ("$NODEID+0x80" of an EDS). low_limit, high_limit: the range of a write; None = the type's own limit.
+    pdo_mappable: a PDO may carry it, in the direction that its access allows. mux, codec: set from the other fields.
 
-    configured, configured_adds_node_id: what a DCF sets it to (ParameterValue), None = nothing; see `initial_of`. object_flags:
-    bit 0, not to be written by a download of the whole dictionary; bit 1, not to be read by an upload of it (ObjFlags). unit,
-    factor: the physical value is factor x value, in that unit. denotation: what this one device calls it (DCF). upload_file,
-    download_file: where a tool keeps what a DOMAIN holds. not_read: why a backup has no value of it, "" = it has one, or the file
-    is no backup.
+    configured, configured_adds_node_id: the value that a DCF sets (ParameterValue); None = none. See `initial_of`. object_flags
+    (ObjFlags): bit 0 forbids a download of the whole dictionary to write it, bit 1 forbids an upload to read it. unit, factor:
+    the physical value is factor x value, in that unit. denotation: the name that this one device gives it (DCF). upload_file,
+    download_file: where a tool keeps the content of a DOMAIN. not_read: why a backup has no value of it; "" in any other file.
     """
 
     index: int
@@ -98,17 +97,17 @@ class Variable:
 
     @property
     def size(self) -> int | None:
-        """Bytes by SDO; None: any number."""
+        """The number of bytes by SDO; None = any number."""
         return self.codec.size
 
     @property
     def bit_length(self) -> int | None:
-        """Bits in a PDO; None: it has no width of its own there."""
+        """The number of bits in a PDO; None = the mapping sets it."""
         return self.codec.bit_length
 
     @property
     def label(self) -> str:
-        """Name and place, for people; `str` gives the same."""
+        """Name and place for people, as `str` gives them."""
         return f"{self.name} (0x{self.index:04X}:{self.subindex:02X})"
 
     @property
@@ -117,19 +116,19 @@ class Variable:
         return (self.name, *self.aliases)
 
     def initial_of(self, node_id: int) -> Value:
-        """What it holds in the device of that node-ID at first: what a DCF has configured, else the default."""
+        """Return the value after start-up in the device with this node-ID: the configured one, else the default."""
         value = self.configured
         if value is None:
             return self.default_of(node_id)
         return value + node_id if self.configured_adds_node_id and isinstance(value, int) else value
 
     def default_of(self, node_id: int) -> Value:
-        """What it holds in the device of that node-ID by default."""
+        """Return the default in the device with this node-ID."""
         value = self._zero() if self.default is None else self.default
         return value + node_id if self.adds_node_id and isinstance(value, int) else value
 
     def _zero(self) -> Value:
-        """The type's zero, or what is next to it within the limits, where there is a value within them."""
+        """Return the type's zero, or the limit nearest to it if the limits exclude zero."""
         zero = self.codec.zero
         low, high = self.low_limit, self.high_limit
         if not isinstance(zero, int | float) or (low is not None and high is not None and low > high):
@@ -139,15 +138,15 @@ class Variable:
         return high if high is not None and zero > high else zero
 
     def encode(self, value: Value) -> bytes:
-        """The value's bytes as SDO carries them. Raises ValueRangeError that names this object. Limits: `check_limits`."""
+        """Return the value's bytes as SDO carries them. Raises ValueRangeError if the type cannot hold it; see `check_limits`."""
         return self.codec.encode(value, self)
 
     def decode(self, data: bytes) -> Value:
-        """The value of bytes as SDO carries them. Raises ValueRangeError (wrong length) that names this object."""
+        """Return the value of bytes as SDO carries them. Raises ValueRangeError if their number is not the type's."""
         return self.codec.decode(data, self)
 
     def check_limits(self, value: Value) -> None:
-        """Raise ValueRangeError where a number lies outside low_limit..high_limit."""
+        """Raise ValueRangeError if a number is outside low_limit..high_limit. Values that are no numbers have no limits."""
         if isinstance(value, int | float):
             low, high = self.low_limit, self.high_limit
             if (low is not None and value < low) or (high is not None and value > high):
@@ -159,16 +158,16 @@ class Variable:
 
 
 Key: TypeAlias = str | int | tuple[int, int] | Variable
-"""What names a variable: "statusword", "record:field", "6041", "0x6041", "6041:00", "6041.0" (numbers in text are hexadecimal);
-0x6041; (0x60C1, 1); the Variable itself; its multiplexer, as 0x60C101 (`Mux`)."""
+"""A way to name a variable: "statusword", "record:field", "6041", "0x6041", "6041:00", "6041.0" (numbers in text are
+hexadecimal); 0x6041; (0x60C1, 1); the Variable itself; its multiplexer, such as 0x60C101 (`Mux`)."""
 
 
 @dataclass(slots=True, unsafe_hash=True)  # not frozen: that makes one cost three times as much
 class Object:
-    """What stands at one index: its variables by subindex.
+    """The object at one index, with its variables by subindex.
 
-    data_type: of the whole object, as an EDS has it: that of its entries (ARRAY), a DEFSTRUCT's index (RECORD), None = not said.
-    object_flags, denotation: as of `Variable`.
+    data_type: of the whole object, as an EDS gives it: the type of the entries (ARRAY) or the index of a DEFSTRUCT (RECORD); None
+    = not given. object_flags, denotation: as in `Variable`.
     """
 
     index: int
@@ -181,7 +180,8 @@ class Object:
 
     @classmethod
     def of(cls, name: str, variables: Iterable[Variable], object_type: ObjectType | None = None) -> Object:
-        """An object of these variables, which share one index; a VAR where the only one stands at subindex 0, else a RECORD."""
+        """Make an object of these variables, which share one index. object_type: None = VAR for a single one at subindex 0, else
+        RECORD."""
         by_subindex = {variable.subindex: variable for variable in variables}
         if object_type is None:
             object_type = ObjectType.VAR if list(by_subindex) == [0] else ObjectType.RECORD

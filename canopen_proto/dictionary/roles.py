@@ -1,20 +1,20 @@
-"""What the objects of a device are to a backup: settings, which a restore writes, and the rest, which it leaves alone.
+"""The role of each object in a backup: a restore writes settings and leaves the rest alone.
 
 Theory of operation
 -------------------
-A configuration tool saves all that it can read, and writes back what configures the device (CiA 302-3: the download of a device's
-configuration). Most of what is left out follows from the object itself: read-only, a command, a history (download_order.py). What
-remains is process data: set-points and outputs. Writing these back is no configuration: it would switch outputs, or move a drive.
+A configuration tool saves all that it can read, and writes back the settings (CiA 302-3: the download of a device's
+configuration). download_order.py leaves out most other objects: read-only ones, commands, histories. Process data remain:
+set-points and outputs. A restore must not write them, because that would switch outputs or move a drive.
 
-An object is process data where
+An object is process data if
 
-- it is read-only, and a PDO may carry it: an actual value; or it tells the device's present error state;
-- it can be written, and is a set-point of CiA 402 or an output of CiA 401. Of another profile, or where the device type is not
-  known, these indices count too where nothing says otherwise;
-- it can be written, and a valid RPDO of the device carries it: the next PDO decides what it holds.
+- it is read-only and a PDO may carry it (an actual value), or it shows the present error state;
+- it is writable, and a set-point of CiA 402 or an output of CiA 401. The indices of both profiles count if the device type is not
+  known;
+- it is writable, and a valid RPDO of the device carries it: the next PDO sets its value.
 
-That a PDO *may* carry it (PDOMapping, `rww`) does not make a writable object process data: in most files that stands at half of
-the parameters, at the profile velocity as at the target position.
+A writable object is not process data just because a PDO *may* carry it (PDOMapping, `rww`). Most files say so of half of the
+parameters, of the profile velocity as well as of the target position.
 
 Source: CiA 301 v4.2.0, 7.4.1, table 41; CiA 302-3; the objects of CiA 401 and CiA 402-2.
 """
@@ -36,7 +36,7 @@ IO_PROFILE: Final = 401
 DRIVE_PROFILE: Final = 402
 _PROFILE_MASK: Final = 0xFFFF
 _ERROR_STATE: Final = (indices.ERROR_REGISTER, indices.MANUFACTURER_STATUS_REGISTER, indices.PREDEFINED_ERROR_FIELD)
-"""Error register, manufacturer status register, history: they tell what is, whether a PDO may carry them or not."""
+"""Error register, manufacturer status register and history: process data even if no PDO may carry them."""
 _PER_AXIS: Final = 0x800
 
 _SET_POINTS: Final[Mapping[int, Collection[int]]] = {
@@ -50,7 +50,7 @@ _SET_POINTS: Final[Mapping[int, Collection[int]]] = {
     0x60FE: range(1, 2),  # digital outputs; :02 is their mask, a setting
     0x60FF: range(1),  # target velocity
 }
-"""Of CiA 402, first axis: index -> subindices. (The control word is a command.)"""
+"""Set-points of CiA 402, first axis: index -> subindices. (The control word is a command.)"""
 
 _OUTPUTS: Final = (
     range(0x6200, 0x6201),  # 8 bits at once
@@ -59,31 +59,31 @@ _OUTPUTS: Final = (
     range(0x6320, 0x6321),  # 32 bits
     range(0x6410, 0x6415),  # analogue ones: 8, 16, 32 bits, REAL32, the manufacturer's form
 )
-"""Of CiA 401."""
+"""Outputs of CiA 401."""
 
 
 class Role(StrEnum):
-    """What an object is to a backup."""
+    """The role of an object in a backup."""
 
     COMMUNICATION = "communication"
     """A setting of the communication profile area: PDOs, heartbeat, COB-IDs."""
     APPLICATION = "application"
     """Any other setting."""
     PROCESS = "process"
-    """Actual values, set-points, outputs, error state: they change by themselves, and are not written back."""
+    """Actual values, set-points, outputs, error state: they change by themselves, and a restore leaves them alone."""
     FIXED = "fixed"
-    """Read-only and no actual value: identity, versions, capabilities."""
+    """Read-only objects that are no actual values: identity, versions, capabilities."""
     COMMAND = "command"
-    """Writable, but no setting: commands, or kept out of a download by its ObjFlags."""
+    """Writable objects that are no settings: commands, and objects whose ObjFlags forbid a download."""
 
 
 def role_of(
     dictionary: ObjectDictionary, variable: Variable, *, profile: int | None = None, carried: Collection[int] = ()
 ) -> Role:
-    """What an object of this dictionary is to a backup.
+    """Return the role of an object of this dictionary.
 
-    profile: the device's profile number, None = not known (see `profile_in`). carried: muxes that valid RPDOs carry (see
-    `carried_in`).
+    profile: the device's profile number from `profile_in`; None = not known. carried: the muxes that valid RPDOs carry, from
+    `carried_in`.
     """
     reason = reason_to_leave_out(dictionary.objects[variable.index], variable)
     if variable.index in _ERROR_STATE:
@@ -100,7 +100,7 @@ def role_of(
 
 
 def roles_in(dictionary: ObjectDictionary, values: Mapping[Mux, Value]) -> dict[int, Role]:
-    """The role of each object of a device, by mux. values: what it holds; what they do not tell, the dictionary does."""
+    """Return the role of each object of a device, by mux. values: of the device; missing ones are taken from the dictionary."""
     known = {each.mux: each.default if each.configured is None else each.configured for each in dictionary}
     held = {key: value for key, value in known.items() if value is not None} | dict(values)
     profile, carried = profile_in(held), carried_in(held)
@@ -108,13 +108,14 @@ def roles_in(dictionary: ObjectDictionary, values: Mapping[Mux, Value]) -> dict[
 
 
 def profile_in(values: Mapping[Mux, Value]) -> int | None:
-    """The number of the device profile, by the device type (0x1000) among a device's values; None where it tells none."""
+    """Return the number of the device profile from the device type (0x1000); None if a device's values do not tell it."""
     device_type = values.get(mux(indices.DEVICE_TYPE))
     return (device_type & _PROFILE_MASK) or None if isinstance(device_type, int) else None
 
 
 def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
-    """The muxes that the valid RPDOs carry of a device that holds these values. An RPDO of unknown COB-ID counts as valid."""
+    """Return the muxes that the valid RPDOs of a device carry. values: of the device. An RPDO without a COB-ID counts as
+    valid."""
     found: set[Mux] = set()
     for number in range(len(indices.RPDO_MAPPINGS)):
         count = values.get(mux(indices.RPDO_MAPPINGS.start + number))

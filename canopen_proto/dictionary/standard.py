@@ -2,20 +2,20 @@
 
 Theory of operation
 -------------------
-Two tables, as text because they are read more often than changed, give each object its name, type and access. They serve
+Two tables give each object its name, type and access. They are text because they are read more often than changed. Their users:
 
-- whoever builds a device (the simulated drive): `standard_object`, `standard_variable`;
-- the CSV loader, whose files tell the length of an object but not whether it is signed;
-- the linter, which knows from here that an `rw` may be wrong.
+- code that builds a device, such as the simulated drive, calls `standard_object` and `standard_variable`;
+- the CSV loader, whose files give the length of an object but not whether it is signed;
+- the linter, which finds a wrong `rw`.
 
-Columns: index (or a range of indices, each of which has the same fields), subindex (or a range), type, access, name, default.
-In a name `{n}` counts the indices of a range from 1, `{m}` from 2, and `{s}` is the subindex; `|` separates further names. `+`
-behind `ro` means that a TPDO may carry it; `rww` is rw that an RPDO may carry. A record whose subindex 0 has no row has there the
-constant "highest sub-index supported". Another axis of one device has the CiA 402 objects 0x800 further on, eight axes at most.
+Columns: index (or a range of indices with the same fields), subindex (or a range), type, access, name, default. In a name, `{n}`
+counts the indices of a range from 1, `{m}` from 2, and `{s}` is the subindex; `|` separates further names. `ro+` means that a
+TPDO may carry the object, `rww` that an RPDO may. If subindex 0 of a record has no row, it is the constant "highest sub-index
+supported". A device may have eight axes; each one has the CiA 402 objects 0x800 above those of the axis before.
 
-Sources: CiA 301 v4.2.0, 7.5.2. CiA 402: the dictionaries of seven drives and of CiA's own sample, most of which must agree. Where
-they do not: 6060 is `wo` in the sample and readable in every drive; 60B2 has 32 bits in one drive and 16, as all torques, in the
-others. Left out: objects that only CiA 302 and newer profile versions have.
+Sources: CiA 301 v4.2.0, 7.5.2. CiA 402: a majority of seven drives' dictionaries and CiA's own sample. They differ in two
+objects: 6060 is `wo` in the sample and readable in every drive; 60B2 has 32 bits in one drive and 16, like all torques, in the
+others. Objects that only CiA 302 and newer profile versions have are left out.
 """
 
 from __future__ import annotations
@@ -304,7 +304,7 @@ STANDARD: Final[Mapping[tuple[int, int], Variable]] = MappingProxyType(
 
 
 def find_standard(index: int, subindex: int = 0) -> Variable | None:
-    """What a standard says of an object, or None. Knows the ranges, and the further axes of CiA 402."""
+    """Return a standard object, or None. Includes ranges of objects and the further axes of CiA 402."""
     if index in _FURTHER_AXES:
         base = STANDARD.get((_home(index), subindex))
         axis = (index - 0x6000) // _AXIS_SPACING + 1
@@ -321,10 +321,10 @@ def find_standard(index: int, subindex: int = 0) -> Variable | None:
 
 
 def standard_variable(index: int, subindex: int = 0, **changes: Any) -> Variable:
-    """A standard object with changes: `standard_variable(0x607A, default=0, low_limit=-180_000)`.
+    """Return a standard object with changes: `standard_variable(0x607A, default=0, low_limit=-180_000)`.
 
-    changes: fields of `Variable` (default, access, low_limit, high_limit, pdo_mappable, name ...); a default given here is final,
-    no node-ID is added to it. Raises ObjectNotFound where no standard knows the object, TypeError for a field that is none.
+    changes: fields of `Variable` (default, access, low_limit, high_limit, pdo_mappable, name ...). No node-ID is added to a
+    default given here. Raises ObjectNotFound if no standard has the object, TypeError for an unknown field.
     """
     found = find_standard(index, subindex)
     if found is None:
@@ -337,11 +337,10 @@ def standard_variable(index: int, subindex: int = 0, **changes: Any) -> Variable
 def standard_object(
     index: int, default: Value | None = None, *, highest: int | None = None, defaults: Mapping[int, Value] | None = None
 ) -> Object:
-    """A whole standard object: `standard_object(0x1017, 100)`, `standard_object(0x1600, highest=8, defaults={1: 0x60400010})`.
+    """Return a whole standard object: `standard_object(0x1017, 100)`, `standard_object(0x1600, highest=8)`.
 
-    default: of subindex 0. defaults: by subindex; where both speak of subindex 0, `defaults` counts. highest: the last subindex;
-    without it, the last one that has a row of its own, or 1. Raises ObjectNotFound where no standard knows the index, or the
-    highest subindex.
+    default: of subindex 0. defaults: by subindex; they count before `default`. highest: the last subindex; None = the last one
+    with a row of its own, at least 1. Raises ObjectNotFound if no standard has the index or the highest subindex.
     """
     chosen: dict[int, Value] = {} if default is None else {0: default}
     chosen |= defaults or {}
@@ -369,5 +368,5 @@ def _with_default(variable: Variable, chosen: Mapping[int, Value]) -> Variable:
 
 
 def _home(index: int) -> int:
-    """The index of the same object in the first axis."""
+    """Return the index of the same object in the first axis."""
     return 0x6000 + (index - 0x6000) % _AXIS_SPACING if index in _FURTHER_AXES else index

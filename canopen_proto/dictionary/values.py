@@ -1,19 +1,19 @@
-"""What the objects of one device hold.
+"""The values of one device's objects.
 
 Theory of operation
 -------------------
 An `ObjectDictionary` describes and never changes; `Values` is one device's memory for it. SDO and PDO read and write the same
-`Values`: a device's dictionary and its PDOs are one memory. It holds Python values, not bytes, so that a PDO that arrives is
-unpacked once and read often.
+`Values`: a device's dictionary and its PDOs are one memory. It holds Python values, not bytes: a received PDO is unpacked once
+and read often.
 
 `store` is public on purpose: hot paths (PDO, the simulated drive) read and write it directly, by mux and without any check.
-Everything that comes from outside goes through `write` (our own caller) or through the server's checks (a peer).
+Values from outside pass `write` (our own caller) or the SDO server's checks (a peer).
 
-`Values` does not look at access rights: a device writes its own read-only objects. It holds no history and tells nobody of a
-change; effects of objects are the business of the node that owns it.
+`Values` does not check access rights: a device writes its own read-only objects. It keeps no history and reports no changes; the
+node that owns it lets a write take effect.
 
-A description may give an object a value that its type cannot hold: an EDS is wrong, or the node-ID carries it over the edge. The
-object then begins with what `nearest` makes of it, so that it can be read at all; `unfit` says so.
+A description may give an object a value that its type cannot hold: the EDS is wrong, or adding the node-ID overflows the type.
+The object then starts with a value from `nearest`, so that it can be read, and `unfit` lists it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,9 @@ from canopen_proto.multiplexer import Mux, mux_text
 
 
 class Values:
-    """The memory of one device. node_id is added to the defaults that depend on it.
+    """The memory of one device. node_id: added to the defaults that depend on it.
 
-    store: every variable of the dictionary by its mux, always complete. unfit: the variables whose type cannot hold their initial
-    value.
+    store: the value of every variable of the dictionary, by mux. unfit: the variables whose type cannot hold their initial value.
     """
 
     __slots__ = ("dictionary", "node_id", "store", "unfit")
@@ -40,24 +39,24 @@ class Values:
         self._mend()
 
     def __getitem__(self, mux: Mux) -> Value:
-        """The value at a mux, unchecked. Raises KeyError where the dictionary has no such object."""
+        """Return the value at a mux. Raises KeyError if the dictionary has no such object."""
         return self.store[mux]
 
     def __setitem__(self, mux: Mux, value: Value) -> None:
-        """Set the value at a mux; the value is not checked. Raises KeyError where the dictionary has no such object."""
+        """Set the value at a mux, without checking it. Raises KeyError if the dictionary has no such object."""
         if mux not in self.store:
             raise ObjectNotFound(f"object {mux_text(mux)} is not in the dictionary")
         self.store[mux] = value
 
     def read(self, key: Key) -> Value:
-        """The value of an object. Raises ObjectNotFound."""
+        """Return the value of an object. Raises ObjectNotFound."""
         return self.store[self._held(key).mux]
 
     def write(self, key: Key, value: Value) -> None:
-        """Set the value of an object; a constant's name stands for its value.
+        """Set the value of an object. A constant's name stands for its value.
 
-        Raises ObjectNotFound, ConstantNotFound, or ValueRangeError where the value fits not the type or the limits; then nothing
-        has changed.
+        Raises ObjectNotFound, ConstantNotFound, or ValueRangeError if the value does not fit the type or the limits. The old
+        value then stays.
         """
         variable = self._held(key)
         value = self.dictionary.value_from(variable, value)
@@ -66,7 +65,7 @@ class Values:
         self.store[variable.mux] = value
 
     def raw(self, index: int, subindex: int = 0) -> bytes:
-        """The bytes of an object as SDO carries them. Raises ObjectNotFound."""
+        """Return the bytes of an object as SDO carries them. Raises ObjectNotFound."""
         variable = self._held((index, subindex))
         return variable.encode(self.store[variable.mux])
 
@@ -81,7 +80,7 @@ class Values:
         self._mend(first_index, last_index)
 
     def put_default(self, variable: Variable) -> None:
-        """Give an object its default, whatever a DCF has configured for it."""
+        """Set an object to its default, even if a DCF has configured another value."""
         value = variable.default_of(self.node_id)
         self.store[variable.mux] = value if _takes(variable, value) else nearest(variable, value)
 
@@ -98,9 +97,9 @@ class Values:
 
 
 def nearest(variable: Variable, value: Value) -> Value:
-    """What stands for a value that the object's type cannot hold: a text's bytes in UTF-8, else the type's zero.
+    """Return a substitute for a value that the object's type cannot hold: a text's UTF-8 bytes as Latin-1, else the type's zero.
 
-    A VISIBLE_STRING has no character beyond Latin-1, but devices whose EDS is in UTF-8 send just these bytes.
+    A VISIBLE_STRING has no character beyond Latin-1, but devices with an EDS in UTF-8 send these bytes.
     """
     if isinstance(value, str) and variable.data_type == DataType.VISIBLE_STRING:
         return value.encode("utf-8", "surrogatepass").decode("latin-1")

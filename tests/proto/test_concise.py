@@ -36,11 +36,11 @@ def test_nothing_configures_nothing(data: bytes) -> None:
 @pytest.mark.parametrize(
     ("text", "offset", "message"),
     [
-        ("0200", 0, "begins with a count of 4 bytes; there are 2"),
-        ("01000000", 4, "1 entries are announced; the data end before entry 1"),
-        ("FFFFFFFF 1710 00 02000000 F401", 13, "4294967295 entries are announced; the data end before entry 2"),
+        ("0200", 0, "begins with a count of 4 bytes; only 2"),
+        ("01000000", 4, "1 entries are announced, but the data end before entry 1"),
+        ("FFFFFFFF 1710 00 02000000 F401", 13, "4294967295 entries are announced, but the data end before entry 2"),
         ("01000000 1710 00 FFFFFFFF F401", 11, r"entry 1 \(0x1017:00\) announces 4294967295 bytes; 2 are left"),
-        ("01000000 1710 00 01000000 F401", 12, "1 bytes stand behind the last of 1 entries"),
+        ("01000000 1710 00 01000000 F401", 12, "1 more bytes follow the last of 1 entries"),
     ],
 )
 def test_other_bytes_are_refused_with_their_place(text: str, offset: int, message: str) -> None:
@@ -53,9 +53,9 @@ def test_other_bytes_are_refused_with_their_place(text: str, offset: int, messag
 def test_both_ways_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_CONCISE", 20)
     assert len(pack_concise([(0x2000, 0, bytes(9))])) == 20
-    with pytest.raises(ConciseError, match="20 bytes at most; entry 1"):
+    with pytest.raises(ConciseError, match="at most 20 bytes; entry 1"):
         pack_concise([(0x2000, 0, bytes(10))])
-    with pytest.raises(ConciseError, match="20 bytes at most, not 21"):
+    with pytest.raises(ConciseError, match="at most 20 bytes, not 21"):
         from_concise(bytes(21))
 
 
