@@ -1,5 +1,5 @@
-"""Process data: what a PDO's bits mean (`mapping`), receiving and sending one (`consumer`, `producer`), a device's own PDOs
-(`parameters`, by the `rules`), how they are set up again (`settings`), and multiplexed ones (`multiplexed`)."""
+"""Process data: the bits of a PDO (`mapping`), receiving and sending one (`consumer`, `producer`), a device's own PDOs
+(`parameters`, by the `rules`), setting one up (`settings`), and multiplexed PDOs (`multiplexed`)."""
 
 from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived, PdoTooLate
 from canopen_proto.pdo.mapping import MappedEntry, Mapping, MappingError

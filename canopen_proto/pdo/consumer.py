@@ -2,27 +2,27 @@
 
 Theory of operation
 -------------------
-A PDO is one unconfirmed frame (CiA 301 v4.2.0, 7.2.2). When it comes, its values go into the consumer's store, which for a
-device is the memory of its dictionary, and `PdoReceived` tells of it. When they go there is what the transmission type says:
+A PDO is one unconfirmed frame (CiA 301 v4.2.0, 7.2.2). The consumer puts its values into a store, which in a device is the memory
+of its dictionary, and reports `PdoReceived`. The transmission type says when:
 
-    0..240      synchronous: the last data before a SYNC are held until that SYNC. `on_sync` is the SYNC.
+    0..240      synchronous: at the next SYNC, which `on_sync` reports. A later PDO before that SYNC replaces an earlier one.
     254, 255    event-driven: at once.
 
-With a synchronous window (0x1007, `set_window`) a synchronous PDO that comes later than that after the SYNC is dropped, until the
+With a synchronous window (0x1007, `set_window`), a synchronous PDO that comes after the end of the window is dropped until the
 next SYNC: `PdoTooLate`. Before the first SYNC there is no window.
 
-The frame's length is checked against the mapping (7.5.2.36): a shorter one is not processed, of a longer one the mapped bytes
-are used. Both are reported with the code of the EMCY that a device then sends.
+The frame's length is checked against the mapping (7.5.2.36). A shorter frame is not processed; of a longer one the mapped bytes
+are used. Both are reported, with the code of the EMCY that a device then sends.
 
-A consumer with an event time watches for its PDO: once one was received, the next has to come within that time (7.5.2.35, sub
-5; "deadline monitoring").
+A consumer with an event time watches its PDO: after each one, the next has to come within that time (7.5.2.35, sub 5; "deadline
+monitoring").
 
-PDOs live in NMT state Operational only. The owner says so by `set_enabled`; whatever comes before is ignored. So is all of a PDO
-that is not valid (bit 31 of its COB-ID) or whose mapping is empty: then it asks for no frame at all.
+PDOs exist in NMT state Operational only, which the owner sets by `set_enabled`; frames before that are ignored. A PDO that is not
+valid (bit 31 of its COB-ID), or whose mapping is empty, takes no frames at all.
 
-The master's view of a TPDO is made with type 255 whatever the device's own type is: the device has already waited for the SYNC,
-and waiting for the next would make every actual value one cycle older. `request` asks for a TPDO by a remote frame; not every
-device answers, and some CAN controllers can't.
+The master receives every TPDO with type 255, whatever the device's own type is: the device has already waited for the SYNC, and
+waiting for the next one would make every actual value one cycle older. `request` asks for a TPDO by a remote frame; not every
+device answers it, and some CAN controllers cannot send one.
 
 Left out: the inhibit time of an RPDO, to which the standard gives no meaning.
 """
@@ -51,10 +51,10 @@ EMCY_RPDO_TIMEOUT: Final = 0x8250
 
 
 class PdoReceived(Event):
-    """The values of a PDO are in the store (a synchronous one: not at its reception, but at the SYNC behind it).
+    """The values of a PDO are in the store. A synchronous PDO is reported at the SYNC after it, not when it is received.
 
-    number: 1..512 of the PDO, 0 where it has none. key: what it came by (`Frame.key`). data: its bytes. components: the values in
-    the order of `mapping.components`; by name: `get`, `values`. timestamp: when the frame came, as the transport says.
+    number: 1..512, or 0 if the PDO has none. key: the routing key of the frame. data: its bytes. components: the values in the
+    order of `mapping.components`; `get` and `values` give them by name. timestamp: of the frame, from the transport.
     """
 
     __slots__ = ("components", "data", "key", "mapping", "number", "timestamp")
@@ -80,18 +80,18 @@ class PdoReceived(Event):
 
     @property
     def values(self) -> dict[str, Value]:
-        """The values by `mapping.labels`: the names of their objects, or "6401:01" where several share a name."""
+        """The values by `mapping.labels`: the names of the objects, or "6401:01" if several have the same name."""
         return dict(zip(self.mapping.labels, self.components, strict=True))
 
     def get(self, key: Key) -> Value | None:
-        """The value of one object, None where this PDO does not carry it. key, errors: as of `Mapping.find_component`."""
+        """Return the value of one object; None if the PDO does not carry it. key, errors: as in `Mapping.find_component`."""
         position = self.mapping.position_of(key)
         return None if position is None else self.components[position]
 
 
 class PdoLengthError(Event):
-    """A PDO was shorter or longer than its mapping (bytes). emcy_code: 0x8210, it was not processed; 0x8220, it was too long, and
-    what is mapped is used."""
+    """A PDO was shorter or longer than its mapping. expected, received: bytes. emcy_code: 0x8210 for a short one, which is not
+    processed; 0x8220 for a long one, whose mapped bytes are used."""
 
     __slots__ = ("emcy_code", "expected", "key", "number", "received", "timestamp")
     __match_args__ = ("node_id", "number", "key", "expected", "received", "emcy_code", "timestamp")
@@ -109,7 +109,7 @@ class PdoLengthError(Event):
 
 
 class PdoTooLate(Event):
-    """A synchronous PDO came after the synchronous window and was dropped. late: ns behind its end. timestamp: of the frame."""
+    """A synchronous PDO came after the synchronous window and was dropped. late: ns after its end. timestamp: of the frame."""
 
     __slots__ = ("key", "late", "number", "timestamp")
     __match_args__ = ("node_id", "number", "key", "late", "timestamp")
@@ -123,7 +123,7 @@ class PdoTooLate(Event):
 
 
 class PdoOverdue(Event):
-    """A PDO did not come within the event time after the last one. Reported once; the next one that comes is watched again."""
+    """A PDO did not come within the event time after the last one. Reported once; the watch starts again with the next PDO."""
 
     __slots__ = ("emcy_code", "key", "number")
     __match_args__ = ("node_id", "number", "key", "emcy_code")
@@ -136,12 +136,11 @@ class PdoOverdue(Event):
 
 
 class PdoConsumer(Machine):
-    """Receives one PDO into a store; see this module's text.
+    """Receives one PDO into a store; see the text of this module. Disabled until `set_enabled`.
 
-    node_id: the node that it is about: the device's own, or the one whose TPDO the master watches. number: 1..512, or 0. key:
-    the routing key of its frames, None while the PDO is not valid. store: mux -> value, written without a check of limits.
-    event_time: ns, 0 = not watched. Disabled until `set_enabled`.
-    Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.36.
+    node_id: 1..127, the device itself, or the node whose TPDO the master receives. number: 1..512, or 0. key: the routing key of
+    the frames; None while the PDO is not valid. store: mux -> value, written without a check of limits. event_time: ns; 0 = not
+    watched. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.36.
     """
 
     __slots__ = (
@@ -176,7 +175,7 @@ class PdoConsumer(Machine):
         self.store = store
         self.enabled = False
         self.key: RoutingKey | None = None
-        self._held: bytes | None = None  # what waits for a SYNC
+        self._held: bytes | None = None  # the data that wait for a SYNC
         self._held_timestamp: int | None = None
         self._window: Time = 0
         self._window_end: Time = NEVER
@@ -184,32 +183,33 @@ class PdoConsumer(Machine):
 
     @classmethod
     def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoConsumer:
-        """A consumer of what PDOs.csv describes: the master's view of a node's TPDO. store: the caller's. Raises MappingError."""
+        """Return a master's consumer of a node's TPDO, as PDOs.csv describes it. Raises MappingError."""
         mapping = Mapping.from_description(description)
         return cls(out, node_id, description.number or 0, routing_key(description.can_id(node_id)), mapping, store)
 
     def configure(
         self, key: RoutingKey | None, mapping: Mapping, transmission_type: int = EVENT_DRIVEN, event_time: Time = 0
     ) -> None:
-        """Take up other parameters. Data held for a SYNC are dropped: they were meant for another mapping."""
+        """Change the parameters. Data held for a SYNC are dropped, because they belong to the old mapping."""
         self.mapping = mapping
         self.synchronous = transmission_type <= LAST_SYNCHRONOUS
         self.event_time = event_time
         if not mapping.entries:
-            key = None  # "mapping disabled": there is nothing to process
+            key = None  # "mapping disabled"
         if key != self.key:
             self.key = key
             self._reroute()
         self._forget()
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether the node is in NMT state Operational. Leaving it drops data held for a SYNC and ends the watch."""
+        """Set whether the node is in NMT state Operational. Leaving it drops data held for a SYNC and ends the watch."""
         if enabled != self.enabled:
             self.enabled = enabled
             self._forget()
 
     def set_window(self, window: Time) -> None:
-        """How long after a SYNC synchronous PDOs are taken, in ns; 0: until the next SYNC. It holds from the next SYNC on.
+        """Set how long after a SYNC synchronous PDOs are accepted. window: ns; 0 = until the next SYNC. Holds from the next SYNC
+        on.
 
         CiA 301 v4.2.0, 7.5.2.7
         """
@@ -217,7 +217,7 @@ class PdoConsumer(Machine):
         self._window_end = NEVER
 
     def request(self, now: Time) -> bool:
-        """Ask for the PDO by a remote frame. False, and nothing is sent, where it is not live. CiA 301 v4.2.0, 7.2.2.5.2"""
+        """Ask for the PDO by a remote frame. Sends nothing and returns False if it is not live. CiA 301 v4.2.0, 7.2.2.5.2"""
         if not self.enabled or self.key is None:
             return False
         self.out.frames.append(Frame(self.key & 0x1FFFFFFF, b"", self.key >> 29 | REMOTE, self.mapping.byte_length))
@@ -225,7 +225,7 @@ class PdoConsumer(Machine):
 
     @property
     def is_live(self) -> bool:
-        """Whether it would process a frame now: valid, mapped, and the node Operational."""
+        """Whether a frame is processed now: the PDO is valid and mapped, and the node Operational."""
         return self.enabled and self.key is not None
 
     def can_ids(self) -> Iterable[RoutingKey]:
@@ -234,7 +234,7 @@ class PdoConsumer(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         """Hold the data for the next SYNC, or put their values into the store and report `PdoReceived`.
 
-        A wrong length is reported by `PdoLengthError`; `FrameIgnored` where the bytes are no value (a time with 25 hours).
+        Events: `PdoLengthError` for a wrong length; `FrameIgnored` if the bytes are no valid value (a time of 25 hours).
         """
         if not self.enabled or self.key is None:
             return
@@ -258,7 +258,7 @@ class PdoConsumer(Machine):
             self._take(data, self.out.root.timestamp)
 
     def on_sync(self, counter: int | None, now: Time) -> None:
-        """A SYNC came: data held for it go into the store, and `PdoReceived` is reported. counter: not used by consumers."""
+        """Handle a SYNC: put the held data into the store and report `PdoReceived`. counter: not used by consumers."""
         if self._window:
             self._window_end = now + self._window
         data = self._held
@@ -270,12 +270,12 @@ class PdoConsumer(Machine):
         if now < self.deadline:
             return
         self._arm(NEVER)
-        assert self.key is not None  # else it would not watch
+        assert self.key is not None  # only a PDO with a key is watched
         self.out.events.append(PdoOverdue(self.node_id, self.number, self.key, EMCY_RPDO_TIMEOUT))
 
     def _take(self, data: bytes, timestamp: int | None) -> None:
         key = self.key
-        assert key is not None  # nothing is received or held without one
+        assert key is not None  # only a PDO with a key receives and holds data
         try:
             components = self.mapping.unpack_into(self.store, data)
         except ValueRangeError as error:

@@ -1,8 +1,8 @@
-"""`HeldRpdos`: what a device may hold for its next SYNC, as the sender of its RPDOs has to assume.
+"""`HeldRpdos`: the RPDOs that a device may hold for its next SYNC, as far as their sender can tell.
 
-The data of a synchronous RPDO wait in the device for a SYNC (CiA 301 v4.2.0, 7.5.2.35), and then undo what was written by SDO
-before it. Nothing on the bus tells whether they still wait. The sender knows when it sent them, and when a SYNC came. A SYNC that
-it sent itself is behind all that it sent before. One that it hears may have been on its way for SYNC_TRANSIT.
+The data of a synchronous RPDO wait in the device for a SYNC (CiA 301 v4.2.0, 7.5.2.35). They then overwrite what SDO wrote in the
+meantime. No frame tells whether they still wait. The sender knows when it sent them, and when a SYNC passed. A SYNC of its own
+comes after all frames that it sent before. A SYNC that it receives may have been on its way for SYNC_TRANSIT.
 """
 
 from __future__ import annotations
@@ -15,39 +15,39 @@ from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.producer import PdoProducer
 
 SYNC_TRANSIT: Final = 100 * MILLISECOND
-"""Adapters hold frames back on both ways, by 16 ms and more, and so does a process that is busy."""
+"""Adapters delay frames both ways by 16 ms and more, and so does a busy process."""
 
 
 class HeldRpdos:
-    """See this module's text. One for each device."""
+    """The RPDOs that one device may hold; see the text of this module."""
 
     __slots__ = ("_by_hand", "_since")
 
     def __init__(self) -> None:
         self._by_hand: set[PdoProducer] = set()
-        self._since: Time = -NEVER  # what was sent before has been taken
+        self._since: Time = -NEVER  # the device no longer holds an RPDO that was sent before this time
 
     def sent_by_hand(self, producer: PdoProducer) -> None:
-        """Note an RPDO that was sent by hand: it is not among those that follow the SYNC."""
+        """Note an RPDO that was sent once by hand. The `rpdos` of `carrying` do not have it."""
         self._by_hand.add(producer)
 
     def on_sync(self, now: Time, heard: bool) -> None:
-        """A SYNC was sent, or heard."""
+        """Note a SYNC. heard: it was received, not sent."""
         self._since = max(self._since, now - SYNC_TRANSIT if heard else now)
         if self._by_hand:
             self._by_hand = {each for each in self._by_hand if self._may_be_held(each)}
 
     def on_boot(self, now: Time) -> None:
-        """The device has booted: it holds nothing."""
+        """Note that the device has booted: it holds nothing."""
         self._since = now
         self._by_hand.clear()
 
     def forget(self, number: int) -> None:
-        """RPDO `number` is no longer exchanged, or becomes another."""
+        """Forget RPDO `number`: it is no longer exchanged, or gets other settings."""
         self._by_hand = {each for each in self._by_hand if each.number != number}
 
     def carrying(self, mux: Mux, rpdos: Iterable[PdoProducer]) -> list[PdoProducer]:
-        """Those that carry an object, of `rpdos` and of what was sent by hand."""
+        """Return the RPDOs with an object that the device may hold. rpdos: those that are exchanged."""
         return [each for each in (*rpdos, *self._by_hand) if self._may_be_held(each) and mux in each.mapping.muxes]
 
     def _may_be_held(self, producer: PdoProducer) -> bool:

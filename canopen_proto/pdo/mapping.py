@@ -1,25 +1,25 @@
-"""What the bits of a PDO mean: mapped objects, first bits first.
+"""The mapping of a PDO: its bits as objects, lowest bits first.
 
 Theory of operation
 -------------------
-A PDO has no header: both sides know by the PDO mapping parameter (0x1600.., 0x1A00..) which objects its up to 64 bits carry.
-Each entry names an object and a length in bits; entries follow one another without gaps, from the least significant bit of the
-first byte on, numbers least significant bit first (CiA 301 v4.2.0, 7.4.7.1 and 7.1.4). So the whole PDO is one little-endian
-integer, and an entry is `integer >> offset & mask`: any offset, any width, across byte limits too. Where every entry stands on
-bytes and has the width of a C type, a precompiled `struct` does the same in one call.
+A PDO has no header. Both sides know from the PDO mapping parameter (0x1600.., 0x1A00..) which objects its up to 64 bits carry.
+Each entry names an object and a length in bits. Entries follow one another without gaps, from the lowest bit of the first byte on
+(CiA 301 v4.2.0, 7.4.7.1 and 7.1.4). So the whole PDO is one little-endian integer, and an entry is `integer >> offset & mask`, at
+any offset and of any width. If every entry is aligned to bytes and has the width of a C type, a precompiled `struct` does the
+same in one call.
 
-- A number mapped with fewer bits than its type has gives and takes just these bits, the lowest; a signed one is extended by the
-  highest of them. More bits than the type has are refused.
-- A BOOLEAN is one bit. Devices that know only bytes map it with up to 8; then any of them makes it true.
-- REAL32, REAL64 and the times are mapped whole; strings and DOMAIN by whole bytes (16 bits for UNICODE_STRING), shorter text
-  is filled up with NULs, and what comes keeps its NULs.
-- Dummy entries have the code of a data type for their index (0x0001..0x001B). They are space: sent as 0, ignored on receipt,
-  and no component of the PDO. The fillers of PDO descriptions (`notused16`) become dummy entries.
+- A number may be mapped with fewer bits than its type has: these are its lowest bits, and the highest of them is the sign of a
+  signed type. More bits than the type has are refused.
+- A BOOLEAN is one bit. Devices that can map only bytes give it up to 8; it is true if any of them is 1.
+- REAL32, REAL64 and the times are mapped whole, strings and DOMAIN in whole bytes (16 bits for UNICODE_STRING). A shorter text is
+  filled up with NULs; a received text keeps its NULs.
+- The index of a dummy entry is the code of a data type (0x0001..0x001B). Its bits are sent as 0 and ignored when received, and it
+  is no component of the PDO. The fillers of PDO descriptions (`notused16`) become dummy entries.
 
-Values are those of `Values.store` (mux -> Python value), read and written here directly: a PDO and the dictionary are one
-memory. Range limits of objects are not looked at: the standard gives a PDO no way to refuse a value.
+A PDO reads and writes `Values.store` (mux -> Python value) directly: a PDO and the dictionary are one memory. Limits of objects
+are not checked, because a PDO has no way to refuse a value.
 
-Multiplexed PDOs (sub 0 = 0xFE and 0xFF) have no mapping: multiplexed.py.
+Multiplexed PDOs (sub 0 = 0xFE and 0xFF) have no mapping; see multiplexed.py.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ MAX_BITS: Final = 64
 """A classical CAN frame carries 8 bytes."""
 
 MAX_ENTRIES: Final = 64
-"""Sub 0 of a mapping parameter counts to 0x40: 64 single bits (CiA 301 v4.2.0, 7.5.2.36)."""
+"""The greatest number of entries, 64 single bits (CiA 301 v4.2.0, 7.5.2.36)."""
 
 LAST_DUMMY_INDEX: Final = 0x001B
 """UNSIGNED64, the last data type code with a fixed width."""
@@ -66,14 +66,14 @@ _NUMBER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1
 
 @mypyc_attr(native_class=False)
 class MappingError(LocalProtocolError, ValueError):
-    """These entries cannot make a PDO; the text says which one and why."""
+    """These entries cannot form a PDO. The text names the wrong one and the reason."""
 
 
 class MappedEntry:
-    """One object of a PDO, or a dummy entry. Never changed after it was made.
+    """One object of a PDO, or a dummy entry. Never changes.
 
-    bit_length: bits in the PDO. data_type: of the object; of a dummy, what its index says. names: the object's names, the first
-    of which is `name`. Raises MappingError where that type cannot have that width in a PDO.
+    bit_length: bits in the PDO. data_type: of the object; of a dummy entry, the type that its index names. names: the object's
+    names; `name` is the first. Raises MappingError if this type cannot have this width in a PDO.
     """
 
     __slots__ = ("bit_length", "data_type", "index", "is_dummy", "mux", "names", "subindex")
@@ -91,7 +91,8 @@ class MappedEntry:
 
     @classmethod
     def of(cls, entry: Variable | Filler) -> MappedEntry:
-        """The entry for a variable in its full width, or for a filler. Raises MappingError (a string has no width of its own)."""
+        """Return the entry for a variable in its full width, or for a filler. Raises MappingError for a variable without a width,
+        such as a string."""
         if isinstance(entry, Variable):
             return cls(entry.index, entry.subindex, entry.bit_length or 0, entry.data_type, *entry.names)
         data_type = _dummy_type(entry)
@@ -99,7 +100,8 @@ class MappedEntry:
 
     @classmethod
     def from_parameter(cls, parameter: int, dictionary: ObjectDictionary) -> MappedEntry:
-        """The entry that a value of 0x1600:01 and the like stands for. Raises MappingError: no such object, or not so wide."""
+        """Return the entry for a value of a mapping parameter, such as 0x1600:01. Raises MappingError if the dictionary has no
+        such object, or if its type cannot have this width."""
         index, subindex, bit_length = mapped(parameter)
         if index <= LAST_DUMMY_INDEX:
             if subindex or index not in DUMMY_TYPES:
@@ -112,12 +114,12 @@ class MappedEntry:
 
     @property
     def name(self) -> str:
-        """The first of its names; "0x6041:00" where it has none."""
+        """The object's first name; index and subindex, as "0x6041:00", if it has none."""
         return self.names[0]
 
     @property
     def parameter(self) -> int:
-        """The entry as it stands in a mapping parameter: index << 16 | subindex << 8 | bits."""
+        """The entry as a value of a mapping parameter: index << 16 | subindex << 8 | bits."""
         return mapping_entry(self.mux, self.bit_length)
 
     def __eq__(self, other: object) -> bool:
@@ -131,12 +133,11 @@ class MappedEntry:
 
 
 class Mapping:
-    """The entries of one PDO, and how its bytes become values and values its bytes. Never changes after it was made.
+    """The entries of one PDO. Packs values into bytes and unpacks them. Never changes.
 
-    entries: all of them. components: those that carry a value, dummies left out; `unpack` and `pack` speak of these, in this
-    order; muxes: theirs. labels: what each component is called here, no two alike: the name of its object, or "6401:01" where
-    several components have that name, or "6401:01#2" for an object that is mapped a second time. Raises MappingError for more
-    than 64 bits.
+    entries: all entries. components: the entries without dummies; `unpack` and `pack` have one value for each, in this order.
+    muxes: of the components. labels: a unique name for each component: the object's name, or "6401:01" if several components
+    have that name, or "6401:01#2" if the object is mapped a second time. Raises MappingError for more than 64 bits.
     """
 
     __slots__ = ("_fields", "_layout", "_places", "bit_length", "byte_length", "components", "entries", "labels", "muxes")
@@ -151,9 +152,7 @@ class Mapping:
         self.components: tuple[MappedEntry, ...] = tuple(entry for entry in self.entries if not entry.is_dummy)
         self.muxes = tuple(entry.mux for entry in self.components)
         self.labels = _labels(self.components)
-        self._places: dict[
-            str | int, list[int]
-        ] = {}  # by mux, label and name: positions among the components, the first one first
+        self._places: dict[str | int, list[int]] = {}  # mux, label or name -> positions among the components
         for position, (entry, label) in enumerate(zip(self.components, self.labels, strict=True)):
             keys: tuple[str | int, ...] = (entry.mux, label, *entry.names)
             for key in dict.fromkeys(keys):
@@ -168,17 +167,17 @@ class Mapping:
 
     @classmethod
     def from_description(cls, description: PdoDescription) -> Mapping:
-        """The mapping that a line of PDOs.csv describes."""
+        """Return the mapping for a line of PDOs.csv."""
         return cls(MappedEntry.of(entry) for entry in description.entries)
 
     @classmethod
     def from_parameters(cls, parameters: Iterable[int], dictionary: ObjectDictionary) -> Mapping:
-        """The mapping of these values of sub 1, 2 ... of a mapping parameter. Raises MappingError."""
+        """Return the mapping for the values of sub 1, 2 ... of a mapping parameter. Raises MappingError."""
         return cls(MappedEntry.from_parameter(parameter, dictionary) for parameter in parameters)
 
     @classmethod
     def from_values(cls, values: Values, index: int) -> Mapping:
-        """The mapping that stands at `index` (0x1600..0x17FF, 0x1A00..0x1BFF) of a device. Raises MappingError."""
+        """Return the mapping at `index` (0x1600..0x17FF, 0x1A00..0x1BFF) of a device. Raises MappingError."""
         count = number_at(values.store, mux(index))
         if count > MAX_ENTRIES:
             raise MappingError(f"0x{index:04X}:00 = {count}: a PDO has {MAX_ENTRIES} entries at most")
@@ -187,21 +186,21 @@ class Mapping:
 
     @property
     def parameters(self) -> tuple[int, ...]:
-        """The entries as they stand in sub 1, 2 ... of a mapping parameter."""
+        """The entries as values of sub 1, 2 ... of a mapping parameter."""
         return tuple(entry.parameter for entry in self.entries)
 
     def find_component(self, key: Key) -> MappedEntry | None:
-        """Whether the PDO carries an object: its entry, or None.
+        """Return the entry of an object; None if the PDO does not carry it.
 
-        key: a name or label, (index, subindex), a multiplexer, "6041:00", or an index alone, which stands for subindex 0 or else
-        for the only mapped subindex of that index. Of an object that is mapped twice, the first one is found. Raises
-        LocalProtocolError where a name or an index alone could mean several objects: picking one would be a guess.
+        key: a name or label, (index, subindex), a multiplexer, "6041:00", or an index alone. An index alone means subindex 0 if
+        that is mapped, else the only mapped subindex. The first entry is returned if an object is mapped twice. Raises
+        LocalProtocolError if a name or an index alone could mean several objects.
         """
         position = self.position_of(key)
         return None if position is None else self.components[position]
 
     def position_of(self, key: Key) -> int | None:
-        """The place of an object among the components, or None. key and errors: as `find_component`."""
+        """Return the position of an object among the components, or None. key, errors: as in `find_component`."""
         if isinstance(key, str):
             if key in self._places:
                 return self._named(key)
@@ -238,21 +237,21 @@ class Mapping:
     # ---- bytes -> values ----
 
     def unpack(self, data: bytes) -> tuple[Value, ...]:
-        """The values of the components. Bytes beyond the mapping are ignored.
+        """Return the values of the components. Bytes after the mapped ones are ignored.
 
-        Raises ValueRangeError where data is too short, or a time of day in it has more milliseconds than a day.
+        Raises ValueRangeError if there are too few bytes, or if a time of day in them has more milliseconds than a day.
         """
         if len(data) < self.byte_length:
-            raise ValueRangeError(f"a PDO of {self.byte_length} bytes is mapped, {len(data)} bytes came")
+            raise ValueRangeError(f"the mapping of this PDO has {self.byte_length} bytes, but only {len(data)} were received")
         if self._layout is not None:
             return self._layout.unpack_from(data)
         bits = int.from_bytes(data[: self.byte_length], "little")
         return tuple([field.read(bits) for field in self._fields])
 
     def unpack_into(self, store: dict[Mux, Value], data: bytes) -> tuple[Value, ...]:
-        """Put the values into a store by mux, and return them too. Raises as `unpack` does; then the store is as it was."""
+        """Put the values into a store by mux, and return them. Errors are those of `unpack`; the store then stays as it was."""
         values = self.unpack(data)
-        position = 0  # counted by hand: in this hottest of paths zip would take half as long again, with strict= twice
+        position = 0  # counted by hand in this hottest of paths: zip takes half as long again, and twice as long with strict=
         for each in self.muxes:
             store[each] = values[position]
             position += 1  # noqa: SIM113
@@ -261,24 +260,24 @@ class Mapping:
     # ---- values -> bytes ----
 
     def pack(self, values: Sequence[Value]) -> bytes:
-        """The PDO's bytes; dummies and unused bits are 0. values: of the components, in their order.
+        """Return the PDO's bytes; dummies and unused bits are 0. values: of the components, in order.
 
-        Raises ValueRangeError that names the object which a value does not fit, or when there are too few or too many of them.
+        Raises ValueRangeError, which names the object, if a value does not fit; also for too few or too many values.
         """
         if self._layout is not None:
             try:
                 return self._layout.pack(*values)
             except (struct.error, OverflowError):
-                pass  # a value that its type can hold may need cutting to the mapped width; or it is wrong, then this names it
+                pass  # the fields below cut a value to its mapped width, or name the wrong one
         if len(values) != len(self._fields):
-            raise ValueRangeError(f"a PDO with {len(self._fields)} components is mapped, {len(values)} values were given")
+            raise ValueRangeError(f"this PDO has {len(self._fields)} components, but {len(values)} values were given")
         bits = 0
         for field, value in zip(self._fields, values, strict=True):
             bits |= field.write(value)
         return bits.to_bytes(self.byte_length, "little")
 
     def pack_from(self, store: ReadOnlyDict[Mux, Value]) -> bytes:
-        """The PDO's bytes from a store by mux; what it does not hold counts as zero. Raises ValueRangeError as `pack` does."""
+        """Return the PDO's bytes from a store by mux. A value that the store lacks counts as zero. Raises ValueRangeError."""
         try:
             return self.pack([store[mux] for mux in self.muxes])
         except KeyError:
@@ -295,7 +294,7 @@ class Mapping:
 
 
 def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
-    """See `Mapping.labels`."""
+    """Return the labels of the components; see `Mapping`."""
     shared = Counter(entry.name for entry in components)
     labels: dict[str, None] = {}
     for entry in components:
@@ -309,9 +308,9 @@ def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
 
 
 def entries_of(parameters: Iterable[int], dictionary: ObjectDictionary) -> Iterator[MappedEntry]:
-    """The entries that a device's mapping parameter stands for. An object that the dictionary lacks is an unsigned number.
+    """Return the entries for the values of a device's mapping parameter. Raises MappingError.
 
-    For code that reads what a device does, even if the dictionary is not complete. Raises MappingError.
+    An object that the dictionary lacks counts as an unsigned number: the dictionary of a device that was read may be incomplete.
     """
     for parameter in parameters:
         index, subindex, bits = mapped(parameter)
@@ -322,7 +321,7 @@ def entries_of(parameters: Iterable[int], dictionary: ObjectDictionary) -> Itera
 
 
 def may_have_width(data_type: DataType, bit_length: int) -> bool:
-    """Whether a PDO may carry an object of that type with that many bits; see this module's text."""
+    """Return whether a PDO may carry an object of this type with so many bits; see the text of this module."""
     if not 1 <= bit_length <= MAX_BITS:
         return False
     full = bit_length_of(data_type)
@@ -336,7 +335,7 @@ def may_have_width(data_type: DataType, bit_length: int) -> bool:
 def number_at(store: ReadOnlyDict[Mux, Value], mux: Mux, default: int = 0) -> int:
     """Return the number at a mux, as PDO parameters are; `default` if there is no number.
 
-    A negative one (a file describes a parameter as INTEGERn) counts as the 32 bits that a client reads.
+    A negative one (if a file describes a parameter as INTEGERn) counts as the 32 bits that a client reads.
     """
     value = store.get(mux, default)
     if not isinstance(value, int):
@@ -345,21 +344,21 @@ def number_at(store: ReadOnlyDict[Mux, Value], mux: Mux, default: int = 0) -> in
 
 
 DUMMY_TYPES: Final = {int(each): each for each in DataType if bit_length_of(each) is not None}
-"""What a dummy entry may have for its index."""
+"""The data type of a dummy entry, by its index."""
 
 
 def _dummy_type(filler: Filler) -> DataType:
-    """The unsigned type for that many bits, or the next wider one."""
+    """Return the unsigned type with so many bits, or the next wider one."""
     if filler.bit_length == 1:
         return DataType.BOOLEAN
     try:
         return integer_type((filler.bit_length + 7) // 8)
     except KeyError:
-        raise MappingError(f"filler {filler.name} has {filler.bit_length} bits; a PDO has {MAX_BITS}") from None
+        raise MappingError(f"filler {filler.name} has {filler.bit_length} bits; a PDO has at most {MAX_BITS}") from None
 
 
 def _layout(entries: Sequence[MappedEntry]) -> struct.Struct | None:
-    """The `struct` that does the same as the fields, or None where something in the PDO has no letter there."""
+    """Return the `struct` that packs all entries at once; None if `struct` has no format for one of them."""
     letters = "<"
     for entry in entries:
         if entry.is_dummy and entry.bit_length % 8 == 0:
@@ -375,7 +374,7 @@ def _layout(entries: Sequence[MappedEntry]) -> struct.Struct | None:
 
 
 class _Field:
-    """Where one component stands in the PDO taken as one integer; read and written as an unsigned number or as bytes."""
+    """The place of one component in the PDO as one integer. This base handles types that are no numbers, by their bytes."""
 
     __slots__ = ("entry", "mask", "offset")
 
@@ -389,15 +388,16 @@ class _Field:
         return decode(data, self.entry.data_type, self.entry.name)
 
     def write(self, value: Value) -> int:
-        """The value's bits, in their place. A signed number is cut as its two's complement."""
+        """Return the value's bits at their place. A number is cut to the mapped bits of its two's complement."""
         data = encode(value, self.entry.data_type, self.entry.name)
-        if bit_length_of(self.entry.data_type) is None and len(data) * 8 > self.entry.bit_length:
-            raise ValueRangeError(f"{self.entry.name}: {self.entry.bit_length // 8} bytes are mapped, the value has {len(data)}")
+        room = self.entry.bit_length // 8
+        if bit_length_of(self.entry.data_type) is None and len(data) > room:
+            raise ValueRangeError(f"{self.entry.name}: the value has {len(data)} bytes, but only {room} are mapped")
         return (int.from_bytes(data, "little") & self.mask) << self.offset
 
 
 class _IntegerField(_Field):
-    """sign: the highest of its bits for signed types, else 0; adding and taking it away again extends the sign."""
+    """sign: the highest mapped bit of a signed type, else 0. Flipping and subtracting it extends the sign."""
 
     __slots__ = ("sign",)
 

@@ -1,30 +1,30 @@
-"""Multiplexed PDOs: one CAN-ID that carries many objects, each frame saying which (CiA 301 v4.2.0, 7.2.3).
+"""Multiplexed PDOs: one CAN-ID carries many objects, and each frame names its object (CiA 301 v4.2.0, 7.2.3).
 
 Theory of operation
 -------------------
 An MPDO always has eight bytes: a node-ID with the address mode in bit 7, an object's index and subindex, and up to four bytes of
-its value. A PDO is an MPDO when sub 0 of its mapping parameter is not a number of entries but says which of the two modes it has:
+its value. Sub 0 of the mapping parameter of an MPDO is not a number of entries, but one of two modes:
 
-    0xFE   source address mode (bit 7 is 0): node-ID and object are the producer's. It sends an object when that changes, if it
-           stands in its object scanner list (0x1FA0 to 0x1FCF). A consumer looks the object up in its object dispatching list
-           (0x1FD0 to 0x1FFF), which says what object of its own takes the value; what is not listed is not for it.
-           A device has one such TPDO at most, and it is event-driven
-    0xFF   destination address mode (bit 7 is 1): node-ID (0: all) and object are the consumer's, as if by an SDO that nobody
-           confirms. It is sent when the application wants (`send_to`). A consumer that lacks the object reports it: EMCY 0x8230
+    0xFE   source address mode (bit 7 is 0): node-ID and object are the producer's. The producer sends an object of its object
+           scanner list (0x1FA0 to 0x1FCF) when it changes. A consumer finds in its object dispatching list (0x1FD0 to 0x1FFF)
+           which of its own objects takes the value, and ignores objects that are not listed. A device has at most one such TPDO,
+           and it is event-driven
+    0xFF   destination address mode (bit 7 is 1): node-ID (0 = all) and object are the consumer's, like an SDO without
+           confirmation. The application sends it (`send_to`). A consumer that lacks the object sends EMCY 0x8230
 
-    0x1FA0 and on, UNSIGNED32     block size << 24 | index << 8 | subindex: that many subindices from this one on
+    0x1FA0 and on, UNSIGNED32     block size << 24 | index << 8 | subindex: so many subindices from this one on
     0x1FD0 and on, UNSIGNED64     block size << 56 | local index << 40 | local subindex << 32
                                   | producer's index << 16 | producer's subindex << 8 | producer's node-ID
 
-`MpdoConsumer` has all RPDOs of a device that are MPDOs, `MpdoProducer` all its TPDOs. Values go to and come from `Values`; limits
-are not looked at, as a PDO can't refuse. Only objects that may be mapped to a PDO of that direction, and have up to four bytes,
-take part.
+`MpdoConsumer` serves all RPDOs of a device that are MPDOs, `MpdoProducer` all such TPDOs. Both use the device's `Values`, without
+checking limits, because a PDO has no way to refuse a value. An MPDO carries only objects of up to four bytes that may be mapped
+to a PDO of its direction.
 
-The inhibit time of a producer in source address mode is the least time between any two of its frames; objects that changed
-meanwhile wait, each once, and go with the values of their turn. With an event time it also sends the next object of its list
-when it sent nothing for that long. Frames in destination address mode are the application's, and go at once.
+The inhibit time of a producer in source address mode is the least time between any two of its frames. Objects that change
+meanwhile wait, each once, and are sent with the values of that moment. With an event time, the producer also sends the next
+object of its list if it sent nothing for that long. Frames in destination address mode are sent at once.
 
-MPDOs live in NMT state Operational only, like all PDOs.
+MPDOs exist in NMT state Operational only, like all PDOs.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ MAPPABLE: Final = {
     Direction.RPDO: (Access.RW, Access.RWW, Access.WO),
     Direction.TPDO: (Access.RW, Access.RWR, Access.RO, Access.CONST),
 }
-"""Which access rights let an object be part of a PDO of that direction. CiA 301 v4.2.0, 7.4.8.3 and CiA 306."""
+"""The access rights with which a PDO of a direction may carry an object. CiA 301 v4.2.0, 7.4.8.3 and CiA 306."""
 
 MPDO: Final = struct.Struct("<BHB4s")
 DESTINATION_MODE: Final = 0x80
@@ -68,11 +68,10 @@ class MpdoMode(IntEnum):
 
 
 class MpdoReceived(Event):
-    """An MPDO's value is in the dictionary.
+    """The value of an MPDO is in the dictionary.
 
-    number, key: of the RPDO. producer: the node that sent it in source address mode, 0 in the other. index, subindex: of our own
-    object that took the value. (Reported by an MpdoListener: of the producer's TPDO, and of its object.) timestamp: the
-    transport's, if it has one.
+    number, key: of the RPDO. producer: the sending node in source address mode, else 0. index, subindex: of our object that took
+    the value. An MpdoListener reports the producer's TPDO and object instead. timestamp: of the frame, from the transport.
     """
 
     __slots__ = ("index", "key", "number", "producer", "subindex", "timestamp", "value")
@@ -100,7 +99,7 @@ class MpdoReceived(Event):
 
 
 class MpdoNotProcessed(Event):
-    """An MPDO in destination address mode was for an object that we lack, or that no MPDO can write. emcy_code: 0x8230."""
+    """An MPDO in destination address mode names an object that we lack, or that no MPDO can write. emcy_code: 0x8230."""
 
     __slots__ = ("emcy_code", "index", "key", "number", "subindex")
     __match_args__ = ("node_id", "number", "key", "index", "subindex", "emcy_code")
@@ -123,12 +122,12 @@ class ScannerEntry(NamedTuple):
 
     @classmethod
     def of(cls, number: int) -> ScannerEntry:
-        """The entry that stands at 0x1FA0:01 and the like."""
+        """Return the entry for a value of 0x1FA0:01 and the like."""
         return cls(number >> 24 & 0xFF, number >> 8 & 0xFFFF, number & 0xFF)
 
 
 class DispatcherEntry(NamedTuple):
-    """One entry of an object dispatching list: which subindices of a producer's object go to which of ours."""
+    """One entry of an object dispatching list: subindices of a producer's object, and the subindices of ours that take them."""
 
     local: ScannerEntry
     at: int
@@ -137,29 +136,32 @@ class DispatcherEntry(NamedTuple):
 
     @classmethod
     def of(cls, number: int) -> DispatcherEntry:
-        """The entry that stands at 0x1FD0:01 and the like."""
+        """Return the entry for a value of 0x1FD0:01 and the like."""
         return cls(ScannerEntry.of(number >> 32), number >> 16 & 0xFFFF, number >> 8 & 0xFF, number & 0xFF)
 
 
 def destination_frame(key: RoutingKey, node_id: int, index: int, subindex: int, data: bytes) -> Frame:
-    """An MPDO in destination address mode: writes an object of a node, or of all (0). data: 1 to 4 bytes. LocalProtocolError."""
+    """Return an MPDO in destination address mode, which writes an object of one node, or of all (node_id 0).
+
+    data: 1 to 4 bytes. Raises LocalProtocolError for a value out of range.
+    """
     if not ALL_NODES <= node_id <= MAX_NODE_ID:
         raise LocalProtocolError(f"MPDO to node-ID {node_id}: outside 0 (all) to {MAX_NODE_ID}")
     if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
-        raise LocalProtocolError(f"MPDO to object 0x{index:04X}:{subindex:02X}: there is no such address")
+        raise LocalProtocolError(f"MPDO to object 0x{index:04X}:{subindex:02X}: index or subindex out of range")
     if not 1 <= len(data) <= MAX_VALUE_BYTES:
         raise LocalProtocolError(f"an MPDO carries 1 to {MAX_VALUE_BYTES} bytes, not {len(data)}")
     return frame_for_key(key, MPDO.pack(node_id | DESTINATION_MODE, index, subindex, data))
 
 
 def suits_mpdo(variable: Variable, direction: Direction) -> bool:
-    """Whether an MPDO of that direction can carry an object: mappable, and not longer than four bytes."""
+    """Return whether an MPDO of this direction can carry an object: mappable, and at most four bytes long."""
     fits = variable.size is not None and variable.size <= MAX_VALUE_BYTES
     return fits and variable.pdo_mappable and variable.access in MAPPABLE[direction]
 
 
 def listed(values: Values, lists: range) -> Iterator[int]:
-    """The entries of a device's scanner or dispatcher lists that are in use, in their order."""
+    """Return the entries in use of a device's scanner or dispatching lists, in order."""
     for index in lists:
         described = values.dictionary.objects.get(index)
         for subindex in sorted(described.variables) if described is not None else ():
@@ -169,12 +171,12 @@ def listed(values: Values, lists: range) -> Iterator[int]:
 
 
 class MpdoConsumer(Machine):
-    """A device's RPDOs that are MPDOs; see this module's text. enabled: the node is Operational; read-only outside."""
+    """Receives a device's RPDOs that are MPDOs; see the text of this module. enabled: the node is Operational (read-only)."""
 
     __slots__ = ("_dispatch", "_pdos", "_routes", "_values", "enabled", "node_id")
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
-        """node_id: our own. values: what is written to."""
+        """node_id: our own, 1..127. values: the memory to write to."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.enabled = False
@@ -187,7 +189,7 @@ class MpdoConsumer(Machine):
         return tuple(self._routes)
 
     def set_pdo(self, number: int, key: RoutingKey | None, mode: MpdoMode | None) -> None:
-        """Say what RPDO `number` is: an MPDO that is received by this key, or none (mode or key is None)."""
+        """Set RPDO `number`: an MPDO with this key and mode, or no MPDO (key or mode is None)."""
         wanted = None if key is None or mode is None else (key, mode)
         if wanted == self._pdos.get(number):
             return
@@ -200,18 +202,18 @@ class MpdoConsumer(Machine):
         self._reroute()
 
     def reload_lists(self) -> None:
-        """Take up the dispatching lists as they stand in the values."""
+        """Read the dispatching lists again from the values."""
         self._dispatch = {}
         for number in listed(self._values, DISPATCHER_LISTS):
             entry = DispatcherEntry.of(number)
             self._dispatch.setdefault((entry.producer, entry.at), []).append(entry)
 
     def set_enabled(self, enabled: bool) -> None:
-        """Whether the node is in NMT state Operational."""
+        """Set whether the node is in NMT state Operational."""
         self.enabled = enabled
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Write the value of an MPDO to the object that it is for.
+        """Write the value of an MPDO to its object.
 
         Events: MpdoReceived; MpdoNotProcessed; PdoLengthError for less than eight bytes; FrameIgnored for the wrong mode.
         CiA 301 v4.2.0, 7.2.3
@@ -242,7 +244,7 @@ class MpdoConsumer(Machine):
                 self._write(number, key, producer, entry.local.at, entry.local.first + offset, content)
 
     def _write(self, number: int, key: RoutingKey, producer: int, index: int, subindex: int, content: bytes) -> bool:
-        """Whether there was an object to take it."""
+        """Write the value. Return False if no object can take it."""
         variable = self._values.dictionary.get(index, subindex)
         if variable is None or not suits_mpdo(variable, Direction.RPDO):
             return False
@@ -254,7 +256,7 @@ class MpdoConsumer(Machine):
 
 
 class MpdoProducer(Machine):
-    """A device's TPDOs that are MPDOs; see this module's text. enabled: the node is Operational; read-only outside."""
+    """Sends a device's TPDOs that are MPDOs; see the text of this module. enabled: the node is Operational (read-only)."""
 
     __slots__ = (
         "_destinations",
@@ -272,7 +274,7 @@ class MpdoProducer(Machine):
     )
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
-        """node_id: our own. values: what is read from."""
+        """node_id: our own, 1..127. values: the memory to read from."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.enabled = False
@@ -284,18 +286,18 @@ class MpdoProducer(Machine):
         self._inhibited_until: Time = -NEVER
         self._event_due: Time = NEVER
         self._scanned: dict[Mux, Variable] = {}  # by mux, in the order of the scanner lists
-        self._pending: dict[Mux, None] = {}  # those that wait for the inhibit time, in order
-        self._next = 0  # which of the scanned objects the event timer sends next
+        self._pending: dict[Mux, None] = {}  # objects that wait for the end of the inhibit time, in order
+        self._next = 0  # the scanned object that the event timer sends next
 
     @property
     def has_source(self) -> bool:
-        """Whether it would send what changes: there is a valid MPDO in source address mode, and the node is Operational."""
+        """Whether changed objects are sent: there is a valid MPDO in source address mode, and the node is Operational."""
         return self.enabled and self._source is not None
 
     def set_pdo(
         self, number: int, key: RoutingKey | None, mode: MpdoMode | None, now: Time, inhibit_time: Time = 0, event_time: Time = 0
     ) -> None:
-        """Say what TPDO `number` is: an MPDO that is sent by this key, or none (mode or key is None). Times: ns, 0 = none."""
+        """Set TPDO `number`: an MPDO with this key and mode, or no MPDO (key or mode is None). Times: ns; 0 = none."""
         self._destinations.pop(number, None)
         was_source = self._source is not None and self._source[0] == number
         if key is not None and mode is MpdoMode.DESTINATION:
@@ -309,22 +311,22 @@ class MpdoProducer(Machine):
             self._restart(now)
 
     def reload_lists(self) -> None:
-        """Take up the scanner lists as they stand in the values."""
+        """Read the scanner lists again from the values."""
         dictionary = self._values.dictionary
         self._scanned = {variable.mux: variable for variable in scanned(dictionary, listed(self._values, SCANNER_LISTS))}
         self._pending = {mux: None for mux in self._pending if mux in self._scanned}
         self._next = 0
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether the node is in NMT state Operational. What waited is forgotten when it leaves."""
+        """Set whether the node is in NMT state Operational. Leaving it drops the objects that wait."""
         if enabled != self.enabled:
             self.enabled = enabled
             self._restart(now)
 
     def trigger(self, mux: Mux, now: Time) -> None:
-        """The value at a mux changed: if it is scanned, it is sent, now or when the inhibit time is over.
+        """Send the value at a mux, which has changed, if a scanner list has it: now, or when the inhibit time is over.
 
-        `PdoNotSent` follows where the object cannot have that value.
+        Event: PdoNotSent if the object's type cannot hold the value.
         """
         if not self.has_source or mux not in self._scanned:
             return
@@ -334,22 +336,22 @@ class MpdoProducer(Machine):
         self._rearm()
 
     def send_to(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
-        """Write an object of another node, or of all, by TPDO `number` in destination address mode. Nobody confirms it.
+        """Write an object of another node, or of all, by TPDO `number` in destination address mode. No consumer confirms it.
 
-        node_id: 1..127, or 0 for all. index, subindex: of the consumer's object. data: its 1 to 4 bytes, filled up with zeros.
-        False, and nothing is sent, where PDOs do not live now. Raises LocalProtocolError for values outside these, and where
-        that TPDO is no valid MPDO of this mode. CiA 301 v4.2.0, 7.2.3
+        node_id: 1..127, or 0 for all. index, subindex: of the consumer's object. data: 1 to 4 bytes, filled up with zeros. Sends
+        nothing and returns False if the node is not Operational. Raises LocalProtocolError for a value out of range, and if this
+        TPDO is no valid MPDO in this mode. CiA 301 v4.2.0, 7.2.3
         """
         key = self._destinations.get(number)
         if key is None:
-            raise LocalProtocolError(f"TPDO {number} of node {self.node_id} is no valid MPDO in destination address mode")
+            raise LocalProtocolError(f"TPDO {number} of node {self.node_id} is not a valid MPDO in destination address mode")
         frame = destination_frame(key, node_id, index, subindex, data)
         if self.enabled:
             self.out.frames.append(frame)
         return self.enabled
 
     def handle_timeout(self, now: Time) -> None:
-        """The inhibit time is over and objects wait, or the event time has passed: one frame. `PdoNotSent` as in `trigger`."""
+        """Send one object at the end of the inhibit time if one waits, or when the event time has passed. Event: PdoNotSent."""
         if now < self.deadline:
             return
         if not self._pending and self._scanned and now >= self._event_due:
@@ -388,7 +390,7 @@ class MpdoProducer(Machine):
 
 
 def scanned(dictionary: ObjectDictionary, entries: Iterable[int]) -> Iterator[Variable]:
-    """The objects that a scanner list's entries name and an MPDO can carry."""
+    """Return the objects in the entries of scanner lists that an MPDO can carry."""
     for number in entries:
         block, at, first = ScannerEntry.of(number)
         described = dictionary.objects.get(at)

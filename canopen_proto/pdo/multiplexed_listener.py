@@ -1,9 +1,8 @@
-"""What a node says by multiplexed PDOs in source address mode, heard from outside: by a master, a service tool, a bus monitor.
+"""Receiving the multiplexed PDOs of another node in source address mode, as a master, a service tool or a bus monitor does.
 
-A device needs an object dispatching list to know which of its own objects takes a producer's value (multiplexed.py). Whoever
-looks at the producer needs none: the frame names the producer's own object, and the image of that one is brought up to date.
-Frames in destination address mode concern their consumer, and are not looked at here; `destination_frame` of multiplexed.py makes
-those that we send.
+A device needs an object dispatching list to find the object of its own that takes a producer's value (multiplexed.py). A listener
+needs none: the frame names the producer's object, and the listener updates its image of that object. It ignores frames in
+destination address mode, which are for their consumer; `destination_frame` of multiplexed.py makes such frames.
 
 Source: CiA 301 v4.2.0, 7.2.3.
 """
@@ -20,12 +19,12 @@ from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoReceived, 
 
 
 class MpdoListener(Machine):
-    """Receives the TPDOs of one node that are MPDOs in source address mode; see this module's text."""
+    """Receives the TPDOs of one node that are MPDOs in source address mode; see the text of this module."""
 
     __slots__ = ("_keys", "_values", "node_id")
 
     def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
-        """node_id: of the producer. values: what is known of its objects, which is brought up to date."""
+        """node_id: of the producer, 1..127. values: our image of its objects, which received values update."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self._values = values
@@ -35,17 +34,17 @@ class MpdoListener(Machine):
         return tuple(self._keys.values())
 
     def set_pdo(self, number: int, key: RoutingKey | None) -> None:
-        """Receive the node's TPDO `number` by this key; None: stop."""
+        """Receive the node's TPDO `number` by this key; None = stop."""
         self._keys.pop(number, None)
         if key is not None:
             self._keys[number] = key
         self._reroute()
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Take the value of an MPDO of this node; those of other producers on the same CAN-ID are not ours.
+        """Take the value of an MPDO of this node. An MPDO of another producer on the same CAN-ID is ignored.
 
         Events: MpdoReceived; PdoLengthError for less than eight bytes; FrameIgnored for the other address mode, and for an object
-        that the node's dictionary does not have, or that no TPDO can carry.
+        that is not in the node's dictionary or that no TPDO can carry.
         """
         key, data = frame.key, frame.data
         number = next(each for each, its_key in self._keys.items() if its_key == key)
@@ -62,7 +61,7 @@ class MpdoListener(Machine):
             return
         variable = self._values.dictionary.get(index, subindex)
         if variable is None or not suits_mpdo(variable, Direction.TPDO):
-            reason = f"an MPDO about 0x{index:04X}:{subindex:02X}, which is no object that a TPDO can carry"
+            reason = f"an MPDO with object 0x{index:04X}:{subindex:02X}, which no TPDO can carry"
             self.out.events.append(FrameIgnored(self.node_id, frame, reason))
             return
         value = variable.decode(content[: variable.size])

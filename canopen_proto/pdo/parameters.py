@@ -1,19 +1,18 @@
-"""The PDOs of a device: made of its dictionary, and kept in step with what is written there.
+"""The PDOs of a device: made from its dictionary, and changed by writes to their parameters.
 
 Theory of operation
 -------------------
-A device says which PDOs it has by the records that stand at 0x1400..0x15FF (RPDOs) and 0x1800..0x19FF (TPDOs); a mapping stands
-0x200 above each. `DevicePdos` makes a consumer or a producer for each record, once, and one machine for the multiplexed ones of
-each direction; after that a write changes a machine and does not replace it, so the owner attaches `machines` and need not care
-again.
+A device has an RPDO for each record at 0x1400..0x15FF, and a TPDO for each at 0x1800..0x19FF; the mapping is 0x200 above.
+`DevicePdos` makes a consumer or a producer for each record, and one machine for the multiplexed PDOs of each direction. A later
+write changes a machine and never replaces it: the owner attaches `machines` once.
 
-A write passes two doors. `check_write` comes before the value is stored (the rules are in rules.py), `apply` after. Besides the
-records these are the synchronous window length (0x1007) and the lists of multiplexed PDOs (0x1FA0..0x1FFF).
+`check_write` is called before a value is stored (rules.py has the rules), `apply` after it. Both also handle the synchronous
+window length (0x1007) and the lists of multiplexed PDOs (0x1FA0..0x1FFF).
 
-Bit 30 of a TPDO's COB-ID forbids remote requests; where it is 0, the device answers them.
+Bit 30 of a TPDO's COB-ID forbids remote requests; if it is 0, the device answers them.
 
-What makes no sense in the defaults (devices' EDS files have such) is no reason for the whole device not to start: a record
-without a COB-ID is no PDO; a mapping that cannot be, or a CAN-ID that no PDO may have, disables its PDO. `faults` says which.
+Invalid defaults, which some EDS files have, do not keep the device from starting. A record without a COB-ID makes no PDO. An
+invalid mapping, or a CAN-ID that no PDO may have, disables its PDO. `faults` lists them.
 
 Source: CiA 301 v4.2.0, 7.5.2.7 and 7.5.2.35 to 7.5.2.40.
 """
@@ -51,20 +50,19 @@ from canopen_proto.pdo.settings import (
 INHIBIT_UNIT: Final = 100 * MICROSECOND
 
 MAX_TIME: Final = 0xFFFF_FFFF
-"""Most that a time counts for, in its own unit: more than UNSIGNED32 is a file's mistake, and must not reach NEVER."""
+"""The greatest value of a time, in its own unit: only a faulty file has more than UNSIGNED32, and it must not reach NEVER."""
 
 _NOTHING: Final = Mapping()
 _MODES: Final = {int(mode): mode for mode in MpdoMode}
 
 
 class DevicePdos(Owner):
-    """All PDOs of one device; see this module's text.
+    """All PDOs of one device; see the text of this module.
 
-    values: the device's memory; the PDOs read and write it. consumers, producers: by PDO number, 1..512; they, mpdo_consumer and
-    mpdo_producer are this outbox's machines, and none is added or taken away later. faults: what is wrong with a standing
-    parameter, by its index. sends_on_start: send each event-driven TPDO once on entering Operational, so that a master that has
-    just begun to listen gets the present values. CANopenNode's devices do so (seen in a recorded session), Lely's do not; CiA 401
-    asks for it (from memory), CiA 301 leaves it open.
+    values: the device's memory, which the PDOs read and write. consumers, producers: by PDO number, 1..512. No machine is added
+    or removed later. faults: the error in a parameter, by its index. sends_on_start: send each event-driven TPDO once on entering
+    Operational, so that a master that has just begun to listen gets the present values. CANopenNode's devices do so (seen in a
+    recorded session), Lely's do not; CiA 401 asks for it (from memory), CiA 301 leaves it open.
     """
 
     __slots__ = (
@@ -89,8 +87,8 @@ class DevicePdos(Owner):
         self.mpdo_producer = MpdoProducer(out, node_id, values)
         self.faults: dict[int, str] = {}
         self._rules = PdoRules(values, self.faults)
-        self._triggers: dict[int, list[PdoProducer]] = {}  # by the mux of what they carry
-        self._synchronous: tuple[PdoConsumer | PdoProducer, ...] = ()  # those that go by SYNC; producers first
+        self._triggers: dict[int, list[PdoProducer]] = {}  # by the muxes that they carry
+        self._synchronous: tuple[PdoConsumer | PdoProducer, ...] = ()  # producers first
         for index in values.dictionary.objects:
             place = place_of(index)
             if place is None or place.is_mapping:
@@ -106,7 +104,7 @@ class DevicePdos(Owner):
 
     @property
     def machines(self) -> Iterator[Machine]:
-        """All of them, to be attached once."""
+        """All machines, for the owner to attach."""
         yield from self.consumers.values()
         yield from self.producers.values()
         yield self.mpdo_consumer
@@ -114,7 +112,7 @@ class DevicePdos(Owner):
 
     @staticmethod
     def owns(index: int) -> bool:
-        """Whether an object is a PDO parameter, whose writes are to be asked and told here."""
+        """Return whether an object is a PDO parameter: its writes go through `check_write` and `apply`."""
         return (
             index == indices.SYNCHRONOUS_WINDOW_LENGTH
             or place_of(index) is not None
@@ -123,9 +121,9 @@ class DevicePdos(Owner):
         )
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether the device is in NMT state Operational, in which alone PDOs live.
+        """Set whether the device is in NMT state Operational: PDOs exist in no other state.
 
-        On entering it the event timers start, and with `sends_on_start` each event-driven TPDO is sent once.
+        Entering it starts the event timers; with `sends_on_start`, each event-driven TPDO is sent once.
         """
         for consumer in self.consumers.values():
             consumer.set_enabled(enabled, now)
@@ -138,22 +136,22 @@ class DevicePdos(Owner):
         self.mpdo_producer.set_enabled(enabled, now)
 
     def on_sync(self, counter: int | None, now: Time) -> None:
-        """A SYNC came: TPDOs are sampled and sent, then the RPDOs held for it take effect.
+        """Handle a SYNC: send the TPDOs, then let the held RPDOs take effect.
 
-        In this order, so that what a TPDO reports is the state at the SYNC and not yet what the SYNC sets off.
+        In this order the TPDOs report the state at the SYNC, before the RPDOs change it.
         """
         for machine in self._synchronous:
             machine.on_sync(counter, now)
 
     def trigger(self, mux: Mux, now: Time) -> None:
-        """The value at a mux changed: the TPDOs that carry it are triggered."""
+        """Trigger the TPDOs that carry a mux, whose value has changed."""
         for producer in self._triggers.get(mux, ()):
             producer.trigger(now)
         if self.mpdo_producer.has_source:
             self.mpdo_producer.trigger(mux, now)
 
     def reload(self, now: Time) -> None:
-        """Apply all parameters again: at the start, and when a reset has put the defaults back."""
+        """Apply all parameters again: at start-up, and after a reset to the defaults."""
         for number in self.consumers:
             self._configure(Direction.RPDO, number, now)
         for number in self.producers:
@@ -166,11 +164,11 @@ class DevicePdos(Owner):
     # ---- as the owner of these objects ----
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """What forbids writing this value there, or None. value: right in type and limits already. See `PdoRules`."""
+        """Return the abort code that refuses a write, or None. value: checked for type and limits. See `PdoRules`."""
         return self._rules.check_write(index, subindex, value)
 
     def apply(self, index: int, subindex: int, now: Time) -> None:
-        """A value was stored there: the PDO goes by it from now on. A changed CAN-ID is announced by the machine itself."""
+        """Let a stored value take effect. The PDO's machine announces a changed CAN-ID itself."""
         place = place_of(index)
         if place is not None and place.number in (self.consumers if place.direction == Direction.RPDO else self.producers):
             self._configure(place.direction, place.number, now)
@@ -185,7 +183,7 @@ class DevicePdos(Owner):
     # ---- effects ----
 
     def _configure(self, direction: Direction, number: int, now: Time) -> None:
-        """Bring one machine into step with the dictionary."""
+        """Give one machine the parameters that are in the dictionary."""
         mapping, mode = self._standing_mapping(direction, number)
         store = self._values.store
         index = communication_index(direction, number)
@@ -212,7 +210,7 @@ class DevicePdos(Owner):
         )
 
     def _key(self, index: int, cob_id: int) -> RoutingKey | None:
-        """Of a COB-ID that stands at `index`: the key of its PDO's frames, or None where it is not valid, or cannot be."""
+        """Return the routing key for a COB-ID at `index`; None if its PDO is not valid, or its CAN-ID not allowed."""
         self.faults.pop(index, None)
         if cob_id & COB_ID_INVALID:
             return None
@@ -222,7 +220,7 @@ class DevicePdos(Owner):
         return key_of_cob_id(cob_id)
 
     def _sort(self) -> None:
-        """Which PDOs a SYNC and a changed value concern."""
+        """Sort the PDOs by what they wait for: a SYNC, or the change of a value."""
         producers = [each for each in self.producers.values() if each.key is not None]
         consumers = [each for each in self.consumers.values() if each.key is not None and each.synchronous]
         self._synchronous = (*(each for each in producers if each.is_synchronous), *consumers)
@@ -237,7 +235,8 @@ class DevicePdos(Owner):
             consumer.set_window(window)
 
     def _standing_mapping(self, direction: Direction, number: int) -> tuple[Mapping, MpdoMode | None]:
-        """What stands in the dictionary; an empty mapping for an MPDO, and where it makes no sense (which `faults` then says)."""
+        """Return the mapping in the dictionary and the mode of an MPDO. An MPDO and an invalid mapping (`faults`) give an empty
+        one."""
         index = mapping_index(direction, number)
         self.faults.pop(index, None)
         mode = _MODES.get(number_at(self._values.store, mux(index)))

@@ -2,31 +2,30 @@
 
 Theory of operation
 -------------------
-A PDO is sampled from its store (for a device: the memory of its dictionary) when it is sent. When it is sent is what its
-transmission type says (CiA 301 v4.2.0, 7.5.2.37):
+A PDO takes its values from a store (in a device, the memory of its dictionary) when it is sent. The transmission type says when
+that is (CiA 301 v4.2.0, 7.5.2.37):
 
     0           synchronous, acyclic: at the next SYNC after `trigger`
     1..240      synchronous, cyclic: at every n-th SYNC
-    252         on request, synchronous: sampled at each SYNC, sent when it is requested
-    253         on request: sampled and sent when it is requested
+    252         on request, synchronous: takes its values at each SYNC, is sent when it is requested
+    253         on request
     254, 255    event-driven: at `trigger`, and when the event time has passed since it was last sent
 
-A request is a remote frame with the PDO's CAN-ID. Where the COB-ID allows it (bit 30 is 0, `answers_requests`), it is answered
-whatever the type: one of type 0 to 240 with the present values and besides its SYNCs, an event-driven one as if it were
-triggered. A PDO of type 252 that is requested before the first SYNC has present values too.
+A request is a remote frame with the PDO's CAN-ID. If the COB-ID allows requests (bit 30 is 0, `answers_requests`), a PDO of every
+type answers them: types 0 to 240 with the present values, in addition to the PDOs at a SYNC; an event-driven one as at a trigger.
+A PDO of type 252 has the present values too before the first SYNC.
 
-`on_sync` is the SYNC. With a SYNC start value the first PDO goes at the SYNC with that counter, and the n-th ones are counted
-from there, so that the PDOs of several devices can be spread over the cycle; where SYNC has no counter the start value is not
-used.
+`on_sync` reports a SYNC. With a SYNC start value, the first PDO is sent at the SYNC with that counter, and every n-th one after
+it. So the PDOs of several devices can be spread over the cycle. The start value is not used if SYNC has no counter.
 
-The inhibit time is the least time between two event-driven transmissions. A trigger within it is not lost: the PDO goes when
-the time is over, once, with the values of that moment. A late event timer sends once and reports the periods that it skipped.
+The inhibit time is the least time between two event-driven transmissions. After a trigger within it, the PDO is sent once when
+the time is over, with the values of that moment. A late event timer sends once and reports the periods that it skipped.
 
-`send` sends at once, whatever the type: it is for a master that sends its RPDOs by its own cycle. `sent_at` tells when it
-was last sent, for whatever reason; None: never.
+`send` sends at once, whatever the type: a master sends its RPDOs by its own cycle. `sent_at` is the time of the last transmission
+of any kind; None = never.
 
-PDOs live in NMT state Operational only. The owner says so by `set_enabled`, which starts the event timer; the first SYNC counted
-is the first one after it. A PDO that is not valid, or whose mapping is empty, is never sent.
+PDOs exist in NMT state Operational only. The owner sets it by `set_enabled`, which starts the event timer and the count of SYNCs.
+A PDO that is not valid, or whose mapping is empty, is never sent.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ FIRST_EVENT_DRIVEN: Final = 254
 
 
 class PdoPeriodsSkipped(Event):
-    """The event timer was served late: the PDO was sent once in place of 1 + skipped times."""
+    """The event timer ran late: the PDO was sent once instead of 1 + skipped times."""
 
     __slots__ = ("key", "number", "skipped")
     __match_args__ = ("node_id", "number", "key", "skipped")
@@ -62,7 +61,8 @@ class PdoPeriodsSkipped(Event):
 
 
 class PdoNotSent(Event):
-    """A PDO was due, and its store holds a value that its object cannot have: our own application's fault. reason: for people."""
+    """A PDO was due, but its store holds a value that the object's type cannot hold: an error of our own application. reason:
+    text for people."""
 
     __slots__ = ("key", "number", "reason")
     __match_args__ = ("node_id", "number", "key", "reason")
@@ -76,13 +76,11 @@ class PdoNotSent(Event):
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class PdoProducer(Machine):
-    """Sends one PDO out of a store; see this module's text.
+    """Sends one PDO from a store; see the text of this module. Disabled until `set_enabled`.
 
-    node_id: the node that it is about: the device's own, or the one that the master sends to. number: 1..512, or 0. key: the
-    routing key of its frames, None while the PDO is not valid. store: mux -> value; what it lacks is sent as zero.
-    inhibit_time, event_time: ns, 0 = none. sync_start: 1..240, 0 = none. Disabled until `set_enabled`; requests
-    are answered when `configure` says so.
-    Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.37, 7.5.2.38.
+    node_id: 1..127, the device itself, or the node that the master sends to. number: 1..512, or 0. key: the routing key of the
+    frames; None while the PDO is not valid. store: mux -> value; a missing value is sent as zero. inhibit_time, event_time: ns;
+    0 = none. sync_start: 1..240; 0 = none. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.37, 7.5.2.38.
     """
 
     __slots__ = (
@@ -127,17 +125,17 @@ class PdoProducer(Machine):
         self.key: RoutingKey | None = None
         self.answers_requests = False
         self.sent_at: Time | None = None
-        self._sample: bytes | None = None  # of type 252: the data of the last SYNC
-        self._triggered = False  # of type 0: waits for the next SYNC
-        self._syncs = 0  # since it was sent last
-        self._awaits_start = False  # for the SYNC with the start value
+        self._sample: bytes | None = None  # type 252: the data of the last SYNC
+        self._triggered = False  # type 0: waits for the next SYNC
+        self._syncs = 0  # since the last transmission
+        self._awaits_start = False  # waits for the SYNC with the start value
         self._inhibited_until: Time = 0
         self._event_due: Time = NEVER
         self.configure(key, mapping, 0, transmission_type, inhibit_time, event_time, sync_start)
 
     @classmethod
     def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoProducer:
-        """A producer of what PDOs.csv describes: the master's end of a node's RPDO. store: the caller's. Raises MappingError."""
+        """Return a master's producer of a node's RPDO, as PDOs.csv describes it. Raises MappingError."""
         mapping = Mapping.from_description(description)
         return cls(out, node_id, description.number or 0, routing_key(description.can_id(node_id)), mapping, store)
 
@@ -153,7 +151,7 @@ class PdoProducer(Machine):
         *,
         answers_requests: bool = False,
     ) -> None:
-        """Apply other parameters. Triggers are forgotten; the SYNC count and the event timer start again."""
+        """Change the parameters. A waiting trigger is dropped; the SYNC count and the event timer start again."""
         key = key if mapping.entries else None
         if (key, answers_requests) != (self.key, self.answers_requests):
             self.key, self.answers_requests = key, answers_requests
@@ -166,9 +164,9 @@ class PdoProducer(Machine):
         self._restart(now)
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Whether the node is in NMT state Operational. Nothing is sent by entering it; the event timer starts.
+        """Set whether the node is in NMT state Operational. Entering it sends nothing and starts the event timer.
 
-        A device whose profile wants an event-driven TPDO to be sent on entering Operational says `trigger` after this.
+        If the device profile wants an event-driven TPDO to be sent on entering Operational, call `trigger` after this.
         """
         if enabled != self.enabled:
             self.enabled = enabled
@@ -176,23 +174,23 @@ class PdoProducer(Machine):
 
     @property
     def is_live(self) -> bool:
-        """Whether it would send now: valid, mapped, and the node Operational."""
+        """Whether the PDO can be sent now: it is valid and mapped, and the node Operational."""
         return self.enabled and self.key is not None
 
     @property
     def is_synchronous(self) -> bool:
-        """Whether SYNC concerns it."""
+        """Whether the transmission type uses SYNC."""
         return self.transmission_type <= LAST_SYNCHRONOUS or self.transmission_type == SYNCHRONOUS_ON_REQUEST
 
     @property
     def is_event_driven(self) -> bool:
-        """Whether it goes by `trigger` and by the event timer."""
+        """Whether the transmission type uses `trigger` and the event timer."""
         return self.transmission_type >= FIRST_EVENT_DRIVEN
 
     def send(self, now: Time) -> bool:
-        """Send it now, whatever its type and inhibit time. Returns False, and sends nothing, where it is not live.
+        """Send the PDO now, whatever its type and inhibit time. Sends nothing and returns False if it is not live.
 
-        Raises ValueRangeError where the store holds a value that its object cannot have (such as a float for an integer).
+        Raises ValueRangeError if the store holds a value that the object's type cannot hold, such as a float for an integer.
         """
         if not self.enabled or self.key is None:
             return False
@@ -200,9 +198,9 @@ class PdoProducer(Machine):
         return True
 
     def send_again(self, now: Time) -> None:
-        """Send it once more, with the values of now, also while it is disabled: its receiver may hold an older one for a SYNC.
+        """Send the PDO with the present values, even while it is disabled: its receiver may hold an older one for a SYNC.
 
-        `PdoNotSent` as in `trigger`.
+        Event: PdoNotSent, as in `trigger`.
         """
         if self.key is not None:
             self._try_to_emit(self.key, now)
@@ -215,7 +213,7 @@ class PdoProducer(Machine):
         )
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Answer a remote request; see this module's text. `PdoNotSent` as in `trigger`. CiA 301 v4.2.0, 7.2.2.5.2"""
+        """Answer a remote request; see the text of this module. Event: PdoNotSent, as in `trigger`. CiA 301 v4.2.0, 7.2.2.5.2"""
         if not self.enabled or self.key is None:
             return
         if self.is_event_driven:
@@ -226,13 +224,13 @@ class PdoProducer(Machine):
         if self._sample is not None:
             self.out.frames.append(frame_for_key(self.key, self._sample))
         if self.transmission_type != SYNCHRONOUS_ON_REQUEST:
-            self._sample = None  # the next request has the values of its own moment
+            self._sample = None  # the next request gets the values of its own moment
 
     def trigger(self, now: Time) -> None:
-        """Its event happened: an event-driven PDO goes now or when the inhibit time is over, a PDO of type 0 at the next SYNC.
+        """Send an event-driven PDO now, or when the inhibit time is over, and a PDO of type 0 at the next SYNC.
 
-        Cyclic PDOs go anyway; to them it means nothing. `PdoNotSent` follows where the store holds what cannot be sent: often it
-        is a peer's write that triggers, and it must not be the one to suffer.
+        Does nothing for cyclic PDOs. Event: PdoNotSent if the store holds a value that cannot be sent. It is not an exception,
+        because a peer's write often triggers.
         """
         if not self.enabled or self.key is None:
             return
@@ -245,7 +243,7 @@ class PdoProducer(Machine):
             self._triggered = True
 
     def on_sync(self, counter: int | None, now: Time) -> None:
-        """A SYNC came, with this counter (None: without one). `PdoNotSent` as in `trigger`."""
+        """Handle a SYNC. counter: None = it has none. Event: PdoNotSent, as in `trigger`."""
         if not self.enabled or self.key is None:
             return
         if self.transmission_type > LAST_SYNCHRONOUS:
@@ -259,7 +257,7 @@ class PdoProducer(Machine):
         if self._awaits_start and counter is not None:
             if counter != self.sync_start:
                 return
-            self._syncs = self.transmission_type - 1  # that SYNC counts as the n-th
+            self._syncs = self.transmission_type - 1  # this SYNC counts as the n-th
         self._awaits_start = False
         self._syncs += 1
         if self._syncs >= self.transmission_type:
@@ -267,14 +265,14 @@ class PdoProducer(Machine):
             self._send_due(now)
 
     def handle_timeout(self, now: Time) -> None:
-        """The inhibit time is over and a trigger waits, or the event time has passed. `PdoNotSent` as in `trigger`."""
+        """Send the PDO if a trigger waits and the inhibit time is over, or if the event time has passed. Event: PdoNotSent."""
         if now < self.deadline:
             return
         due = self._event_due
         if now < due:
             self._send_due(now)  # a trigger waited for the end of the inhibit time
         elif now < self._inhibited_until:
-            self._event_due = NEVER  # an event time shorter than the inhibit time: due, and waiting
+            self._event_due = NEVER  # the event time is shorter than the inhibit time: the PDO waits for that
             self._arm(self._inhibited_until)
         else:
             skipped = (now - due) // self.event_time
@@ -298,7 +296,7 @@ class PdoProducer(Machine):
             self._try_to_emit(self.key, now)
 
     def _try_to_emit(self, key: RoutingKey, now: Time) -> None:
-        """Send where there is nobody to raise to: the fault becomes an event, and the turn has passed."""
+        """Send the PDO; an error becomes an event, because no caller could handle an exception."""
         try:
             self._emit(key, now)
         except ValueRangeError as error:
@@ -314,7 +312,7 @@ class PdoProducer(Machine):
             self._report(error)
 
     def _report(self, error: ValueRangeError) -> None:
-        assert self.key is not None  # nothing is due without one
+        assert self.key is not None  # only a PDO with a key is due
         self.out.events.append(PdoNotSent(self.node_id, self.number, self.key, str(error)))
 
     def _restart(self, now: Time) -> None:

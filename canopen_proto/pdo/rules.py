@@ -1,30 +1,29 @@
-"""What may be written to the PDO parameters of a device, and when (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.40).
+"""The rules for writes to the PDO parameters of a device (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.40).
 
 Theory of operation
 -------------------
-`PdoRules.check_write` is asked before a value is stored and is a pure question: None, or the abort code with which the device
-refuses. The value is right in type and limits already.
+`PdoRules.check_write` is called before a value is stored. It changes nothing, and returns None or the abort code with which the
+device refuses. Type and limits of the value have been checked before.
 
     COB-ID               while the PDO is valid, its CAN-ID may not change: 0x08000022. A restricted CAN-ID, or more than 11 bits
-                         without the frame bit: 0x06090030. A mapping that makes no sense: 0x06040043
-    transmission type    241..251: 0x06090030; 252 and 253 too for RPDOs, which nobody requests. One that goes by SYNC for an MPDO
-                         in source address mode: 0x06040043
+                         without the frame bit: 0x06090030. An invalid mapping: 0x06040043
+    transmission type    241..251: 0x06090030; for RPDOs, which cannot be requested, also 252 and 253. One that is not
+                         event-driven for an MPDO in source address mode: 0x06040043
     inhibit time         while the PDO is valid: 0x08000022
-    SYNC start value     the same; beyond 240: 0x06090030 (an RPDO has none; such an object has no effect)
-    number of objects    while the PDO is valid: 0x08000022. Together more than 64 bits, more entries than there are: 0x06040042.
-                         An entry that is refused by itself (below): its code. 0xFE and 0xFF make an MPDO: source address mode is
-                         for devices that have the list for it (else 0x06040042), and for one event-driven TPDO (else 0x06040043)
+    SYNC start value     the same; over 240: 0x06090030 (in an RPDO the object has no effect)
+    number of objects    while the PDO is valid: 0x08000022. More than 64 bits together, or more entries than there are:
+                         0x06040042. An entry that would be refused by itself (below): its code. 0xFE and 0xFF make an MPDO.
+                         Source address mode needs its list (else 0x06040042), and is for one event-driven TPDO (else 0x06040043)
     mapping entry        while the mapping is enabled (sub 0 is not 0): 0x06010000. While the PDO is valid: 0x08000022. No such
                          object: 0x06020000. Not mappable, not in this direction, not in this width: 0x06040041. Too wide for any
                          PDO: 0x06040042. Dummy entries are for RPDOs only
     scanner list         no such object: 0x06020000. One that no MPDO can send: 0x06040041. No block size: 0x06090030
-    dispatching list     the same for our own object; no producer's node-ID: 0x06090030
+    dispatching list     the same for our own object; an invalid node-ID of the producer: 0x06090030
     window (0x1007)      nothing is refused
 
-A write that changes nothing is allowed, but for the entry of an enabled mapping, which refuses its own value too: so a master
-that forgot to write 0 to sub 0 learns of it at the first entry, and CiA's conformance test (case 3.23) wants it so. Destroying a
-PDO by bit 31 is allowed whatever the other bits are: many masters write a bare 0x80000000, and nothing is lost by it. An entry
-may be cleared with 0, but not counted then.
+A write that changes nothing is allowed, except to an entry of an enabled mapping: a master that forgot to write 0 to sub 0 learns
+of it at the first entry, as CiA's conformance test (case 3.23) demands. Destroying a PDO by bit 31 is allowed whatever the other
+bits are: many masters write a bare 0x80000000. An entry may be cleared with 0, but a cleared entry cannot be counted.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ _LISTS: Final = {Direction.RPDO: DISPATCHER_LISTS, Direction.TPDO: SCANNER_LISTS
 
 
 class PdoRules:
-    """The rules of one device. faults: the indices of mappings that stand there and make no sense."""
+    """The rules of one device. faults: the indices of its invalid mappings."""
 
     __slots__ = ("_faults", "_values")
 
@@ -75,7 +74,7 @@ class PdoRules:
         self._faults = faults
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """What forbids writing this value there, or None. None for everything that is not a PDO parameter. Changes nothing."""
+        """Return the abort code that refuses a write, or None if it is allowed or to no PDO parameter."""
         place = place_of(index)
         if place is not None and place.is_mapping and subindex and self._count(place):
             return AbortCode.UNSUPPORTED_ACCESS
@@ -99,11 +98,11 @@ class PdoRules:
     # ---- communication parameter ----
 
     def _at(self, place: PdoPlace, subindex: int, default: int = 0) -> int:
-        """A field of the communication parameter."""
+        """Return a field of the communication parameter."""
         return number_at(self._values.store, mux(communication_index(place.direction, place.number), subindex), default)
 
     def _count(self, place: PdoPlace) -> int:
-        """Sub 0 of the mapping parameter."""
+        """Return sub 0 of the mapping parameter."""
         return number_at(self._values.store, mux(mapping_index(place.direction, place.number)))
 
     def _is_valid(self, place: PdoPlace) -> bool:
@@ -146,7 +145,7 @@ class PdoRules:
         return AbortCode.PDO_LENGTH_EXCEEDED if sum(bits for _, _, bits in map(mapped, entries)) > MAX_BITS else None
 
     def _check_mode(self, place: PdoPlace) -> AbortCode | None:
-        """Whether a PDO may be an MPDO in source address mode. CiA 301 v4.2.0, 7.2.3.2.2"""
+        """Check whether a PDO may be an MPDO in source address mode. CiA 301 v4.2.0, 7.2.3.2.2"""
         if not any(index in self._values.dictionary.objects for index in _LISTS[place.direction]):
             return AbortCode.PDO_LENGTH_EXCEEDED
         if place.direction == Direction.RPDO:
@@ -163,7 +162,7 @@ class PdoRules:
         return self._check_mapped(place.direction, entry) if entry else None
 
     def _check_mapped(self, direction: Direction, entry: int) -> AbortCode | None:
-        """Whether an entry can be part of a PDO of that direction."""
+        """Check whether a PDO of this direction may have an entry."""
         index, subindex, bit_length = mapped(entry)
         if 0 < index <= LAST_DUMMY_INDEX:
             dummy = DUMMY_TYPES.get(index)
@@ -182,7 +181,7 @@ class PdoRules:
     # ---- lists of MPDOs ----
 
     def _check_listed(self, index: int, number: int) -> AbortCode | None:
-        """An entry of a scanner or dispatching list; other objects are nobody's business here."""
+        """Check an entry of a scanner or dispatching list. None for other objects."""
         if index in SCANNER_LISTS:
             return self._check_objects(Direction.TPDO, ScannerEntry.of(number))
         if index in DISPATCHER_LISTS:
@@ -193,7 +192,7 @@ class PdoRules:
         return None
 
     def _check_objects(self, direction: Direction, listed: ScannerEntry) -> AbortCode | None:
-        """Whether MPDOs can carry these objects of ours."""
+        """Check whether MPDOs can carry these objects of ours."""
         if listed.block == 0:
             return AbortCode.INVALID_VALUE
         for subindex in range(listed.first, listed.first + listed.block):

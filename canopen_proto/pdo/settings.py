@@ -1,4 +1,4 @@
-"""Where PDO parameters stand in the dictionary, and the order in which a PDO is set up again.
+"""The places of PDO parameters in the dictionary, and the order of writes that sets a PDO up.
 
 Theory of operation
 -------------------
@@ -9,10 +9,10 @@ PDO n (1..512) has two records, one for communication and one for mapping (CiA 3
 
 A device takes a new mapping in one order only (7.5.2.36): destroy the PDO (bit 31 of its COB-ID), disable its mapping (sub 0 is
 0), write the entries, enable the mapping (sub 0 is their number), create the PDO. Transmission type and times are written right
-before the last step, since some of them may change only while the PDO does not exist.
+before the last step, because some of them may change only while the PDO does not exist.
 
-`remap_steps` is that order as plain data, for code that writes it by SDO. `PdoSettings.from_read` is the way back: what a device
-had before, so that a refused step can be undone by the same order.
+`remap_steps` returns the writes in that order. `PdoSettings.from_read` returns the settings that a device had before, so that the
+same order can restore them after a refused step.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ INHIBIT_TIME: Final = 3
 EVENT_TIMER: Final = 5
 """UNSIGNED16, ms."""
 SYNC_START: Final = 6
-"""Of TPDOs only."""
+"""TPDOs only."""
 
 _FIRST: Final = {Direction.RPDO: indices.RPDO1_COMMUNICATION_PARAMETER, Direction.TPDO: indices.TPDO1_COMMUNICATION_PARAMETER}
 _MAPPING: Final = 0x200  # from the communication to the mapping parameter
 
 
 class PdoPlace(NamedTuple):
-    """Which PDO's record stands at an index, and which of its two records it is."""
+    """The PDO whose record is at an index. is_mapping: it is the mapping record, not the communication record."""
 
     direction: Direction
     number: int
@@ -57,19 +57,19 @@ RemapStep: TypeAlias = tuple[int, int, bytes]
 
 
 def communication_index(direction: Direction, number: int) -> int:
-    """0x1400.. or 0x1800..; number: 1..512. Raises LocalProtocolError for others."""
+    """Return the index of a communication parameter, 0x1400.. or 0x1800... number: 1..512, else LocalProtocolError."""
     if not 1 <= number <= MAX_PDOS:
-        raise LocalProtocolError(f"{direction} {number}: PDOs have the numbers 1..{MAX_PDOS}")
+        raise LocalProtocolError(f"{direction} {number}: a PDO has a number in 1..{MAX_PDOS}")
     return _FIRST[direction] + number - 1
 
 
 def mapping_index(direction: Direction, number: int) -> int:
-    """0x1600.. or 0x1A00..; number: 1..512. Raises LocalProtocolError for others."""
+    """Return the index of a mapping parameter, 0x1600.. or 0x1A00... number: 1..512, else LocalProtocolError."""
     return communication_index(direction, number) + _MAPPING
 
 
 def place_of(index: int) -> PdoPlace | None:
-    """What PDO record stands at an index; None outside 0x1400..0x1BFF."""
+    """Return the PDO whose record is at an index; None outside 0x1400..0x1BFF."""
     offset = index - _FIRST[Direction.RPDO]
     if not 0 <= offset < 4 * _MAPPING:
         return None
@@ -88,13 +88,12 @@ def remap_steps(
     inhibit_time_100us: int | None = None,
     event_time_ms: int | None = None,
 ) -> list[RemapStep]:
-    """Return the downloads that set a PDO up again, in their order.
+    """Return the downloads that set a PDO up, in order.
 
-    entries: as they stand in the mapping parameter. cob_id: with its flag bits; with bit 31 the PDO stays destroyed.
-    current_cob_id: what the device has now; strict devices want the CAN-ID unchanged in the step that destroys the PDO. The two
-    times are not written where they are None: many devices lack these objects. Raises LocalProtocolError for a wrong number, too
-    many entries (MappingError) or a value that has no room in its object (ValueRangeError).
-    Source: CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38.
+    entries: objects, or values of the mapping parameter. cob_id: with its flag bits; with bit 31 the PDO stays destroyed.
+    current_cob_id: the device's present one; strict devices want its CAN-ID unchanged in the step that destroys the PDO. A time
+    that is None is not written: many devices lack these objects. Raises LocalProtocolError for a wrong number, MappingError for
+    too many entries, ValueRangeError for a value that does not fit its object. Source: CiA 301 v4.2.0, 7.5.2.36 and 7.5.2.38.
     """
     communication, mapping = communication_index(direction, number), mapping_index(direction, number)
     parameters = [each.parameter if isinstance(each, MappedEntry) else each for each in entries]
@@ -120,9 +119,9 @@ def _step(index: int, subindex: int, value: int, data_type: DataType) -> RemapSt
 
 
 def objects_to_read(number: int, direction: Direction, count: int = 0) -> list[tuple[int, int]]:
-    """What `PdoSettings.from_read` needs of a device: index and subindex of each object.
+    """Return index and subindex of each object that `PdoSettings.from_read` needs.
 
-    count: the number of mapped objects, which is the last of the objects for count 0: read these first, then the rest.
+    count: the number of mapped objects. Read the objects for count 0 first: the last of them is that number.
     """
     communication, mapping = communication_index(direction, number), mapping_index(direction, number)
     fixed = [(communication, COB_ID), (communication, TRANSMISSION_TYPE), (mapping, 0)]
@@ -131,7 +130,7 @@ def objects_to_read(number: int, direction: Direction, count: int = 0) -> list[t
 
 @dataclass(frozen=True, slots=True)
 class PdoSettings:
-    """How one PDO of a device is set up. cob_id: with its flag bits. entries: as they stand in the mapping parameter."""
+    """The settings of one PDO of a device. cob_id: with its flag bits. entries: values of the mapping parameter."""
 
     number: int
     direction: Direction
@@ -141,7 +140,7 @@ class PdoSettings:
 
     @classmethod
     def from_read(cls, number: int, direction: Direction, read: Mapping[tuple[int, int], bytes]) -> PdoSettings:
-        """What a device answered to the uploads of `objects_to_read`. Raises MappingError where it makes no sense."""
+        """Return the settings from the bytes of `objects_to_read`. Raises MappingError if one is missing or too large."""
         fixed = objects_to_read(number, direction)
         missing = [place for place in fixed if place not in read]
         if not missing:
@@ -159,20 +158,20 @@ class PdoSettings:
     def from_description(
         cls, description: PdoDescription, node_id: int, transmission_type: int, number: int | None = None
     ) -> PdoSettings:
-        """How a PDO of PDOs.csv is set up on a node. number: needed where the description has none.
+        """Return the settings of a PDO of PDOs.csv on a node. number: needed if the description has none.
 
-        A TPDO is created with "no remote requests" (bit 30), which every device can do. Raises LocalProtocolError where there is
-        no number, MappingError where the description cannot be mapped.
+        A TPDO is created with "no remote requests" (bit 30), which every device accepts. Raises LocalProtocolError if there is no
+        number, MappingError if an object cannot be mapped.
         """
         number = description.number if number is None else number
         if number is None:
-            raise LocalProtocolError(f"{description.name}: say which {description.direction} of the device it is to be (1..512)")
+            raise LocalProtocolError(f"{description.name}: give the number of the {description.direction} in the device, 1..512")
         flags = COB_ID_NO_RTR if description.direction == Direction.TPDO else 0
         entries = tuple(MappedEntry.of(entry).parameter for entry in description.entries)
         return cls(number, description.direction, description.can_id(node_id) | flags, transmission_type, entries)
 
     def steps(self, current_cob_id: int | None = None) -> list[RemapStep]:
-        """The downloads that set the PDO up like this; see `remap_steps`."""
+        """Return the downloads that set the PDO up; see `remap_steps`."""
         return remap_steps(
             self.number, self.direction, self.entries, self.transmission_type, self.cob_id, current_cob_id=current_cob_id
         )

@@ -348,7 +348,7 @@ def test_what_cannot_be_sent(number: int, node_id: int, index: int, subindex: in
 def test_a_destroyed_mpdo_sends_nothing() -> None:
     bench = bench_with()
     bench.node.set_value(0x1803, 1, 0xC00001C6, bench.now)
-    with pytest.raises(LocalProtocolError, match="TPDO 4 of node 5 is no valid MPDO"):
+    with pytest.raises(LocalProtocolError, match="TPDO 4 of node 5 is not a valid MPDO"):
         bench.node.send_mpdo(4, 9, 0x6200, 1, b"\x55", bench.now)
 
 

@@ -126,7 +126,7 @@ def test_text_and_bytes_by_whole_bytes() -> None:
     pdo = mapping((TEXT, 32), (OCTETS, 16), (UNICODE, 16))
     assert pdo.unpack(b"AB\0\0\x01\x02\xac\x20") == ("AB\0\0", b"\x01\x02", "\u20ac")
     assert pdo.pack(("AB", b"\x01", "\u20ac")) == b"AB\0\0\x01\x00\xac\x20"
-    with pytest.raises(ValueRangeError, match="v0: 4 bytes are mapped, the value has 5"):
+    with pytest.raises(ValueRangeError, match="v0: the value has 5 bytes, but only 4 are mapped"):
         pdo.pack(("ABCDE", b"", ""))
 
 
@@ -169,7 +169,7 @@ def test_an_empty_mapping() -> None:
 def test_longer_data_are_cut_and_shorter_refused() -> None:
     for pdo in (mapping((U16, 16)), mapping((U16, 12))):
         assert pdo.unpack(hex_of("34021111")) == (0x234,)
-        with pytest.raises(ValueRangeError, match="2 bytes is mapped, 1 bytes came"):
+        with pytest.raises(ValueRangeError, match="this PDO has 2 bytes, but only 1 were received"):
             pdo.unpack(b"\x34")
 
 
@@ -208,7 +208,7 @@ def test_values_outside_their_type_are_refused_by_name(value: Value) -> None:
 @pytest.mark.parametrize("values", [(), (1,), (1, 2, 3)])
 def test_the_number_of_values_counts(values: tuple[int, ...]) -> None:
     for pdo in (mapping((U16, 16), (U8, 8)), mapping((U16, 12), (U8, 8))):
-        with pytest.raises(ValueRangeError, match=f"2 components is mapped, {len(values)} values"):
+        with pytest.raises(ValueRangeError, match=f"this PDO has 2 components, but {len(values)} values"):
             pdo.pack(values)
 
 

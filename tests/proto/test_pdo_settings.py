@@ -62,7 +62,7 @@ def test_remap_steps() -> None:
 def test_remap_steps_refuses_nonsense() -> None:
     with pytest.raises(MappingError, match="RPDO 1: 65 entries"):
         remap_steps(1, RPDO, [0x20000001] * 65, 1, 0x20C)
-    with pytest.raises(LocalProtocolError, match="PDOs have the numbers"):
+    with pytest.raises(LocalProtocolError, match="a PDO has a number in 1..512"):
         remap_steps(0, RPDO, [], 1, 0x20C)
     with pytest.raises(ValueRangeError, match="0x1400:02: 256 is outside"):
         remap_steps(1, RPDO, [], 256, 0x20C)
@@ -103,7 +103,7 @@ def test_settings_from_a_description() -> None:
     assert PdoSettings.from_description(tpdo, 12, 1) == PdoSettings(1, TPDO, 0x4000018C, 1, (0x60410010, 0x00060010))
     rpdo = PdoDescription("r", 0x6A0, RPDO, None, (status,))
     assert PdoSettings.from_description(rpdo, 12, 255, number=3) == PdoSettings(3, RPDO, 0x6AC, 255, (0x60410010,))
-    with pytest.raises(LocalProtocolError, match="r: say which RPDO"):
+    with pytest.raises(LocalProtocolError, match="r: give the number of the RPDO"):
         PdoSettings.from_description(rpdo, 12, 255)
     with pytest.raises(MappingError, match="text"):
         PdoSettings.from_description(PdoDescription("x", 0x180, TPDO, 1, (text,)), 12, 1)

@@ -132,8 +132,8 @@ def test_a_short_one_is_reported(frame: str) -> None:
     ("frame", "reason"),
     [
         ("1C5#8500210307000000", "TPDO 3 is an MPDO in source address mode"),
-        ("1C5#0500220307000000", "an MPDO about 0x2200:03, which is no object that a TPDO can carry"),
-        ("1C5#0504210007000000", f"an MPDO about 0x{SECRET:04X}:00, which is no object that a TPDO can carry"),
+        ("1C5#0500220307000000", "an MPDO with object 0x2200:03, which no TPDO can carry"),
+        ("1C5#0504210007000000", f"an MPDO with object 0x{SECRET:04X}:00, which no TPDO can carry"),
     ],
 )
 def test_what_makes_no_sense_is_told(frame: str, reason: str) -> None:
