@@ -177,6 +177,8 @@ _DRIVE: Final = """
 6086      00    I16  rww   motion_profile_type
 6087      00    U32  rww   torque_slope
 6088      00    I16  rww   torque_profile_type
+608B      00    I8   rw    velocity_notation_index
+608C      00    U8   rw    velocity_dimension_index
 608F      01    U32  rww   position_encoder_resolution:encoder_increments = 1
 608F      02    U32  rww   position_encoder_resolution:motor_revolutions = 1
 6090      01    U32  rww   velocity_encoder_resolution:encoder_increments_per_second = 1
@@ -191,6 +193,8 @@ _DRIVE: Final = """
 6099      01    U32  rww   homing_speeds:search_switch
 6099      02    U32  rww   homing_speeds:search_zero
 609A      00    U32  rww   homing_acceleration
+60A8      00    U32  rw    si_unit_position
+60A9      00    U32  rw    si_unit_velocity
 60B0      00    I32  rww   position_offset
 60B1      00    I32  rww   velocity_offset
 60B2      00    I16  rww   torque_offset

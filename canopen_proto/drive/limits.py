@@ -21,14 +21,11 @@ drive obeys a limit that the dictionary lacks. An object sets no limit if the dr
 Nor does 0x607D if its minimum is not below its maximum (0 and 0 are no limits), an end of INTEGER32, or a speed or acceleration
 that is 0 or beyond INTEGER32.
 
-Units. 0x607F is in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). Counts per motor revolution are feed
-constant / gear ratio (0x6092, 0x6091). If the feed constant is 1 (which means "not set"), they are the encoder's increments
-(0x608F). A velocity unit is a count per second, unless the drive names another one: in 0x60A9 (0xB4 is a revolution, 0xB5 an
-increment; 0x03 a second, 0x47 a minute; the first byte a power of ten), or in the older 0x608C (0xA4 is rev/min, its power of ten
-in 0x608B). A speed is left out if its unit is not known or cannot be converted.
+Units. 0x607F is in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). units.py converts both. A speed is left
+out if its unit is not known or cannot be converted.
 
-Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, factor
-group; CiA 303-2 (units); all from memory, and as the files of four makers have them.
+Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, all
+from memory, and as the files of four makers have them.
 """
 
 from __future__ import annotations
@@ -37,12 +34,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.units import DriveUnits, read_number, read_units
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.multiplexer import Mux, split_mux
-from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
+from canopen_proto.multiplexer import Mux
+from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
 
 DEFAULT_SPEED: Final = 30_000
@@ -140,28 +137,22 @@ def _converted(limit: Limit | None, convert: Callable[[float], float]) -> Limit 
 
 
 _INTEGER32: Final = 1 << 31
-_REVOLUTION, _INCREMENT = 0xB4, 0xB5
-_SECONDS: Final = {0x03: 1, 0x47: 60}
-_REVOLUTIONS_PER_MINUTE: Final = 0xA4
 _OF_DRIVE: Final = "of the drive"
 
 
 def read_limits(axis: Axis) -> Procedure[SetPointLimits]:
     """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer."""
     node = axis.node
-    lowest = yield from _read(node, objects.MIN_SOFTWARE_POSITION_LIMIT, signed=True)
-    highest = yield from _read(node, objects.MAX_SOFTWARE_POSITION_LIMIT, signed=True)
-    speeds = []
+    lowest = yield from read_number(node, objects.MIN_SOFTWARE_POSITION_LIMIT, signed=True)
+    highest = yield from read_number(node, objects.MAX_SOFTWARE_POSITION_LIMIT, signed=True)
     profile = yield from _read_amount(node, objects.MAX_PROFILE_VELOCITY)
-    if profile is not None:
-        unit = yield from _velocity_unit(node)
-        if unit is not None:
-            speeds.append(Limit(profile * unit, f"0x607F {_OF_DRIVE}"))
     motor = yield from _read_amount(node, objects.MAX_MOTOR_SPEED)
-    if motor is not None:
-        counts = yield from _counts_per_revolution(node)
-        if counts is not None:
-            speeds.append(Limit(motor * counts / 60, f"0x6080 {_OF_DRIVE}"))
+    units = DriveUnits() if profile is None and motor is None else (yield from read_units(node))
+    speeds = []
+    if profile is not None and units.per_velocity is not None:
+        speeds.append(Limit(profile * units.per_velocity, f"0x607F {_OF_DRIVE}"))
+    if motor is not None and units.per_motor_turn is not None:
+        speeds.append(Limit(motor * units.per_motor_turn / 60, f"0x6080 {_OF_DRIVE}"))
     acceleration = yield from _read_amount(node, objects.MAX_ACCELERATION)
     told = DriveLimits(
         *_position_limits(lowest, highest),
@@ -180,55 +171,7 @@ def _position_limits(lowest: int | None, highest: int | None) -> tuple[Limit | N
     )
 
 
-def _read(node: RemoteNode, key: Mux, *, signed: bool = False) -> Procedure[int | None]:
-    try:
-        data = yield from upload(node.sdo, *split_mux(key))
-    except SdoFailed as failed:
-        if failed.origin is AbortOrigin.PEER:
-            return None
-        raise
-    return int.from_bytes(data, "little", signed=signed) if 0 < len(data) <= 4 else None
-
-
 def _read_amount(node: RemoteNode, key: Mux) -> Procedure[int | None]:
     """Read a limit of a speed or an acceleration; return None if the value is no limit."""
-    amount = yield from _read(node, key)
+    amount = yield from read_number(node, key)
     return amount if amount is not None and 0 < amount < _INTEGER32 - 1 else None
-
-
-def _read_ratio(node: RemoteNode, numerator_key: Mux) -> Procedure[float]:
-    """Read a numerator and, at the next subindex, its denominator; return the ratio: 1, which changes nothing, without them."""
-    numerator = yield from _read(node, numerator_key)
-    denominator = yield from _read(node, Mux(numerator_key + 1))
-    return numerator / denominator if numerator and denominator else 1.0
-
-
-def _counts_per_revolution(node: RemoteNode) -> Procedure[float | None]:
-    """Return the counts on the wire for a turn of the motor; None if the drive does not tell."""
-    feed = yield from _read_ratio(node, objects.FEED_CONSTANT)
-    if feed > 1:
-        gear = yield from _read_ratio(node, objects.GEAR_RATIO)
-        return feed / gear
-    increments = yield from _read_ratio(node, objects.POSITION_ENCODER_RESOLUTION)
-    return increments if increments > 1 else None
-
-
-def _velocity_unit(node: RemoteNode) -> Procedure[float | None]:
-    """Return the counts per second in one velocity unit; None if that is not known."""
-    unit = yield from _read(node, objects.SI_UNIT_VELOCITY)
-    if unit:
-        prefix, numerator, denominator, _ = unit.to_bytes(4, "big")
-        power, is_revolution, seconds = prefix, numerator == _REVOLUTION, _SECONDS.get(denominator)
-        if seconds is None or numerator not in (_REVOLUTION, _INCREMENT):
-            return None
-    else:
-        dimension = yield from _read(node, objects.VELOCITY_DIMENSION_INDEX)
-        if not dimension:
-            return 1.0
-        if dimension & 0xFF != _REVOLUTIONS_PER_MINUTE:
-            return None
-        power = (yield from _read(node, objects.VELOCITY_NOTATION_INDEX)) or 0
-        is_revolution, seconds = True, 60
-    counts = (yield from _counts_per_revolution(node)) if is_revolution else 1.0
-    exponent = power - 256 if power & 0x80 else power
-    return None if counts is None else counts / seconds * 10.0**exponent

@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "read": ("objects", "Read objects of a node."),
     "write": ("objects", "Write an object of a node, and show its value before and after."),
     "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
+    "drive": ("drive", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
     "home": ("home", "Home drives (CiA 402), all at the same time."),
     "backup": ("backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
     "restore": ("restore", "Write those settings of a DCF or XDC to a node that differ from its own."),

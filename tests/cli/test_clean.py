@@ -130,6 +130,8 @@ COMMANDS = [
     ("demo", "--chains", "good.csv", "--seconds", "0.5"),
     ("demo", "--eds", NAMED_EDS, "--seconds", "0.5"),
     ("home", "5", *DEMO, "-e", NAMED_EDS),
+    *[("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO) for word in ("state", "units")],
+    *[("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO) for word in ("fault-reset", "disable")],
     ("eds", "show", "device.eds"),
     ("eds", "show", "odd.eds", "2300"),
     ("eds", "show", "device.dcf", "2300", "2003"),
@@ -184,6 +186,7 @@ def test_no_control_character_reaches_a_terminal(
 
 def test_every_command_is_among_these() -> None:
     covered = {command[:length] for command in COMMANDS for length in (1, 2)}
+    covered |= {command[::2][:2] for command in COMMANDS if command[0] == "drive"}  # the node stands between
     assert set(paths(app.cli)) - covered == set()
 
 

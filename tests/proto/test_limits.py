@@ -12,12 +12,12 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, Axis, AxisSettings
 from canopen_proto.drive.limits import DEFAULT_SPEED, DriveLimits, Limit, SetPointLimits, limits_of, read_limits
-from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.network import Network
-from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.remote_node import RemoteNode
+from tests.proto.object_answers import run_against
 
 DICTIONARY = drive_dictionary()
 CYCLE = 10 * MILLISECOND
@@ -33,28 +33,8 @@ def axis_of(settings: AxisSettings) -> Axis:
 def read_from(
     objects: dict[tuple[int, int], int], settings: AxisSettings = DEGREES, abort: int = AbortCode.NO_SUCH_OBJECT
 ) -> SetPointLimits | Exception:
-    """What is read from a drive that has these objects, and answers `abort` for all others."""
-    network = Network()
-    node = RemoteNode(network.out, 5, DICTIONARY)
-    network.attach(node)
-    network.run(read_limits(Axis(node, settings)), 0)
-    for _ in range(100):
-        frames, events = network.drain(0)
-        for event in events:
-            if isinstance(event, ProcedureFinished):
-                assert isinstance(event.result, SetPointLimits)
-                return event.result
-            if isinstance(event, ProcedureFailed):
-                return event.error
-        for frame in frames:
-            key = int.from_bytes(frame.data[1:3], "little"), frame.data[3]
-            answer = b"\x43" + frame.data[1:4] + (objects.get(key, 0) & 0xFFFF_FFFF).to_bytes(4, "little")
-            if key not in objects:
-                answer = b"\x80" + frame.data[1:4] + abort.to_bytes(4, "little")
-            network.receive(Frame(0x585, answer), 0)
-        if not frames:
-            network.handle_timeout(SECOND)
-    raise AssertionError("it reads on and on")
+    """Read the limits of a drive that has these objects, and answers `abort` for all others."""
+    return run_against(objects, lambda node: read_limits(Axis(node, settings)), abort)
 
 
 # ---- what a drive says ----

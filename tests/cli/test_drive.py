@@ -1,0 +1,159 @@
+"""`canopen drive`: what a drive shows, why it does not move, what its numbers mean; in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+import trio
+
+from canopen_cli import session
+from canopen_cli.fleet import Fleet
+from canopen_cli.problem import ExitCode
+from canopen_master.simulation import simulate
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.states import State
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.local_node import LocalNode
+from canopen_transports import open_transport
+from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
+from tests.proto.devices import io_device
+
+DEMO = ("-b", "demo")
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
+
+
+@pytest.fixture
+def alarm() -> Alarm:
+    return Alarm()
+
+
+@pytest.fixture
+def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+    return watched_fleets(monkeypatch, alarm)
+
+
+def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
+    outcome = run("drive", "3", "state", *DEMO)
+    assert outcome.status == 0
+    for line in (
+        "state             switch on disabled",
+        "mode              no mode",
+        "it does not move  it is not enabled: switch on disabled. Try: enable it",
+        "                  no mode of operation is selected (0x6061 is 0). Try: select one (0x6060)",
+    ):
+        assert line in outcome.out.splitlines()
+    document = run("drive", "3", "state", *DEMO, "--json").json
+    assert (document["state"], document["statusword"], document["mode"]) == ("switch on disabled", 0x0240, 0)
+    assert [each["what"] for each in document["obstacles"]] == [
+        "it is not enabled: switch on disabled",
+        "no mode of operation is selected (0x6061 is 0)",
+    ]
+
+
+def test_a_fault_is_named_and_reset(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    async def fault(fleet: Fleet) -> None:
+        fleet.raise_fault(3, 0x2310)
+
+    alarm.task = fault
+    document = run("drive", "3", "state", *DEMO, "--json").json
+    assert document["state"] == "fault"
+    assert [each["what"] for each in document["obstacles"]] == ["it is in fault: 0x2310 continuous over-current, output side"]
+    outcome = run("drive", "3", "fault-reset", *DEMO)
+    assert outcome.status == 0
+    assert "state             switch on disabled" in outcome.out
+    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_fault_that_stays(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    async def fault(fleet: Fleet) -> None:
+        drive = fleet.drives[3]
+        drive.drive.raise_fault(0x4310, 0, lasting=True)
+
+    alarm.task = fault
+    outcome = run("drive", "3", "fault-reset", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "CO402" in outcome.err
+    assert "a fault reset did not clear" in outcome.err
+
+
+def test_disable(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "disable", *DEMO)
+    assert outcome.status == 0
+    assert "state             switch on disabled" in outcome.out
+
+
+def device(monkeypatch: pytest.MonkeyPatch, values: dict[int, int]) -> None:
+    """What answers on the bus of the demonstration: an I/O device with objects of CiA 402 beside its own."""
+    indices = dict.fromkeys(key >> 8 for key in values)
+    highest = {index: max(key & 0xFF for key in values if key >> 8 == index) for index in indices}
+    dictionary = io_device(5).with_objects([standard_object(index, highest=highest[index] or None) for index in indices])
+
+    def made(*arguments: object) -> LocalNode:
+        node = LocalNode(arguments[0], 5, dictionary)  # type: ignore[arg-type]
+        for key, value in values.items():
+            node.values.store[dictionary.variable((key >> 8, key & 0xFF)).mux] = value
+        return node
+
+    @asynccontextmanager
+    async def simulated(*arguments: object) -> AsyncIterator[None]:
+        async with trio.open_nursery() as nursery:
+            await nursery.start(simulate, await open_transport("virtual:demo"), [made])
+            await trio.sleep(0.1)
+            yield
+            nursery.cancel_scope.cancel()
+
+    monkeypatch.setattr(session, "simulated_fleet", simulated)
+
+
+def test_units_and_which_objects_say_so(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    gear = {objects.GEAR_RATIO: 50, objects.GEAR_RATIO + 1: 1}
+    encoder = {objects.POSITION_ENCODER_RESOLUTION: 2000, objects.POSITION_ENCODER_RESOLUTION + 1: 1}
+    device(monkeypatch, {**encoder, **gear, objects.MOTOR_RATED_TORQUE: 1270, objects.POLARITY: 0x80, objects.HOME_OFFSET: -500})
+    outcome = run("drive", "5", "units", *DEMO)
+    assert outcome.status == 0
+    rows = [" ".join(line.split()) for line in outcome.out.splitlines()]
+    for row in (
+        "a turn of the shaft 100000 counts 0x608F = 2000 / 1, 0x6091 = 50 / 1",
+        "a turn of the motor 2000 counts 0x608F = 2000 / 1, 0x6091 = 50 / 1",
+        "a degree 277.7777778 counts",
+        "a velocity of 1 1 count per second the default",
+        "a torque of 1 0.00127 N·m 0x6076 = 1270 mN·m",
+        "reversed position 0x607E",
+        "the home position -500 counts 0x607C",
+    ):
+        assert row in rows
+    document = run("drive", "5", "units", *DEMO, "--json").json
+    assert (document["counts_per_turn"], document["rated_torque"], document["conflicts"]) == (100_000, 1.27, [])
+
+
+def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = run("drive", "3", "units", *DEMO)
+    assert "The drive does not tell what a count is. Try: --counts-per-degree" in outcome.err
+    encoder = {objects.POSITION_ENCODER_RESOLUTION: 2000, objects.POSITION_ENCODER_RESOLUTION + 1: 1}
+    device(monkeypatch, {**encoder, objects.SI_UNIT_POSITION: 0xFD410000})
+    outcome = run("drive", "5", "units", *DEMO)
+    assert "these differ: 0x608F = 2000 / 1: 2000 counts for a turn; 0x60A8 = 0xFD410000" in outcome.out
+
+
+def test_what_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    device(monkeypatch, {})
+    outcome = run("drive", "5", "state", *DEMO)
+    assert outcome.status == ExitCode.SDO_ABORT
+    assert "CO408" in outcome.err
+    assert "canopen info 5" in outcome.err
+
+
+def test_wrong_words(run: Run) -> None:
+    outcome = run("drive", "state", "3", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "the node comes before 'state'" in outcome.err
+    assert "canopen drive 3 state" in outcome.err
+    assert run("drive", "3", "dance", *DEMO).status == ExitCode.USAGE
+    assert run("drive", "200", "state", *DEMO).status == ExitCode.USAGE
+    assert run("drive", "99", "state", *DEMO).status == ExitCode.NO_ANSWER
