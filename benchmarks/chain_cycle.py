@@ -4,10 +4,11 @@
     python benchmarks/chain_cycle.py --profile  # 6 joints at 1 ms: where the time goes
 
 The user's loop is the one of the README: `async for cycle in arm.cycles(): arm.set_positions(...)`. First simulated joints of the
-manual's arm are there (powerballs), which the chain brings up and follows for some cycles; then a recording takes their place: at
-each SYNC every joint "sends" its last TPDO once more, and an SDO request is answered as it was before. So the CPU time of the
-process is that of the master, its pump and trio; the drives cost next to nothing, and the clock jumps (trio's MockClock), so the
-machine's load does not count. A real transport adds its system calls: two for each frame.
+manual's arm are there (powerballs), which the chain brings up and follows for some cycles. Then they go, and a recording takes
+their place: at each SYNC every joint "sends" its last TPDO once more, and an SDO request is answered as it was before. So the CPU
+time of the process is that of the master, its pump and trio. The clock jumps (trio's MockClock), so the machine's load does not
+count. A real transport adds its system calls: two for each frame. On a real clock the wake at each SYNC is a timer's
+(canopen_master/alarm.py), which costs less than trio's own deadlines do here.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import math
 import platform
 import pstats
 import time
+from collections.abc import Iterable
 from contextlib import nullcontext
 
 import trio
@@ -42,9 +44,12 @@ class Recorder(VirtualTransport):
         self._answers: dict[tuple[int, bytes], Frame] = {}
         self._asked: dict[int, bytes] = {}
 
-    def replay(self, is_replaying: bool = True) -> None:
-        """From now on only the recording answers, or the devices again."""
-        self._is_replaying = is_replaying
+    def replay(self) -> None:
+        """From now on only the recording answers."""
+        self._is_replaying = True
+
+    def push_to(self, receiver: object) -> None:
+        """Do nothing: drives in another process cannot push, their frames come by `receive_many`."""
 
     def send_nowait(self, frame: Frame) -> bool:
         """To the devices, or to the recording."""
@@ -58,15 +63,16 @@ class Recorder(VirtualTransport):
     def _answer(self, frame: Frame) -> None:
         """A SYNC brings the TPDOs, a request its answer."""
         if frame.can_id == SYNC:
-            for tpdo in self._tpdos.values():
-                self._bring(tpdo)
+            self._bring(*self._tpdos.values())
         elif frame.can_id & 0x780 == SDO_CLIENT_TO_SERVER:
-            self._bring(self._answers[frame.can_id & 0x7F, frame.data])
+            answer = self._answers.get((frame.can_id & 0x7F, frame.data))
+            if answer is not None:  # else it is one of those that halt the joints in the end
+                self._bring(answer)
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
         """As the bus brings it, recorded while there are devices."""
         received = await super().receive_many(limit)
-        for item in received:
+        for item in () if self._is_replaying else received:
             assert isinstance(item, tuple)
             frame = item[0]
             service, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
@@ -76,8 +82,10 @@ class Recorder(VirtualTransport):
                 self._answers[node_id, self._asked[node_id]] = frame
         return received
 
-    def _bring(self, frame: Frame) -> None:
-        self._queue.put((frame, round(trio.current_time() * SECOND)))
+    def _bring(self, *frames: Frame) -> None:
+        now = round(trio.current_time() * SECOND)
+        for frame in frames:
+            self._queue.put((frame, now))
         self._queue.wake()
 
 
@@ -90,11 +98,20 @@ async def _follow(arm: Chain, start: list[float], cycles: int) -> None:
             return
 
 
+async def _serve(
+    scope: trio.CancelScope, node_ids: Iterable[int], task_status: trio.TaskStatus[object] = trio.TASK_STATUS_IGNORED
+) -> None:
+    """Simulate the joints until `scope` is cancelled."""
+    with scope:
+        await simulate(VirtualTransport("arm"), powerballs(*node_ids), task_status=task_status)
+
+
 async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfile.Profile | None) -> float:
     """ns of CPU time that one cycle takes."""
     node_ids = range(3, 3 + joints)
+    drives = trio.CancelScope()
     async with trio.open_nursery() as nursery:
-        await nursery.start(simulate, VirtualTransport("arm"), powerballs(*node_ids))
+        await nursery.start(_serve, drives, node_ids)
         bus = Recorder("arm")
         async with open_master(bus, grip=None) as master:
             text = "arm " + " ".join(f"joint{node_id} arm {node_id}" for node_id in node_ids)
@@ -104,6 +121,7 @@ async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfil
             start = arm.positions
             await _follow(arm, start, round(WARM_UP / cycle_time))
             bus.replay()
+            drives.cancel()
             sent, missed = arm.sync_cycles, arm.missed_cycles
             gc.collect()
             gc.disable()
@@ -115,8 +133,6 @@ async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfil
             assert arm.sync_cycles - sent >= cycles, "fewer SYNCs than cycles"
             assert arm.missed_cycles == missed, "a cycle was missed"
             result = taken / (arm.sync_cycles - sent)
-            bus.replay(False)  # the joints are halted in earnest
-        nursery.cancel_scope.cancel()
     return result
 
 
