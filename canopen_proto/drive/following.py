@@ -60,9 +60,7 @@ from canopen_proto.procedures.steps import (
     current_time,
     sleep,
 )
-from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoUploaded
-from canopen_proto.sync import SyncReceived, SyncSent
 
 LAG: Final = 2
 """SYNCs from sending a set-point to reaching it: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
@@ -98,6 +96,12 @@ class FollowingLost(Event):
         self.is_silent = is_silent
 
 
+class TurnToRead(Event):
+    """It is this drive's turn to have an object read: see `Following.await_turn`."""
+
+    __slots__ = ()
+
+
 class Following:
     """The watch on one drive; see this module's text. Each Axis has one, for its whole life.
 
@@ -120,6 +124,8 @@ class Following:
         "_pdo",
         "_points",
         "_silent_syncs",
+        "_syncs_to_turn",
+        "_turn_not_before",
         "_unanswered",
         "_was_limited",
         "error",
@@ -144,6 +150,8 @@ class Following:
         self._old_bits = 0
         self._flawless: int | None = None  # a statusword in which nothing was found
         self._was_limited = False
+        self._syncs_to_turn = 0  # 0: no turn is awaited
+        self._turn_not_before: Time = 0
         self.error = 0.0
         self.largest_error = 0.0
         self.unsent: set[Mux] = set()
@@ -203,6 +211,13 @@ class Following:
             self._is_on = False
             node = self._axis.node
             node.out.events.append(FollowingLost(node.node_id, cause, is_silent))
+
+    def await_turn(self, syncs: int, not_before: Time) -> None:
+        """Report TurnToRead once: at the SYNC after `syncs` - 1 others, or at the first later one that comes `not_before` (ns).
+
+        It is counted here, where each SYNC comes anyway, so that no procedure is asked about each SYNC.
+        """
+        self._syncs_to_turn, self._turn_not_before = syncs, not_before
 
     # ---- values that come ----
 
@@ -281,6 +296,11 @@ class Following:
         else:
             self._judge_silence(now)
         self._points.append(self._axis.set_point_counts)  # this SYNC takes it along
+        if self._syncs_to_turn > 1:
+            self._syncs_to_turn -= 1
+        elif self._syncs_to_turn and now >= self._turn_not_before:
+            self._syncs_to_turn = 0
+            self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id))
 
     def _judge_silence(self, now: Time) -> None:
         """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
@@ -299,7 +319,7 @@ class Following:
             self._unanswered[mux] = unanswered + 1, first
 
 
-_SYNCS: Final = (SyncSent, SyncReceived)
+_TURN: Final = (TurnToRead,)
 _ANSWERS: Final = (SdoUploaded, SdoAborted)
 READ_INTERVAL: Final = 5 * MILLISECOND
 """The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
@@ -345,28 +365,15 @@ def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
 
 
 def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
-    wait = _Turn(drive.axis.node, turn, (yield from current_time()))
+    node = drive.axis.node
+    not_before = yield from current_time()
     while drive.unsent:
         for mux in sorted(drive.unsent):
-            yield Wait(None, wait.node, wait.is_over, _SYNCS)
-            wait = _Turn(wait.node, turns, (yield from current_time()) + turns * READ_INTERVAL)
+            drive.await_turn(turn, not_before)
+            yield Wait(None, node, lambda report: report.node_id == node.node_id, _TURN)
+            turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
             if mux in drive.unsent:  # else its first PDO has come meanwhile
                 yield from _read(drive, mux)
-
-
-class _Turn:
-    """Counts SYNCs until it is a drive's turn, in ns `not_before` at the earliest: the drive's procedure sleeps until then."""
-
-    __slots__ = ("left", "node", "not_before")
-
-    def __init__(self, node: RemoteNode, left: int, not_before: Time) -> None:
-        self.node = node
-        self.left = left
-        self.not_before = not_before
-
-    def is_over(self, sync: Event) -> bool:
-        self.left -= 1
-        return self.left <= 0 and self.node.last_sync is not None and self.node.last_sync >= self.not_before
 
 
 def _read(drive: Following, mux: Mux) -> Procedure[None]:
