@@ -261,8 +261,9 @@ class Network:
         self._settled = len(kept)
 
     def _on_sync(self, sync: SyncSent | SyncReceived, now: Time) -> None:
+        counter, heard = sync.counter, isinstance(sync, SyncReceived)
         for follower in self._followers.values():
-            follower.on_sync(sync.counter, now, heard=isinstance(sync, SyncReceived))
+            follower.on_sync(counter, now, heard=heard)
 
     def _on_nmt_command(self, sent: NmtCommandSent, now: Time) -> None:
         for follower in self._followers.values():

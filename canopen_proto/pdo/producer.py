@@ -262,7 +262,7 @@ class PdoProducer(Machine):
         self._syncs += 1
         if self._syncs >= self.transmission_type:
             self._syncs = 0
-            self._send_due(now)
+            self._try_to_emit(self.key, now)
 
     def handle_timeout(self, now: Time) -> None:
         """Send the PDO if a trigger waits and the inhibit time is over, or if the event time has passed. Event: PdoNotSent."""
@@ -286,7 +286,7 @@ class PdoProducer(Machine):
         self.out.frames.append(frame_for_key(key, self.mapping.pack_from(self.store)))
         self.sent_at = now
         self._triggered = False
-        if self.is_event_driven:
+        if self.transmission_type >= FIRST_EVENT_DRIVEN:
             self._inhibited_until = now + self.inhibit_time
             self._event_due = now + self.event_time if self.event_time else NEVER
             self._arm(self._event_due)
