@@ -104,9 +104,6 @@ END_FRAME: Final = struct.Struct("<BH5x")
 INITIATE_BY_RECEIVER: Final = struct.Struct("<BHBB3x")
 """Command, index, subindex, block size."""
 
-HEADS: Final = tuple(bytes((sequence,)) for sequence in range(128))
-"""The first byte of a segment that is not the final one, by its number."""
-
 
 def silence_limit(timeout: Time) -> Time:
     """Return the longest pause that a side with this time-out survives inside a block transfer, in ns."""

@@ -30,12 +30,12 @@ from canopen_proto.sdo.block import (
     END_FRAME,
     END_RESPONSE,
     FINAL,
-    HEADS,
     KIND,
     MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
 )
+from canopen_proto.sdo.codec import HEADS
 from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, OVER, SEGMENTS, SENT, Buffer, ChannelEnd, Transfer
 
 
@@ -127,16 +127,18 @@ class BlockSender(Transfer):
     def _transmit(self, now: Time) -> None:
         """Send segments of the sub-block, as many as go out in one turn."""
         end = self.end
-        content, can_id, flags, frames = self._content, end.can_id, end.flags, end.out.frames
+        can_id, flags, frames = end.can_id, end.flags, end.out.frames
         sent, count = self._sent, self._count
         goal = min(sent + end.max_burst, count)
         ends_all = self._is_final and goal == count
-        offset = self._base + sent * SEGMENT_SIZE
+        begin = self._base + sent * SEGMENT_SIZE
+        burst = bytes(self._content[begin : begin + (goal - sent) * SEGMENT_SIZE])
+        offset = 0
         for sequence in range(sent + 1, goal if ends_all else goal + 1):
-            frames.append(Frame(can_id, HEADS[sequence] + content[offset : offset + 7], flags, 8))
+            frames.append(Frame(can_id, HEADS[sequence] + burst[offset : offset + 7], flags, 8))
             offset += 7
         if ends_all:
-            payload = bytes((FINAL | goal,)) + content[offset : offset + 7] + bytes(self._unused)
+            payload = bytes((FINAL | goal,)) + burst[offset:] + bytes(self._unused)
             frames.append(Frame(can_id, payload, flags, 8))
         self._sent = goal
         if goal < count:

@@ -53,8 +53,8 @@ LAST: Final = 0x01
 EXPEDITED_BIT: Final = 0x02
 SIZE_BIT: Final = 0x01
 
-SEGMENT_HEADS: Final = {DOWNLOAD_SEGMENT: b"\x00", DOWNLOAD_SEGMENT | TOGGLE: b"\x10"}
-"""The command byte of a full segment that is not the last, by its toggle. (Both directions have the same.)"""
+HEADS: Final = tuple(bytes((command,)) for command in range(128))
+"""The first byte of a segment as bytes: its command byte, or in a block transfer its number."""
 
 NO_MULTIPLEXER: Final = bytes(3)
 """The object in an abort of a server that has no transfer under way."""
@@ -65,13 +65,13 @@ EXPEDITED_BITS: Final = tuple((MAX_EXPEDITED - size) << 2 | EXPEDITED_BIT | SIZE
 """By size, 1..4 bytes: the bits n, e and s of an expedited transfer. (No bytes at all have no expedited form.)"""
 
 
-def segment(toggle: int, content: bytes | bytearray, offset: int) -> bytes:
+def segment(toggle: int, content: bytes, offset: int) -> bytes:
     """Make the segment of `content` from `offset` on, with the last-bit if the content ends with it. CiA 301, 7.2.4.3.4, .7"""
     end = offset + 7
     unused = end - len(content)
     if unused < 0:
-        return SEGMENT_HEADS[toggle] + content[offset:end]
-    return bytes((toggle | unused << 1 | LAST,)) + content[offset:end] + bytes(unused)
+        return HEADS[toggle] + content[offset:end]
+    return HEADS[toggle | unused << 1 | LAST] + content[offset:end] + bytes(unused)
 
 
 def _least_length(command: int, expedited_specifier: int, bare_specifier: int) -> int:

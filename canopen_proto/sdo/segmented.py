@@ -61,11 +61,13 @@ class SegmentReceiver(SegmentedTransfer):
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
         if self.state is not SEGMENTS:
             return self._on_answer(command, data, now)
-        if command & ~0x0F != self.due:
+        due = self.due
+        if command & ~0x0F != due:
             return False
         end = self.end
+        reply = end.replies[due >> 4 & 1]
         buffer = self._buffer
-        buffer += data[1:] if command == self.due else data[1 : 8 - (command >> 1 & 7)]
+        buffer += data[1:] if command == due else data[1 : 8 - (command >> 1 & 7)]
         size = len(buffer)
         if size > self._limit:
             self.abort(AbortCode.OUT_OF_MEMORY if self._announced == UNKNOWN_SIZE else AbortCode.LENGTH_TOO_HIGH)
@@ -74,16 +76,16 @@ class SegmentReceiver(SegmentedTransfer):
                 self.abort(AbortCode.LENGTH_TOO_LOW)
             else:
                 end.last = data
-                self._complete(bytes(buffer), end.replies[command & TOGGLE], now)
+                self._complete(bytes(buffer), reply, now)
         elif command & 0x0E == 0x0E:  # no data and yet not the last: without this a transfer might never end
             self.abort(AbortCode.INVALID_COMMAND)
         else:
             end.last = data
-            self.due ^= TOGGLE
+            self.due = due ^ TOGGLE
             if size >= self._piece_size:
-                self._hand_over(bytes(buffer), end.replies[command & TOGGLE], now)
+                self._hand_over(bytes(buffer), reply, now)
             else:
-                end.out.frames.append(end.replies[command & TOGGLE])
+                end.out.frames.append(reply)
                 self.deadline = now + end.timeout
         return True
 

@@ -68,7 +68,7 @@ class Upload(SegmentReceiver):
         if size > self._most:
             self.abort(AbortCode.OUT_OF_MEMORY)
         else:
-            self._start(UPLOAD_SEGMENT_RESPONSE, size, self._most, MAX_SIZE, end.replies[TOGGLE], now)
+            self._start(UPLOAD_SEGMENT_RESPONSE, size, self._most, MAX_SIZE, end.replies[1], now)
         return True
 
     def _complete(self, content: bytes, reply: Frame, now: Time) -> None:

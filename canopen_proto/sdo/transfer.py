@@ -81,8 +81,8 @@ class ChannelEnd(Machine):
     """One end of an SDO channel; see this module's text. Limits are in ns, segments and bytes, and may be changed at any time.
 
     channel: client to server, server to client; None if there is none. last: the last frame that was accepted from the other
-    side; empty once its second copy was seen. replies: by the toggle of a segment that came, what is sent for it: the request of
-    the next one, or the acknowledgement. All four are read-only outside.
+    side; empty once its second copy was seen. replies: by the toggle of a segment that came, 0 or 1, what is sent for it: the
+    request of the next one, or the acknowledgement. All four are read-only outside.
     """
 
     __slots__ = (
@@ -130,7 +130,8 @@ class ChannelEnd(Machine):
         self.can_id = can_id = sends & 0x1FFF_FFFF
         self.flags = flags = sends >> 29
         reply = DOWNLOAD_SEGMENT_RESPONSE if self._is_server else UPLOAD_SEGMENT | TOGGLE
-        self.replies = {toggle: Frame(can_id, bytes((reply ^ toggle,)).ljust(8, b"\x00"), flags) for toggle in (0, TOGGLE)}
+        payloads = (bytes((reply ^ toggle,)).ljust(8, b"\x00") for toggle in (0, TOGGLE))
+        self.replies: tuple[Frame, ...] = tuple(Frame(can_id, payload, flags) for payload in payloads)
 
 
 class Transfer:
