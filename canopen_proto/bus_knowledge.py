@@ -1,7 +1,5 @@
 """`BusKnowledge`: what was last heard from each node, so that an error can say what was seen, not only what was missing.
 
-Theory of operation
--------------------
 A request without an answer has many causes, and most of them can be heard: the node is stopped, it has just booted, another
 client talks to it, it answered too late, it has another node-ID, or there is nothing on the bus. `BusKnowledge` remembers the
 last frame of every 11-bit CAN-ID and its time, whether a machine wanted it or not. A frame costs two list stores; its meaning is
@@ -128,8 +126,6 @@ class BusKnowledge:
         self._unasked: dict[int, Seen] = {}
         self._late: dict[int, LateAnswer] = {}
 
-    # ---- reports of our SDO clients ----
-
     def on_given_up(self, node_id: int, index: int, subindex: int, now: Time) -> None:
         """Take note of a request that ended because no answer came in time."""
         self._given_up[node_id] = now, bytes((index & 0xFF, index >> 8, subindex))
@@ -151,8 +147,6 @@ class BusKnowledge:
         before = self.frames[frame.key]
         if before is None or before.data != frame.data or now - self.times[frame.key] > COPY_TIME:
             self._unasked[node_id] = Seen(now, frame)
-
-    # ---- queries ----
 
     @property
     def last_heard(self) -> Time | None:

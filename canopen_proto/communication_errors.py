@@ -1,7 +1,5 @@
 """The present communication errors of a device, each with the EMCY that reports it.
 
-Theory of operation
--------------------
 A communication error lasts until its cause is gone. Two causes are two errors even if they share a code. The additional
 information of an entry in 0x1003 tells them apart (`EmcyProducer`). The first vendor bytes of the frame say the same:
 

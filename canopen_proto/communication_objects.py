@@ -1,7 +1,5 @@
 """The communication objects of a device that have an effect, besides its PDOs', and the machines that they set.
 
-Theory of operation
--------------------
 Each index with an effect is a row: what may be written there (`check_write`), and what the machines do then (`_effects`). A
 dictionary without an index never comes to that row. Two objects are shown rather than held: 0x1001 and 0x1003 are the EMCY
 producer's own, and are copied into the values when they are read (`refresh`).
@@ -212,8 +210,6 @@ class CommunicationObjects(Owner):
         numbers = None if variable is None else range_of(variable.data_type)
         return numbers is not None and numbers[1] >= highest
 
-    # ---- as the owner of these objects ----
-
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         if index == indices.PREDEFINED_ERROR_FIELD:
             return None if value == 0 and subindex == 0 else AbortCode.INVALID_VALUE
@@ -246,8 +242,6 @@ class CommunicationObjects(Owner):
         if effect is not None:
             effect(now)
 
-    # ---- rules ----
-
     def _check_monitor(self, subindex: int, value: int) -> AbortCode | None:
         node_id, period = value >> 16 & 0xFF, value & 0xFFFF
         if not 1 <= node_id <= MAX_NODE_ID or period == 0:
@@ -262,8 +256,6 @@ class CommunicationObjects(Owner):
         described = self.values.dictionary.objects.get(index)
         subindices = [] if described is None else [subindex for subindex in described.variables if subindex]
         return {subindex: self._int(mux(index, subindex)) for subindex in subindices}
-
-    # ---- effects ----
 
     def _clear_history(self, now: Time) -> None:
         self.emcy.clear_history()

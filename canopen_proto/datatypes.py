@@ -1,7 +1,5 @@
 """The data types of CiA 301 and their Python values.
 
-Theory of operation
--------------------
 Every object of a dictionary has one of the static data types of CiA 301 v4.2.0, 7.1. (Table 44 has their codes, which are also
 the indices of the dummy entries of a PDO mapping.) On the wire all are little-endian; in Python they are
 

@@ -1,7 +1,5 @@
 """Emergency: a device reports an error, and its end (CiA 301 v4.2.0, 7.2.7).
 
-Theory of operation
--------------------
 An emergency frame has 8 bytes: error code (16 bits), the present error register 0x1001, and 5 bytes of the manufacturer. It is
 sent once per error event, and not again while the error lasts; CAN-ID 0x80 + node-ID (0x1014). error_codes.py has the meanings of
 codes and bits.

@@ -1,7 +1,5 @@
 """The numbers of an emergency in words: error codes and the error register (CiA 301 v4.2.0, 7.2.7.1 and 7.5.2.2; CiA 402-2).
 
-Theory of operation
--------------------
 An error code is read from left to right: the first digit is the class, and each further digit says more. `error_text` uses the
 longest prefix that is in the table. So a code that no standard names still gets its class: 0x8613 is read as 0x8600,
 "positioning controller", not as "unknown". The table has the codes of CiA 301 and those that CiA 402 adds for drives. 0xFFxx is

@@ -1,8 +1,6 @@
 """Node guarding and life guarding: the NMT master sends requests to each node, and each side notices when the other falls silent
 (CiA 301 v4.2.0, 7.2.8.3.2.1).
 
-Theory of operation
--------------------
 Once per guard time the master sends a remote frame on 0x700 + node-ID. The node answers on that CAN-ID with one byte: its NMT
 state in bits 0 to 6, and in bit 7 a toggle bit, 0 in the first answer and then changing each time. Both sides use the node life
 time, which is guard time * life time factor:

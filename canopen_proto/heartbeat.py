@@ -1,7 +1,5 @@
 """Heartbeat: a node says that it lives and in which NMT state; others notice when it stops (CiA 301 v4.2.0, 7.2.8.3.2.2).
 
-Theory of operation
--------------------
 The producer sends one byte, its NMT state, on 0x700 + node-ID once per producer heartbeat time (0x1017, 0: never). The same
 CAN-ID carries the boot-up frame, the one byte 0, which the producer's NmtSlave sends.
 

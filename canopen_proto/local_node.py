@@ -331,8 +331,6 @@ class LocalNode(Group):
         if not self.communication.guarding.lost:
             self._errors.life_guarding_back(now)
 
-    # ---- inputs ----
-
     def receive(self, frame: Frame, now: Time) -> None:
         if frame.flags & REMOTE:
             self._refresh(now)  # a TPDO may be asked for
@@ -347,8 +345,6 @@ class LocalNode(Group):
     def _refresh(self, now: Time) -> None:
         with self._settling(now):
             self.application.refresh(now)
-
-    # ---- reactions ----
 
     def _start(self, now: Time) -> None:
         self.nmt.boot(now)

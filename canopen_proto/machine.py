@@ -1,7 +1,5 @@
 """The contract of the core: `Machine`, `Event`, `Outbox`.
 
-Theory of operation
--------------------
 Every service of CANopen is a `Machine`: frames and time go in, frames and events come out, and nothing else happens. A machine
 
 - never reads a clock: every input carries `now`, nanoseconds on one monotonic clock that the driver chose;

@@ -129,8 +129,6 @@ class Network:
         else:
             self._knowledge.other = now
 
-    # ---- what was heard ----
-
     @property
     def last_heard(self) -> Time | None:
         """When the last frame of any node came; None on a bus that has been silent. Not O(1): for errors."""
@@ -166,8 +164,6 @@ class Network:
     def heard_nodes(self) -> tuple[int, ...]:
         """Return the node-IDs that were heard so far, in order."""
         return self._knowledge.nodes()
-
-    # ---- time, and what comes out ----
 
     def next_deadline(self) -> Time:
         """Return when to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) if nothing changed."""

@@ -1,7 +1,5 @@
 """Network management: a master commands the NMT states of nodes, which decide what a node may do (CiA 301 v4.2.0, 7.2.8, 7.3.2).
 
-Theory of operation
--------------------
 Every node is in one of four NMT states, and the state decides which services it has (`SERVICES`). One participant, the NMT
 master, commands the others by an unconfirmed frame of two bytes on CAN-ID 0: the command, and the node-ID that it is for (0: all
 nodes). The node does not answer. Its heartbeat shows the new state (heartbeat.py). Its boot-up frame, 0x700 + node-ID with the

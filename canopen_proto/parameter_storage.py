@@ -1,7 +1,5 @@
 """Store and restore parameters: 0x1010, 0x1011, and the values of a device at power-on (CiA 301 v4.2.0, 7.5.2.13, .14).
 
-Theory of operation
--------------------
 A client writes "save" to a subindex of 0x1010: the parameters of that group keep their present values after the next power-on. Or
 it writes "load" to 0x1011: they have their defaults again after the next reset. Another signature is refused with 0x08000020, so
 that nothing is stored by accident. A read shows what the device can do: bit 0, on command (bit 1 of 0x1010: by itself). The
@@ -88,8 +86,6 @@ class ParameterStorage(Owner):
         self._configured = [each for each in values.dictionary if each.configured is not None and self._is_parameter(each)]
         self.saved: dict[Mux, Value] = {variable.mux: values.store[variable.mux] for variable in self._configured}
 
-    # ---- for the host ----
-
     def load(self, kept: Mapping[Mux, bytes]) -> list[Mux]:
         """Load the values that the host kept (mux -> bytes, of `to_keep`), before the node boots: the node has them from now on.
 
@@ -119,8 +115,6 @@ class ParameterStorage(Owner):
         none."""
         after = self._after.get((index, subindex), self.saved)
         return {variable.mux: variable.encode(value) for variable, value in self._with_variables(after)}
-
-    # ---- for the node ----
 
     def capability(self, index: int, subindex: int) -> int | None:
         """Return the value that a client reads; None if it is not a subindex of 0x1010 or 0x1011 for a group.
@@ -176,8 +170,6 @@ class ParameterStorage(Owner):
             if variable.index in indices and variable.mux not in self.saved:
                 self._values.put_default(variable)
         self._values.store.update({key: value for key, value in self.saved.items() if index_of(key) in indices})
-
-    # ---- inside ----
 
     def _is_parameter(self, variable: Variable) -> bool:
         both_ways = variable.access.readable and variable.access.writable

@@ -422,8 +422,6 @@ class RemoteNode(Group):
         self._commanded_at = now
         self._enter(target_of(command), now)
 
-    # ---- reactions ----
-
     def _enter(self, state: NmtState, now: Time) -> None:
         self.nmt_state = state
         for number in self._wanted:

@@ -1,7 +1,5 @@
 """SYNC: the signal at which synchronous PDOs are sent and taken (CiA 301 v4.2.0, 7.2.5).
 
-Theory of operation
--------------------
 The producer sends a frame without data on CAN-ID 0x80 (0x1005), once per communication cycle period (0x1006) or by `send`. With a
 synchronous counter overflow value (0x1019) of 2 to 240 the frame has one byte, a counter that runs 1, 2 ... overflow, 1 ..., so
 that nodes can send their PDOs in different cycles. 0 means no counter; 1 and 241 to 255 are reserved, and refused.

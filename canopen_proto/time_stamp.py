@@ -1,7 +1,5 @@
 """TIME: one node sends the time of day to the others (CiA 301 v4.2.0, 7.2.6).
 
-Theory of operation
--------------------
 The producer sends one frame of six bytes on CAN-ID 0x100 (0x1012): a TIME_OF_DAY, which is 28 bits of milliseconds since
 midnight, 4 unused bits, and 16 bits of days since 1984-01-01. There is no answer. Day 65535 is in June of 2163.
 

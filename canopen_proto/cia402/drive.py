@@ -1,7 +1,5 @@
 """`Drive`: a simulated CiA 402 drive, the device's side of the profile. It works on the `Values` of the node that hosts it.
 
-Theory of operation
--------------------
 The drive is the application of a `LocalNode`. The node stores an object (written by SDO or PDO alike), then calls `written`. The
 drive answers by writing its own objects into the same store: statusword, actual values, mode display. It reports faults by the
 events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.

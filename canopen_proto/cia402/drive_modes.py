@@ -1,7 +1,5 @@
 """The modes of operation of the simulated drive: profile position and the velocity modes.
 
-Theory of operation
--------------------
 While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
 object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and gives the mode bits of
 the statusword. Homing has a file of its own (homing_run.py), and so have ip and csp (synchronous_modes.py).

@@ -1,7 +1,5 @@
 """Homing in the simulated drive: the methods as a table of searches along the track.
 
-Theory of operation
--------------------
 A homing method is a short list of `Seek`s: go in this direction, fast or slowly, until that switch changes. A seek whose switch
 is already as wanted is skipped. The edge of the last seek is the home position. The end of a seek on the track is known when it
 begins, and the drive latches the edge as the encoder hardware of real drives does: neither the step of the simulation nor the

@@ -1,7 +1,5 @@
 """CiA 402 modes of operation: their numbers, and the meaning of the mode bits of controlword and statusword in each.
 
-Theory of operation
--------------------
 The master requests a mode in 6060h, the drive shows the active one in 6061h, and 6502h says which modes it has: bit 0 for mode 1,
 and so on. Positive numbers are the standard's, negative ones the manufacturer's. Unknown numbers are allowed: every function here
 takes an int, and none raises. Bits 4, 5, 6 and 9 of the controlword and 10, 12 and 13 of the statusword change their meaning with

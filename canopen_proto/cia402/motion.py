@@ -1,7 +1,5 @@
 """Motion in closed form: trapezoidal profiles and stop ramps that are planned once and can be evaluated at any time.
 
-Theory of operation
--------------------
 A `Profile` is a row of pieces of constant acceleration. Its last piece (rest, or constant speed) holds for ever. `move`, `stop`,
 `run`, `line` and `hold` plan a profile from any position *and any velocity*; so a running motion is changed by a new plan from
 its present position. There are no simulation steps: `at(now)` computes the position directly from a few numbers, however old the

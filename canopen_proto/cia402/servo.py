@@ -1,7 +1,5 @@
 """The mechanics of the simulated drive: a track with switches, and a servo that moves along it.
 
-Theory of operation
--------------------
 A `Servo` has a demand (a `motion.Profile`) and an actual position that follows it with a first-order lag. Both are closed forms,
 so there are no steps: `advance(now)` is exact, however much time has passed. A blocked axis stays where it is while its demand
 moves on; this makes a following error.
@@ -172,8 +170,6 @@ class Servo:
         self._lag = settings.lag / SECOND
         self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
 
-    # ---- the dictionary's numbers ----
-
     def parameter(self, key: Mux) -> int:
         """Return an object's present value, or its fallback."""
         value = self.store.get(key)
@@ -203,8 +199,6 @@ class Servo:
         """Return 60C2h in seconds."""
         index = max(-9, min(9, self.parameter(objects.INTERPOLATION_TIME_INDEX)))
         return max(_MIN_PERIOD, self.parameter(objects.INTERPOLATION_TIME_UNITS) * 10.0**index)
-
-    # ---- time ----
 
     def advance(self, now: Time) -> None:
         """Move on to `now`. A time before the last one counts as the last one."""
@@ -247,8 +241,6 @@ class Servo:
         if not self.is_powered:
             return 0
         return round(max(-_RATED_TORQUE, min(_RATED_TORQUE, self.settings.load + _STIFFNESS * self.following_error)))
-
-    # ---- planning ----
 
     def move_to(self, target: float, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
         """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target."""

@@ -1,7 +1,5 @@
 """CiA 402 device control: states, commands and transitions as tables, for the drive's side and the master's.
 
-Theory of operation
--------------------
 A drive is in one of eight states and shows it in the low bits of its statusword (6041h). It changes state because the master
 commands it (bits 7, 3, 2, 1, 0 of the controlword, 6040h) or because something happened inside. Both kinds of transition are in
 one dict, `TRANSITIONS`: the drive (`drive.py`) executes it, the master finds the way to a state by `next_command`, and the tests

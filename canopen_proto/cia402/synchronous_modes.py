@@ -1,7 +1,5 @@
 """The simulated drive's modes that take a set-point at each SYNC: interpolated position (ip), cyclic synchronous position (csp).
 
-Theory of operation
--------------------
 ip: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. 60C4h sets the buffer. Disabled
 (60C4h:06 = 0, the default), it keeps only the latest set-point. Enabled, it is a FIFO of 60C4h:01 records; if it is full, a new
 set-point is lost (in a ring, the oldest) and reported. **Underrun**: a SYNC finds no set-point while the axis moves. The axis

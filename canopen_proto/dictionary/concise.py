@@ -1,7 +1,5 @@
 """Concise DCF: the settings of one device as plain bytes (CiA 302-3, object 0x1F22).
 
-Theory of operation
--------------------
 A configuration manager (the NMT master, at boot-up) keeps for each node what it downloads to it: subindex n of 0x1F22 is the
 concise DCF of node n, a DOMAIN. Little-endian:
 

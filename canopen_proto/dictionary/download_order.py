@@ -1,7 +1,5 @@
 """The order in which a tool writes a device's settings, and the objects that it never writes.
 
-Theory of operation
--------------------
 A configuration tool downloads the settings of a DCF, a backup or a concise DCF (CiA 302-3) into a device that is pre-operational.
 The order matters: some objects may change only while a service does not exist, and a service must not run on half a setting.
 `download_order` gives the writes, in four parts:

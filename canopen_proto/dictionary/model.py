@@ -1,7 +1,5 @@
 """The object dictionary as a description: the objects of a device, their names and their types.
 
-Theory of operation
--------------------
 An `Object` stands at an index (16 bits) and has one `Variable` per subindex (8 bits); CiA 301 v4.2.0, 7.4. SDO and PDO transfer
 variables. A variable has names (aliases): "statusword" or, for a field of a record, "record:field". Names and numbers are equally
 good keys; see `Key`. Files of CiA 306 and CiA 311 give a field only its own name ("COB-ID"), which many records have. Such a
@@ -190,8 +188,6 @@ class ObjectDictionary:
         self._names = _Names([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
         return self._names
 
-    # ---- objects ----
-
     def get(self, index: int, subindex: int = 0) -> Variable | None:
         """Return the variable at index 0..0xFFFF, subindex 0..0xFF, or None. One dict look-up."""
         return self._by_mux.get(mux(index, subindex))
@@ -265,8 +261,6 @@ class ObjectDictionary:
     def _of_source(self) -> str:
         return f" ({self.source})" if self.source else ""
 
-    # ---- constants ----
-
     def constants_of(self, key: Key) -> tuple[Constant, ...]:
         """Return the constants of an object, in the order of the file."""
         return self._constants.get(self.variable(key).mux, ())
@@ -312,8 +306,6 @@ class ObjectDictionary:
         holds_text = variable.data_type in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
         return value if holds_text else self.constant_value(variable, value)
 
-    # ---- PDOs and messages ----
-
     @property
     def fillers(self) -> Mapping[str, Filler]:
         """The fillers that PDO descriptions may name."""
@@ -331,8 +323,6 @@ class ObjectDictionary:
         """Return a Message for a transferred value. timestamp: as in Message."""
         variable = self.variable(key)
         return Message(node_id, variable.name, value, self.names_of(variable, value), timestamp)
-
-    # ---- new dictionaries out of this one ----
 
     def with_objects(self, objects: Iterable[Object], source: str | None = None) -> ObjectDictionary:
         """Return this dictionary with more objects. A new object replaces the one that has its index."""

@@ -1,7 +1,5 @@
 """What a dictionary is made of: an `Object` at each index, a `Variable` at each of its subindices.
 
-Theory of operation
--------------------
 A variable is what SDO and PDO transfer. It has a place, a name, a type, access rights and an initial value. The first fields are
 those of CiA 301 (v4.2.0, 7.4). The last ones come from an EDS or DCF (CiA 306-1); only configuration tools use them. Neither
 class changes once made.

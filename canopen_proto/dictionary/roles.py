@@ -1,7 +1,5 @@
 """The role of each object in a backup: a restore writes settings and leaves the rest alone.
 
-Theory of operation
--------------------
 A configuration tool saves all that it can read, and writes back the settings (CiA 302-3: the download of a device's
 configuration). download_order.py leaves out most other objects: read-only ones, commands, histories. Process data remain:
 set-points and outputs. A restore must not write them, because that would switch outputs or move a drive.

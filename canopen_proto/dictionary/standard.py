@@ -1,7 +1,5 @@
 """The objects that the standards define: communication objects of CiA 301 and drive objects of CiA 402.
 
-Theory of operation
--------------------
 Two tables give each object its name, type and access. They are text because they are read more often than changed. Their users:
 
 - code that builds a device, such as the simulated drive, calls `standard_object` and `standard_variable`;

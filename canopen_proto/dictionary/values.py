@@ -1,7 +1,5 @@
 """The values of one device's objects.
 
-Theory of operation
--------------------
 An `ObjectDictionary` describes and never changes; `Values` is one device's memory for it. SDO and PDO read and write the same
 `Values`: a device's dictionary and its PDOs are one memory. It holds Python values, not bytes: a received PDO is unpacked once
 and read often.

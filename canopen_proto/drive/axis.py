@@ -1,7 +1,5 @@
 """`Axis`: the master's side of one CiA 402 drive. It holds what is known of the drive, and the one image of its controlword.
 
-Theory of operation
--------------------
 An Axis stands on a `RemoteNode` and adds meaning to its values: state, mode, position in the user's unit. Its sequences (enable,
 homing, interpolation) are procedures, in `canopen_proto.drive`.
 
@@ -211,8 +209,6 @@ class Axis:
         self.has_scale = settings.counts_per_unit is not None
         self._scale = 1.0 if settings.counts_per_unit is None else settings.counts_per_unit
 
-    # ---- what is known of the drive ----
-
     @property
     def statusword(self) -> int:
         """0x6041 as last heard; 0 if it never was: `state` is UNKNOWN then."""
@@ -301,8 +297,6 @@ class Axis:
             parts.append(f"last EMCY 0x{last_emcy.code:04X} {last_emcy.text}")
         return "; ".join(parts)
 
-    # ---- the kind of drive ----
-
     def identify(self, vendor_id: int | None) -> None:
         """Fill in open settings (None) by the drive's vendor-ID (None: it has none). Later calls change nothing."""
         if not self.is_identified:
@@ -313,8 +307,6 @@ class Axis:
         if wanted not in (self.settings, self._given):
             difference = self.settings.difference(wanted)
             raise LocalProtocolError(f"drive {self.node.node_id} is in use with other settings: {difference}")
-
-    # ---- units and set-points ----
 
     def to_counts(self, position: float) -> int:
         """Convert a position in the user's unit to counts on the wire."""

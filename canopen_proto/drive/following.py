@@ -1,7 +1,5 @@
 """`Following`: the master's watch on whether one drive follows its set-points, by what the drive sends each cycle.
 
-Theory of operation
--------------------
 A drive that stops following shows that in its next PDO, or sends none: the master has no other sign. `begin` starts the watch,
 `end` ends it. In between, each value that comes, by PDO or SDO, is judged at once, and each SYNC judges what did not come:
 
@@ -219,8 +217,6 @@ class Following:
         """
         self._syncs_to_turn, self._turn_not_before = syncs, not_before
 
-    # ---- values that come ----
-
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if not self._is_on:
             return
@@ -281,8 +277,6 @@ class Following:
 
     def _on_boot(self) -> None:
         self.lose("was reset, or lost its power")
-
-    # ---- values that do not come ----
 
     def _on_sync(self, now: Time) -> None:
         if not self._is_on:

@@ -1,7 +1,5 @@
 """Home a drive: by the standard's homing mode, or as Schunk's joints do.
 
-Theory of operation
--------------------
 A homing begins with the rising edge of bit 4. The drive may show the edge late: for up to `reaction_time` it may still show the
 end of the homing before, and be about to move. So a bit that shows an end counts for this homing once it was seen 0 after the
 edge. A bit that was always 1 since then counts once the drive has shown that end, and so stands, for `reaction_time` without a

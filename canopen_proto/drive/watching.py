@@ -1,7 +1,5 @@
 """Wait for a drive: one kind of wait for all procedures, which ends as soon as its goal is reached or out of reach.
 
-Theory of operation
--------------------
 A `Watch` looks at the statusword, and at the other objects it was given, whenever a value comes. A value comes by TPDO, which
 serves for 100 ms, else by SDO, 10 ms after the last answer. The reads run beside the wait: a TPDO, a lost heartbeat or a boot-up
 ends it while an answer is still awaited. Values heard before the wait began do not count.

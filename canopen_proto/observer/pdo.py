@@ -1,7 +1,5 @@
 """Find out, by listening only, which PDO a frame is, and what its bytes mean.
 
-Theory of operation
--------------------
 Three sources say which settings a device's PDOs have, the surer one first:
 
 1. the recording: PDO parameters (0x1400 to 0x1BFF) that were written to the device, or read from it. A boot-up ends that: the

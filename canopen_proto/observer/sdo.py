@@ -127,8 +127,6 @@ class OverheardChannel:
             return f"read {self._object}: in blocks{self._announced(frame, 0x02)}"
         return self._segment(frame) if self._is_upload else _lone(data)
 
-    # ---- expedited and segmented ----
-
     def _initiate(self, frame: bytes, *, is_upload: bool) -> str:
         if not is_upload or not self._is_this(frame):
             self._begin(frame, is_upload=is_upload)
@@ -148,8 +146,6 @@ class OverheardChannel:
         if not self._object:
             return "a segment is confirmed"
         return self._written() if self._is_whole else f"write {self._object}: segment confirmed"
-
-    # ---- blocks ----
 
     def _block_upload_request(self, frame: bytes) -> str:
         kind = frame[0] & 0x03
@@ -210,8 +206,6 @@ class OverheardChannel:
         if unused and self._length < MAX_KEPT:
             del self._data[-unused:]
         return self._value()
-
-    # ---- the transfer, as known so far ----
 
     def _begin(self, frame: bytes, *, is_upload: bool) -> None:
         self._end()

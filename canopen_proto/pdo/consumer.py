@@ -1,7 +1,5 @@
 """The receiving side of one PDO: a device's RPDO, or the master's view of a device's TPDO.
 
-Theory of operation
--------------------
 A PDO is one unconfirmed frame (CiA 301 v4.2.0, 7.2.2). The consumer puts its values into a store, which in a device is the memory
 of its dictionary, and reports `PdoReceived`. The transmission type says when:
 

@@ -1,7 +1,5 @@
 """The mapping of a PDO: its bits as objects, lowest bits first.
 
-Theory of operation
--------------------
 A PDO has no header. Both sides know from the PDO mapping parameter (0x1600.., 0x1A00..) which objects its up to 64 bits carry.
 Each entry names an object and a length in bits. Entries follow one another without gaps, from the lowest bit of the first byte on
 (CiA 301 v4.2.0, 7.4.7.1 and 7.1.4). So the whole PDO is one little-endian integer, and an entry is `integer >> offset & mask`, at
@@ -234,8 +232,6 @@ class Mapping:
             raise LocalProtocolError(f"this PDO maps subindex {subindices} of 0x{index:04X}: name one, as (0x{index:04X}, 1)")
         return self._of_mux(mux(index, mapped.pop()))
 
-    # ---- bytes -> values ----
-
     def unpack(self, data: bytes) -> tuple[Value, ...]:
         """Return the values of the components. Bytes after the mapped ones are ignored.
 
@@ -256,8 +252,6 @@ class Mapping:
             store[each] = values[position]
             position += 1  # noqa: SIM113
         return values
-
-    # ---- values -> bytes ----
 
     def pack(self, values: Sequence[Value]) -> bytes:
         """Return the PDO's bytes; dummies and unused bits are 0. values: of the components, in order.

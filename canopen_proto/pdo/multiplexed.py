@@ -1,7 +1,5 @@
 """Multiplexed PDOs: one CAN-ID carries many objects, and each frame names its object (CiA 301 v4.2.0, 7.2.3).
 
-Theory of operation
--------------------
 An MPDO always has eight bytes: a node-ID with the address mode in bit 7, an object's index and subindex, and up to four bytes of
 its value. Sub 0 of the mapping parameter of an MPDO is not a number of entries, but one of two modes:
 

@@ -1,7 +1,5 @@
 """The PDOs of a device: made from its dictionary, and changed by writes to their parameters.
 
-Theory of operation
--------------------
 A device has an RPDO for each record at 0x1400..0x15FF, and a TPDO for each at 0x1800..0x19FF; the mapping is 0x200 above.
 `DevicePdos` makes a consumer or a producer for each record, and one machine for the multiplexed PDOs of each direction. A later
 write changes a machine and never replaces it: the owner attaches `machines` once.
@@ -161,8 +159,6 @@ class DevicePdos(Owner):
         self._set_window()
         self._sort()
 
-    # ---- as the owner of these objects ----
-
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Return the abort code that refuses a write, or None. value: checked for type and limits. See `PdoRules`."""
         return self._rules.check_write(index, subindex, value)
@@ -179,8 +175,6 @@ class DevicePdos(Owner):
             self.mpdo_producer.reload_lists()
         elif index in DISPATCHER_LISTS:
             self.mpdo_consumer.reload_lists()
-
-    # ---- effects ----
 
     def _configure(self, direction: Direction, number: int, now: Time) -> None:
         """Give one machine the parameters that are in the dictionary."""

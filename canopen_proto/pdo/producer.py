@@ -1,7 +1,5 @@
 """The sending side of one PDO: a device's TPDO, or the master's RPDO for a device.
 
-Theory of operation
--------------------
 A PDO takes its values from a store (in a device, the memory of its dictionary) when it is sent. The transmission type says when
 that is (CiA 301 v4.2.0, 7.5.2.37):
 

@@ -1,7 +1,5 @@
 """The rules for writes to the PDO parameters of a device (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.40).
 
-Theory of operation
--------------------
 `PdoRules.check_write` is called before a value is stored. It changes nothing, and returns None or the abort code with which the
 device refuses. Type and limits of the value have been checked before.
 
@@ -95,8 +93,6 @@ class PdoRules:
                 return AbortCode.DEVICE_STATE
         return None
 
-    # ---- communication parameter ----
-
     def _at(self, place: PdoPlace, subindex: int, default: int = 0) -> int:
         """Return a field of the communication parameter."""
         return number_at(self._values.store, mux(communication_index(place.direction, place.number), subindex), default)
@@ -125,8 +121,6 @@ class PdoRules:
             return AbortCode.INVALID_VALUE
         is_source = place.direction == Direction.TPDO and self._count(place) == MpdoMode.SOURCE
         return AbortCode.PARAMETER_INCOMPATIBLE if is_source and value < FIRST_EVENT_DRIVEN else None
-
-    # ---- mapping parameter ----
 
     def _check_count(self, place: PdoPlace, count: int) -> AbortCode | None:
         if self._is_valid(place):
@@ -177,8 +171,6 @@ class PdoRules:
         if bit_length > MAX_BITS:
             return AbortCode.PDO_LENGTH_EXCEEDED
         return None if may_have_width(variable.data_type, bit_length) else AbortCode.CANNOT_BE_MAPPED
-
-    # ---- lists of MPDOs ----
 
     def _check_listed(self, index: int, number: int) -> AbortCode | None:
         """Check an entry of a scanner or dispatching list. None for other objects."""

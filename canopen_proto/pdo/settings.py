@@ -1,7 +1,5 @@
 """The places of PDO parameters in the dictionary, and the order of writes that sets a PDO up.
 
-Theory of operation
--------------------
 PDO n (1..512) has two records, one for communication and one for mapping (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38):
 
     RPDO   0x1400 + n - 1   0x1600 + n - 1

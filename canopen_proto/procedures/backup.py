@@ -1,7 +1,5 @@
 """Read all objects of a node: for a backup, a comparison, a dump.
 
-Theory of operation
--------------------
 `back_up` reads each readable object of the node's dictionary by SDO, one after the other. It changes nothing in the device. Each
 object, read or not, ends in one `Reading`, whose `result` says how it went. Not read are:
 

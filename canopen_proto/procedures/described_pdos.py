@@ -1,7 +1,5 @@
 """The PDOs that a device's own file describes: an EDS by its defaults, a DCF by its configured values.
 
-Theory of operation
--------------------
 The PDO parameters of a dictionary (0x1400 to 0x1BFF) say which settings the device has, or shall have. `described_pdos` reads
 them from the dictionary and sends nothing. `exchange_described` first reads the device's settings. If they differ from the file,
 it writes the file's to the device (`configure_pdo`). Then it exchanges the PDO. So a device that was configured before is only

@@ -1,7 +1,5 @@
 """The dead man's grip for one drive: the drive watches its master, and stops by itself if the master falls silent.
 
-Theory of operation
--------------------
 `take_hold` sets two things in a drive before it is enabled. It writes by SDO to the objects of the standard, whatever the node's
 dictionary says. Each object is read first, and read back after the write.
 
@@ -157,9 +155,6 @@ def release(hold: Hold) -> Procedure[None]:
     hold.forget()
 
 
-# ---- the watch ----
-
-
 def _watch_master(hold: Hold, grip: Grip) -> Procedure[None]:
     """Make the drive watch the master by its heartbeat, else by its guarding."""
     try:
@@ -219,14 +214,8 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
         raise
 
 
-# ---- the reaction ----
-
-
 def _set_reaction(hold: Hold, grip: Grip) -> Procedure[None]:
     yield from _set(hold, ABORT_CONNECTION, 0, grip.abort_connection, 2)
-
-
-# ---- objects, by bytes ----
 
 
 def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Procedure[None]:

@@ -1,7 +1,5 @@
 """Set a node to given values: the restore of a backup, the download of a DCF.
 
-Theory of operation
--------------------
 Two procedures. `plan_restore` only reads: it compares the node's values with the wanted ones, and returns the writes that change
 the one to the other, in the order of download_order.py (services off, PDOs first; communication; application; services on again).
 `restore` carries a plan out:
@@ -190,9 +188,6 @@ class ObjectRestored(Event):
         self.total = total
 
 
-# ---- the plan ----
-
-
 def plan_restore(
     node: RemoteNode,
     dictionary: ObjectDictionary,
@@ -277,9 +272,6 @@ def _blind(wanted: Mapping[Mux, Value], unread: Collection[Mux]) -> list[Mux]:
 
     units = {unit(key) for key in unread}
     return [key for key in wanted if unit(key) in units or any(each in unread for each in switches_of(key))]
-
-
-# ---- carrying it out ----
 
 
 def restore(
@@ -376,9 +368,6 @@ def _store(node: RemoteNode, so_far: Restoration) -> Procedure[None]:
     finally:
         node.sdo.timeout = standing
     so_far.stored = True
-
-
-# ---- NMT ----
 
 
 def _find_state(node: RemoteNode) -> Procedure[tuple[NmtState | None, Time]]:

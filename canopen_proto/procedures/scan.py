@@ -1,7 +1,5 @@
 """Find the nodes of a bus: first listen, then ask.
 
-Theory of operation
--------------------
 1. Listen for `listen` ns: a heartbeat or a boot-up frame names its node and its NMT state (CiA 301 v4.2.0, 7.2.8.3.2.2). This
    sends nothing, and goes on during step 2.
 2. Read, by SDO, from each of `node_ids`: device type (0x1000), identity (0x1018) and name (0x1008, optional). A node that does

@@ -1,7 +1,5 @@
 """Read a node whose objects are not known.
 
-Theory of operation
--------------------
 `walk` reads subindex 0 of every index of some ranges. If there is an object, it reads subindex 1. If there is one too, the object
 is an ARRAY or a RECORD: its subindex 0 holds the highest subindex (CiA 301 v4.2.0, 7.4.4), and all up to that are read. (In a PDO
 mapping, subindex 0 holds the number of valid entries; the others mean nothing.) An object's name and type come from the

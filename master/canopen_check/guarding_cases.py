@@ -114,9 +114,6 @@ def life_guarding(bench: Bench) -> Procedure[None]:
     check_not_early(heard.at - begin, life_time, "life guarding ended")
 
 
-# ---- heartbeat versus guarding ----
-
-
 def one_of_both(bench: Bench) -> Procedure[None]:
     """7.201: the objects of error control have their defaults, and these do not use both heartbeat and guarding."""
     found = [index for index in _BOTH if bench.dictionary.has_index(index)]

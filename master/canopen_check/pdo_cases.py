@@ -87,8 +87,6 @@ def _look_at_parameter(bench: Bench, place: tuple[Pdo, int]) -> Procedure[None]:
     yield from bench.expect_default(pdo.communication, subindex, f"after a reset, {pdo}")
 
 
-# ---- when TPDOs are sent ----
-
 Look: TypeAlias = Callable[[Bench, Pdo, bool], Procedure[str | None]]
 """Checks that a TPDO comes as set up, or (False) not at all. Returns a remark if it could not check."""
 

@@ -102,9 +102,6 @@ def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
         expect_equal(content, expected, f"{variable.label}, read {how},")
 
 
-# ---- expedited transfers, and refusals ----
-
-
 def read_expedited(bench: Bench) -> Procedure[None]:
     """2.1: the device type comes in one frame, with its four bytes and its own multiplexer."""
     content = expedited_content((yield from initiate_upload(bench, DEVICE_TYPE, 0)))
@@ -263,9 +260,6 @@ def default_channel(bench: Bench) -> Procedure[None]:
     """2.12: the first SDO server has the CAN-IDs of the predefined connection set."""
     yield from bench.expect_number(SDO_SERVER, 1, bench.request_key, "client to server")
     yield from bench.expect_number(SDO_SERVER, 2, bench.response_key, "server to client")
-
-
-# ---- segmented transfers ----
 
 
 def read_device_type_segmented(bench: Bench) -> Procedure[str]:

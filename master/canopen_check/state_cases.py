@@ -43,9 +43,6 @@ _LEADS_TO: Final = {
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 
 
-# ---- the services of a state ----
-
-
 def expect_sdo(bench: Bench, lives: bool) -> Procedure[None]:
     """Check that the device answers SDO requests, or (lives is False) does not answer at all."""
     bench.probe.forget(bench.response_key)
@@ -180,9 +177,6 @@ def stopped(bench: Bench) -> Procedure[None]:
         yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
         yield from bench.expect_state(NmtState.PRE_OPERATIONAL, "from Stopped")
         yield from expect_sdo(bench, True)
-
-
-# ---- transitions ----
 
 
 def resets(bench: Bench) -> Procedure[None]:

@@ -261,8 +261,6 @@ class Bus:
                 self._wanted = wanted
                 self.network.hears_all = not self._filter.set_filters(wanted)
 
-    # ---- SYNC ----
-
     @property
     def sync_period(self) -> Time:
         """ns between two SYNCs that we send, or our transport; 0 for none."""

@@ -1,7 +1,5 @@
 """`Grips`: the dead man's grip of a master. Each drive that the master enables watches over it, and stops when it falls silent.
 
-Theory of operation
--------------------
 Every command that enables a drive goes through `hold` first: a chain, a procedure of the
 core with a Device's axis (`Axis.grip`), the blocking API, a controlword that is written by hand (`Node.write`, `write_bytes`,
 `write_stream`). An RPDO or an MPDO that can enable a drive (`Node.enable_rpdo`, `Node.send_mpdo`), and a write of the core
@@ -76,8 +74,6 @@ class Grips:
                 bus.network.attach(heartbeat)
                 participant.watch((ForeignHeartbeat,), lambda _, bus=bus: self._on_foreign(bus), bus)  # type: ignore[misc]
 
-    # ---- procedures ----
-
     def hold(self, node: Peer) -> Procedure[None]:
         """Have the drive on a node watch over this master. If it should do so already, its objects are read once more: its
         boot-up may have been lost.
@@ -140,8 +136,6 @@ class Grips:
         watching = {each for each, other in self._holds.items() if other.is_taken or other.before} | self._under_way
         if not any(self._participant.bus(each.bus) is bus for each in watching):
             yield from act(self._heartbeats[bus].stop)
-
-    # ---- inside ----
 
     def _hold_of(self, node: Peer) -> Hold:
         hold = self._holds.get(node)

@@ -23,8 +23,6 @@ Each of these may be left out. Without OBJECTS, on_read and on_write serve all o
 `device[name]` reads and writes an object by name, index or (index, subindex). A value that is set is sent by the event-driven
 TPDOs that carry it.
 
-Theory of operation
--------------------
 Objects that a script serves are `LocalNode.deferred`: the core reports ObjectAccessPending, and the script's answer is given by
 `complete`. on_read and on_write may be `async`; the client waits, up to 5 s. PDOs do not ask the script: a TPDO carries the
 stored values, and those of an RPDO are stored before on_write is called, which cannot refuse them.
@@ -226,8 +224,6 @@ class Hooks:
             )
         return served
 
-    # ---- the life of the device ----
-
     def set_up(self) -> None:
         """Call `setup`, after power-on or a reset: the values are the defaults."""
         self._guard("setup", self._device)
@@ -267,8 +263,6 @@ class Hooks:
     def _period(self) -> float:
         period = self._names.get("PERIOD", PERIOD)
         return max(MIN_PERIOD, float(period)) if isinstance(period, int | float) and period == period else PERIOD
-
-    # ---- accesses ----
 
     def on_event(self, event: Event) -> None:
         """Hand an event of the device to the script."""
@@ -350,8 +344,6 @@ class Hooks:
         except LocalProtocolError as error:
             self._complain(name, error)
             return AbortCode.CANNOT_TRANSFER
-
-    # ---- foreign code ----
 
     def _guard(self, name: str, *arguments: object) -> tuple[bool, object]:
         """Call a function of the script, if it has one. Returns whether it succeeded, and its value, else the abort code."""

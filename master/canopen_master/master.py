@@ -176,8 +176,6 @@ class Master(Participant):
         placed = on_buses(chains, {name: bus.name for name, bus in self.buses.items()})
         return {each.name: self.chain(each, settings, axes=axes, dictionary=dictionary) for each in placed}
 
-    # ---- events ----
-
     @enable_ki_protection
     def events(self, *kinds: type[E], node: Node | None = None, bus: str | None = None) -> Subscription[E]:
         """All events of these kinds from now on, as an async iterator: `with master.events(HeartbeatLost) as events: ...`.
@@ -185,8 +183,6 @@ class Master(Participant):
         node, bus: only events of this one. The queue is bounded: see Subscription. `Event` as a kind means all.
         """
         return node.events(*kinds) if node is not None else self.subscribe(kinds, None if bus is None else self.bus(bus))
-
-    # ---- the way out: see session.py ----
 
     @enable_ki_protection
     async def halt_and_flush(self, scope: trio.CancelScope, longest: float, in_a_hurry: Callable[[], bool]) -> None:

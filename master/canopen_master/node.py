@@ -293,8 +293,6 @@ class Node(Peer):
         with self.events(HeartbeatReceived) as heartbeats:
             return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
 
-    # ---- inside ----
-
     def _place(self, key: Key, subindex: int | None) -> tuple[int, int]:
         """Index and subindex of a key. An object that the dictionary lacks must be given by numbers."""
         if isinstance(key, int):

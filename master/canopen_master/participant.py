@@ -1,7 +1,5 @@
 """`Participant`: one participant on one or several CAN buses: what runs there, and how tasks command it and hear of it.
 
-Theory of operation
--------------------
 A `Participant` has one core Network for each bus, all with one Runner, and the pump that drives them (pump.py). It knows nothing
 of drives: a `Master` (master.py) is a participant with nodes, drives and chains. Everything that it offers is one of three kinds:
 

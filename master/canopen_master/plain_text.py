@@ -1,7 +1,5 @@
 """Makes foreign strings safe to show: those of a device, a file, a driver, an operating system.
 
-Theory of operation
--------------------
 A terminal obeys control characters: a device name with an escape sequence can clear the screen, write a line that looks like
 ours, or fill a clipboard. So each foreign string passes `clean` on its way to a terminal or a page: a character that
 cannot be printed is shown as its Python escape sequence (`\\x1b`), and a long string is cut. JSON escapes control characters by

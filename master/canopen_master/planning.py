@@ -1,7 +1,5 @@
 """Does a network fit on its bus? Worst-case analysis and a run of the bus machine tell before it is bought.
 
-Theory of operation
--------------------
 One bus, one master, one device for each joint. Per cycle the master sends SYNC and right behind it one RPDO for each joint; each
 device answers the SYNC by its TPDO. Besides there are heartbeats, one SDO transfer in the background, and EMCYs. Each of these is
 a `Stream` with its identifier, size and period:

@@ -102,9 +102,6 @@ def _away(network: Network) -> Diagnosis:
     return Diagnosis(network.outage, "neither the request nor an answer can pass", ("the same once the bus is back", DOCTOR))
 
 
-# ---- a node that was heard ----
-
-
 def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
     """The state that it reported, or that we commanded since."""
     return node.nmt_state if node.nmt_state is not None else heard.state
@@ -155,9 +152,6 @@ def _other_clients(network: Network, heard: NodeHeard, now: Time) -> tuple[str, 
     return "", ""
 
 
-# ---- a node that was not ----
-
-
 def _silent(network: Network, heard: NodeHeard, now: Time) -> Diagnosis:
     node_id = heard.node_id
     check = f"check the node-ID {node_id} (0x{node_id:02X}), power and bit rate"
@@ -185,9 +179,6 @@ def _silent(network: Network, heard: NodeHeard, now: Time) -> Diagnosis:
     if heard.foreign_request is not None:
         seen += "; another client asked it too, and got no answer"
     return Diagnosis(seen, cause, (check, SCAN))
-
-
-# ---- words ----
 
 
 def _nodes(node_ids: Sequence[int]) -> str:

@@ -1,7 +1,5 @@
 """`Background`: an async context (a master) in a trio thread of its own, and calls into it from all other threads.
 
-Theory of operation
--------------------
 `start` begins a thread that enters an async context manager and stays in it until `stop`. `call` hands an async function to that
 thread, where it runs as a task inside the context, and waits for its result; any number of threads may call at the same time.
 
@@ -126,8 +124,6 @@ class Background(Generic[T]):
         error = None if self._was_told else self._error
         self._was_told = True
         return error
-
-    # ---- in the thread ----
 
     def _run(self) -> None:
         try:

@@ -36,8 +36,6 @@ class ChainCalls:
     def __repr__(self) -> str:
         return f"<chain {self.name}: {', '.join(self.joints)}>"
 
-    # ---- what it does ----
-
     def init(self) -> bool:
         """Make all joints ready to move: PDOs, NMT start, fault reset, Operation enabled. True if all are ready."""
         return self._attempt(Chain.initialise)
@@ -92,8 +90,6 @@ class ChainCalls:
 
         self._call(give)
 
-    # ---- what is known ----
-
     def get_current_pos(self) -> list[int]:
         """The actual positions, as last heard."""
         return self._ask(lambda chain: [round(position) for position in chain.positions])
@@ -115,8 +111,6 @@ class ChainCalls:
     def describe(self) -> list[str]:
         """A line for people about each joint: its state and statusword."""
         return self._ask(lambda chain: [f"{device.name}: {device.describe()}" for device in chain.devices])
-
-    # ---- inside ----
 
     def _ask(self, question: Callable[[Chain], R]) -> R:
         async def ask(chain: Chain) -> R:

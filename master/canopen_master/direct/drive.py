@@ -1,7 +1,5 @@
 """`DirectDrive`: one drive as the direct half of the blocking API uses it. Runs in the master's thread.
 
-Theory of operation
--------------------
 Commands go by SDO ("all these commands and checks are performed by SDO communication"). Set-points go by the manual's rPDO, sent
 at the very moment of `send_position`, and the drive takes them at the next SYNC: the user alternates send_pos and send_sync, and
 nothing else sends either. So the rPDO has a producer of its own here: the producers of the RemoteNode follow the SYNC. The rPDO
@@ -94,8 +92,6 @@ class DirectDrive:
         master.watch((PdoReceived,), self._on_pdo, bus, self.node.node_id)
         master.watch((FollowingLost,), self._on_lost, bus, self.node.node_id)
         master.watch((SyncSent, SyncReceived), self._on_sync, bus)
-
-    # ---- sequences ----
 
     async def reset_fault(self) -> None:
         """As canopen_proto.drive.reset_fault. The manual's programs begin with it: one that ended left the node stopped."""
@@ -198,8 +194,6 @@ class DirectDrive:
                 self._running.remove(scope)
         raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
 
-    # ---- set-points ----
-
     async def send_position(self, position: int) -> None:
         """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
         chain = next((each for each in self._master.chains if self._device in each.devices), None)
@@ -218,8 +212,6 @@ class DirectDrive:
         producer = self._producer
         assert producer is not None  # a drive that follows has one
         await self._master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
-
-    # ---- inside ----
 
     def _check(self, position: int) -> None:
         """Raise ValueRangeError or SetPointRefused for a set-point that the drive cannot hold, or that is beyond its limits."""

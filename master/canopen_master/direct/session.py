@@ -1,7 +1,5 @@
 """`Session`: the manual's blocking API for scripts and notebooks. `canopen_master.direct` has one session's methods as functions.
 
-Theory of operation
--------------------
 One session has one connection: a trio master in a thread of its own (background.py), which serves every call. Any number of
 threads may call, also at the same time. Give one drive one command at a time; `halt` may come at any time.
 
@@ -359,8 +357,6 @@ class Session:
             master.sync_start(settings.cycle_time)
 
         self._call(begin)
-
-    # ---- inside ----
 
     def _uses_master_thread(self) -> bool:
         return self.using_master_thread
