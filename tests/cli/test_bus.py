@@ -70,16 +70,7 @@ def test_its_address_for_programs(run: Run) -> None:
     assert address.startswith("tcp:127.0.0.1:")
 
 
-def test_ctrl_c_is_how_it_ends(run: Run) -> None:
-    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    outcome = run("bus", "serve", "--port", "0")
-    timer.join()
-    assert outcome.status == 0
-    assert outcome.err.endswith("ended\n")
-
-
-def test_it_tells_who_comes_and_goes_and_records_what_is_said(
+def test_it_tells_who_comes_and_goes_records_what_is_said_and_ends_with_ctrl_c(
     run_in_real_time: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -99,6 +90,7 @@ def test_it_tells_who_comes_and_goes_and_records_what_is_said(
     assert outcome.status == 0
     assert "joined: 2 on the bus" in outcome.err
     assert "left, cut off: the bus server was ended" in outcome.err
+    assert outcome.err.endswith("ended\n")
     assert [(record.channel, str(record.frame)) for record in LogReader(Path("t.log"))] == [("tcp0", "605#4041600000000000")]
     monkeypatch.setenv("CANOPEN_BUS", "file:t.log")
     assert run_in_real_time("bus", "serve", "--port", "0", "--seconds", "0", "--trace", "t.log").status == 2
@@ -179,7 +171,7 @@ def test_two_terminals(run_in_real_time: Run) -> None:
         assert ready.wait(10)
         locator, token, scope = over
         assert isinstance(locator, str)
-        outcome = run_in_real_time("read", "3", "statusword", "-b", locator)
+        outcome = run_in_real_time("read", "3", "statusword", "-b", locator, "--timeout", "20s")
         assert outcome.status == 0
         assert "statusword" in outcome.out
     finally:

@@ -163,7 +163,7 @@ def started(own_files: Path, *arguments: str) -> subprocess.Popen[str]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGINT to one process")
 def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
-    with started(tmp_path, "demo", "--seconds", "60", "--cycle", "20ms", *TWO_JOINTS) as process:
+    with started(tmp_path, "demo", "--seconds", "60", "--cycle", "20ms", "--timeout", "20s", *TWO_JOINTS) as process:
         assert process.stderr is not None
         told = ""
         give_up = time.monotonic() + 60

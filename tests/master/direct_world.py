@@ -17,8 +17,13 @@ from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.servo import DriveSettings, Shape, Track
 from canopen_transports import open_transport
 
-LIMIT = 20.0
+LIMIT = 60.0
 """Seconds after which a test gives up."""
+PATIENT = 10.0
+"""Seconds for an answer, for a computer that is busy with other things."""
+
+INTERVAL = 100
+"""Milliseconds from SYNC to SYNC that drives are told: SYNC is lost to them after three of these, and a busy computer is late."""
 
 _numbers = itertools.count()
 
@@ -73,12 +78,16 @@ class Devices:
         """Somebody else sends a frame."""
         self._listener.send(can.Message(arbitration_id=can_id, data=bytes.fromhex(data), is_extended_id=False))
 
-    def frames(self, quiet: float = 0.03) -> list[str]:
-        """What was on the bus since the last look, as candump writes it; until it is quiet."""
-        frames = []
-        while (message := self._listener.recv(quiet)) is not None:
-            frames.append(f"{message.arbitration_id:03X}#{bytes(message.data).hex().upper()}")
-        return frames
+    def frames(self, quiet: float = 0.03, *, last: str = "") -> list[str]:
+        """What was on the bus since the last look, as candump writes it; until it is quiet. last: and what must come first."""
+        frames: list[str] = []
+        deadline = time.monotonic() + LIMIT
+        while True:
+            while (message := self._listener.recv(quiet)) is not None:
+                frames.append(f"{message.arbitration_id:03X}#{bytes(message.data).hex().upper()}")
+            if not last or any(frame.startswith(last) for frame in frames):
+                return frames
+            assert time.monotonic() < deadline, frames
 
     def _wait_for(self, frame: str) -> None:
         until(lambda: frame in self.frames(0))

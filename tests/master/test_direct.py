@@ -16,7 +16,7 @@ from canopen_proto.drive import ModeUnsupported
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.steps import SdoFailed, StepTimeout
-from tests.master.direct_world import LIMIT, Devices, devices, until
+from tests.master.direct_world import LIMIT, PATIENT, Devices, devices, until
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def arm(two_joints: Devices) -> Devices:
 @pytest.fixture
 def session(arm: Devices) -> Iterator[Session]:
     with Session() as session:
-        assert session.open_connection(arm.bus), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT), session.last_error()
         yield session
 
 
@@ -105,15 +105,15 @@ def test_the_module_has_all_of_the_sessions_calls() -> None:
 
 def test_init_nmt_starts_all_devices(session: Session, arm: Devices) -> None:
     session.init_nmt()
-    assert arm.frames() == ["000#0100"]
-    assert [node.state for node in arm.host.nodes] == [NmtState.OPERATIONAL] * 2
+    assert arm.frames(last="000#") == ["000#0100"]
+    until(lambda: [node.state for node in arm.host.nodes] == [NmtState.OPERATIONAL] * 2)
 
 
 def test_send_nmt_to_one_device_or_to_all(session: Session, arm: Devices) -> None:
     session.send_nmt("stop_remote_node")
     session.send_nmt("start_remote_node", 12)
     session.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 3)
-    assert arm.frames() == ["000#0200", "000#010C", "000#8003"]
+    assert arm.frames(last="000#8003") == ["000#0200", "000#010C", "000#8003"]
     with pytest.raises(ConstantNotFound, match="stop_remote_node"):
         session.send_nmt("stop_remote_nod")
     with pytest.raises(LocalProtocolError):
@@ -193,7 +193,7 @@ def test_shutdown_takes_power_and_communication_away(session: Session, arm: Devi
     until(lambda: arm.node(12).state is NmtState.STOPPED)
     assert arm.node(12).drive.state is State.SWITCH_ON_DISABLED
     assert arm.node(3).state is NmtState.OPERATIONAL
-    assert arm.frames()[-1] == "000#020C"
+    assert arm.frames(last="000#020C")[-1] == "000#020C"
 
 
 def test_the_manuals_sequence_twice(session: Session, arm: Devices) -> None:

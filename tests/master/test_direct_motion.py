@@ -15,7 +15,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.configure_pdo import PdoRefused
 from canopen_proto.procedures.steps import ProcedureError
-from tests.master.direct_world import LIMIT, Devices, devices, until
+from tests.master.direct_world import INTERVAL, LIMIT, PATIENT, Devices, devices, until
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def arm() -> Iterator[Devices]:
 @pytest.fixture
 def session(arm: Devices) -> Iterator[Session]:
     with Session() as session:
-        assert session.open_connection(arm.bus), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT), session.last_error()
         yield session
 
 
@@ -35,7 +35,19 @@ def follow(session: Session, *nodes: int) -> None:
     session.init_nmt()
     for node in nodes:
         assert session.init_device(node)
+        assert session.set_sync_interval(node, INTERVAL)
         assert session.enable_ip_mode(node)
+
+
+def hold(session: Session, node: int, position: int) -> None:
+    """Send one set-point until the device is there. This is real time: behind a late SYNC the axis comes back from its ramp."""
+
+    def is_there() -> bool:
+        session.send_pos(node, position)
+        session.send_sync(10)
+        return session.get_pos(node) == position
+
+    until(is_there)
 
 
 # ---- homing ----
@@ -108,17 +120,13 @@ def test_set_points_and_sync_alternate_as_the_manual_says(session: Session, arm:
     for position in range(3100, 3600, 100):
         session.send_pos(12, position)
         session.send_sync(10)
+    session.send_sdo(12, "modes_of_operation_display")  # answered, so all before it has been sent
     expected = []
     for position in range(3100, 3600, 100):
         expected += [f"20C#1F000000{position.to_bytes(4, 'little').hex().upper()}", "080#"]
     watch = "60C#4061600000000000"  # no PDO of its brings the mode
     assert [frame for frame in arm.frames() if frame[:3] in ("20C", "080", "60C") and frame != watch] == expected
-    for _ in range(200):  # this is real time: behind a late SYNC the axis comes back from its ramp
-        session.send_pos(12, 3500)
-        session.send_sync(10)
-        if session.get_pos(12) == 3500:
-            break
-    assert session.get_pos(12) == 3500
+    hold(session, 12, 3500)
     assert session.enable_brake(12)
     assert arm.node(12).drive.state is State.READY_TO_SWITCH_ON
 
@@ -180,7 +188,9 @@ def test_a_drive_that_leaves_operation_enabled_is_told(session: Session, arm: De
         session.send_pos(12, 3100)
 
 
-def test_a_drive_whose_pdos_no_longer_come_is_silent(session: Session, arm: Devices) -> None:
+def test_a_drive_whose_pdos_no_longer_come_is_silent(arm: Devices) -> None:
+    session = Session()
+    assert session.open_connection(arm.bus)
     follow(session, 3, 12)
     session.send_sync(20)
     arm.send(0x000, "020C")  # somebody else: stop
@@ -236,7 +246,7 @@ def test_a_set_point_that_waits_for_sync_does_not_come_to_life_behind_the_brake(
     arm.frames()
     session.send_sync(5)
     session.send_sync(5)
-    assert [frame for frame in arm.frames() if not frame.startswith("77F#")][-1].startswith("18C#")
+    assert not [frame for frame in arm.frames(last="18C#") if frame.startswith("20C#")]
     assert arm.node(12).drive.state is State.READY_TO_SWITCH_ON
     assert session.init_device(12)
     assert session.enable_ip_mode(12)
@@ -257,11 +267,9 @@ def test_define_pdo_makes_a_standard_drive_follow() -> None:
         assert session.define_pdo(5, "schunk_default_tPDO"), session.last_error()
         until(lambda: machine.node(5).state is NmtState.OPERATIONAL)
         assert session.init_device(5)
+        assert session.set_sync_interval(5, INTERVAL)
         assert session.enable_ip_mode(5)
-        for _ in range(4):
-            session.send_pos(5, 3050)
-            session.send_sync(10)
-        assert session.get_pos(5) == 3050
+        hold(session, 5, 3050)
         received = session.incoming_pdos.get(LIMIT)
         assert received is not None
         assert "torque_actual_value" in received.values

@@ -20,34 +20,37 @@ from canopen_master import direct as canopen
 
 BUS = "pythoncan:virtual:script"
 
+homes = threading.Event()
+
 def listen(bus=can.Bus("script", interface="virtual")):
     while True:
         message = bus.recv()
         sys.stdout.write(f"{message.arbitration_id:03X}#{message.data.hex().upper()}\\n")
+        if message.arbitration_id == 0x60C and message.data[:6] == bytes.fromhex("2B4060001F00"):  # bit 4: homing starts
+            homes.set()
+
+def press(times, when):
+    when()
+    for _ in range(times):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+def press_ctrl_c(times, when):
+    threading.Thread(target=press, args=(times, when), daemon=True).start()
 
 threading.Thread(target=listen, daemon=True).start()
 drives = canopen.simulated([12], bus=BUS)
 drives.__enter__()
-assert canopen.open_connection(BUS), canopen.last_error()
+assert canopen.open_connection(BUS, sdo_timeout=10), canopen.last_error()
 canopen.init_nmt()
-assert canopen.init_device(12) and canopen.enable_ip_mode(12)
+assert canopen.init_device(12)
+assert canopen.set_sync_interval(12, 250)  # so that the drive does not miss a SYNC when this computer is busy
+assert canopen.enable_ip_mode(12)
 for step in range(5):
     canopen.send_pos(12, 3000 + 100 * step)
     canopen.send_sync(10)
+homes.clear()
 sys.stdout.write("moving\\n")  # print() writes the line and its end apart: the other thread's lines would come between
-"""
-
-
-def press_after(seconds: float) -> str:
-    """Ctrl-C after that time, and then each 10 ms."""
-    return f"""
-def press():
-    time.sleep({seconds})
-    for _ in range(40):
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
-
-threading.Thread(target=press, daemon=True).start()
 """
 
 
@@ -56,14 +59,14 @@ ENDS: dict[str, tuple[Any, ...]] = {
     "exception": ("raise RuntimeError('a mistake')", 1),
     "exit": ("sys.exit(7)", 7),
     "interrupt": ("os.kill(os.getpid(), signal.SIGINT); time.sleep(30)", -2),
-    "interrupt of a call": ("threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start(); canopen.homing(12)", -2),
-    "interrupts of a call, without end": (press_after(0.3) + "canopen.homing(12)", -2),
-    "interrupts of the script's end": (press_after(0.03), 0, -2),
+    "interrupt of a call": ("press_ctrl_c(1, homes.wait); canopen.homing(12); time.sleep(30)", -2),
+    "interrupts of a call, without end": ("press_ctrl_c(40, homes.wait); canopen.homing(12); time.sleep(30)", -2),
+    "interrupts of the script's end": ("press_ctrl_c(40, lambda: time.sleep(0.03))", 0, -2),
     "terminated": (
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143)); os.kill(os.getpid(), signal.SIGTERM); time.sleep(30)",
         143,
     ),
-    "thread left": ("threading.Thread(target=canopen.homing, args=(12,)).start(); time.sleep(0.3)", 0),
+    "thread left": ("threading.Thread(target=canopen.homing, args=(12,)).start(); homes.wait()", 0),
 }
 
 HALTS = ("60C#2B4060000F01", "60C#2B4060001F01")

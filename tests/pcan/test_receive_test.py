@@ -37,6 +37,8 @@ def test_what_is_heard(peak: ctypes.CDLL) -> None:
         async with await open_transport("pcan:PCAN_USBBUS2@500k") as other, trio.open_nursery() as nursery:
             nursery.start_soon(chatter, other)
             heard = await listen("/dev/pcan32", 0.2)
+            while len(heard.ids) < 2:  # a busy computer
+                heard = await listen("/dev/pcan32", 1)
             assert heard.listen_only
             assert heard.frames >= 3
             assert heard.nodes == [3]
@@ -64,7 +66,7 @@ def test_what_a_bus_reports(peak: ctypes.CDLL) -> None:
         async with await open_transport("pcan:PCAN_USBBUS1@500k") as transport:
             peak.stand_in_read(CHANNEL_1, OVERRUN)
             peak.stand_in_status(CHANNEL_1, PASSIVE)
-            heard = await listen_on(transport, "here", 0.2)
+            heard = await listen_on(transport, "here", 1)
             assert [state for state, _ in heard.states] == [BusState.PASSIVE]
             assert heard.lost == 1
             assert not heard.is_bad
@@ -78,7 +80,11 @@ def test_the_bit_rate_is_found(peak: ctypes.CDLL, text: str) -> None:
         told: list[Heard] = []
         async with await open_transport("pcan:PCAN_USBBUS2@250k") as other, trio.open_nursery() as nursery:
             nursery.start_soon(chatter, other)
-            found = await find_bitrate(text, 0.1, told.append)
+            for seconds in (0.1, 1, 5):  # a busy computer needs longer
+                told.clear()
+                found = await find_bitrate(text, seconds, told.append)
+                if found is not None:
+                    break
             assert found is not None
             assert "PCAN_USBBUS1@250k" in found.locator
             nursery.cancel_scope.cancel()

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.cli.test_demos import numbers, without_numbers
+from canopen_cli.problem import ExitCode
+from tests.cli.test_demos import LATE, NEAR, TRIES, numbers, without_numbers
 from tests.master.test_direct_script import environment
 from tests.vcan.support import needs_vcan, raw_socket
 
@@ -18,6 +19,7 @@ pytestmark = needs_vcan
 
 CANOPEN = [sys.executable, "-c", "import sys; from canopen_cli.entry import main; sys.exit(main())"]
 LIMIT = 90.0
+PATIENT = ["--timeout", "10s"]
 
 
 @contextmanager
@@ -38,9 +40,12 @@ def simulated(*node_ids: int) -> Iterator[None]:
                 process.communicate(timeout=LIMIT)
 
 
-def run(*command: str) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=LIMIT, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+def run(*command: str, statuses: tuple[int, ...] = (ExitCode.OK,)) -> str:
+    for _ in range(TRIES):
+        done = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=LIMIT, check=False)
+        if LATE not in done.stderr:
+            break
+    assert done.returncode in statuses, done.stdout + done.stderr
     return done.stdout
 
 
@@ -51,15 +56,16 @@ def drives() -> Iterator[None]:
 
 
 def test_scan_and_read(drives: None) -> None:
-    found = run(*CANOPEN, "scan", "-b", "socketcan:vcan0")
+    found = run(*CANOPEN, "scan", "-b", "socketcan:vcan0", "--ids", "3-8,12", *PATIENT)
     for node_id in (3, 4, 5, 6, 7, 8, 12):
         assert re.search(rf"^ *{node_id} \(0x{node_id:02X}\) +pre-operational +servo drive", found, re.MULTILINE), found
-    assert "0x00020192" in run(*CANOPEN, "read", "12", "0x1000", "-b", "vcan0")
+    assert "0x00020192" in run(*CANOPEN, "read", "12", "0x1000", "-b", "vcan0", *PATIENT)
 
 
 @pytest.mark.parametrize("options", ["", "?sync=bcm&filter=ids"])
 def test_the_demonstration(drives: None, options: str) -> None:
-    said = run(*CANOPEN, "demo", "--bus", f"socketcan:vcan0{options}", "--seconds", "1", "--cycle", "20ms")
+    command = [*CANOPEN, "demo", "--bus", f"socketcan:vcan0{options}", "--seconds", "1", "--cycle", "200ms", *PATIENT]
+    said = run(*command, statuses=(ExitCode.OK, ExitCode.PARTIAL))  # a busy computer is late
     for joint, node_id in enumerate((3, 4, 5, 6, 7, 8), 1):
         assert re.search(rf"^joint{joint} +{node_id} .* switch on disabled +yes ", said, re.MULTILINE), said
 
@@ -84,4 +90,4 @@ def test_the_manuals_demos(drives: None, demo: str, line: str) -> None:
     name, *arguments = demo.split()
     said = run(sys.executable, "-m", f"canopen_cli.demos.{name}", *arguments, "--bus", "socketcan:vcan0")
     (shown,) = [shown for shown in said.splitlines() if without_numbers(shown) == without_numbers(line)]
-    assert numbers(shown) == pytest.approx(numbers(line), abs=5)  # the axis follows with a lag
+    assert numbers(shown) == pytest.approx(numbers(line), abs=NEAR)

@@ -20,9 +20,12 @@ from tests.interop.peer import peer_dictionary
 from tests.interop.test_our_master import DOMAIN, WIDE, described
 from tests.transports.support import trio_test
 from tests.vcan.support import interface, ip, needs_vcan
+from tests.vcan.test_master import reads_again
 
 pytestmark = needs_vcan
 NODE = 5
+LIMIT = 20.0
+"""Seconds for an answer, for a computer that is busy with other things."""
 
 
 @contextmanager
@@ -46,7 +49,7 @@ async def test_our_master_reads_and_writes_their_node() -> None:
     with peer("vcan0") as network:
         device = network.create_node(NODE, peer_dictionary(dictionary, NODE))
         ours = dictionary.with_objects([Object.of("absent", [Variable(0x2FFF, 0, "absent", DataType.UNSIGNED8, Access.RW)])])
-        async with open_master("socketcan:vcan0", dictionary=ours, sdo_timeout=5.0) as master:
+        async with open_master("socketcan:vcan0", dictionary=ours, sdo_timeout=LIMIT) as master:
             node = master.node(NODE)
             for value in (0, 1, 2**63):
                 await node.write(WIDE, value)
@@ -73,7 +76,7 @@ async def test_their_master_reads_writes_and_starts_our_drive() -> None:
         (drive,) = host.nodes
         with peer("vcan0") as network:
             remote = network.add_node(canopen.RemoteNode(NODE, peer_dictionary(drive.dictionary, NODE)))
-            remote.sdo.RESPONSE_TIMEOUT = 5.0
+            remote.sdo.RESPONSE_TIMEOUT = LIMIT
 
             def use_it() -> None:
                 assert remote.sdo.upload(0x1008, 0) == drive.values.raw(0x1008)
@@ -83,11 +86,11 @@ async def test_their_master_reads_writes_and_starts_our_drive() -> None:
                     remote.sdo.upload(0x2FFF, 0)
                 remote.sdo.download(0x1017, 0, (20).to_bytes(2, "little"))
                 remote.nmt.state = "OPERATIONAL"
-                remote.nmt.wait_for_heartbeat(timeout=5.0)
+                while remote.nmt.wait_for_heartbeat(timeout=LIMIT) != "OPERATIONAL":
+                    pass  # a heartbeat that was under way
 
             await trio.to_thread.run_sync(use_it)
             assert drive.state is NmtState.OPERATIONAL
-            assert remote.nmt.state == "OPERATIONAL"
         nursery.cancel_scope.cancel()
 
 
@@ -96,13 +99,14 @@ async def test_kernel_filters_let_through_what_the_master_needs() -> None:
     dictionary = described()
     with peer("vcan0") as network:
         network.create_node(NODE, peer_dictionary(dictionary, NODE))
-        async with open_master("socketcan:vcan0?filter=ids", dictionary=dictionary, sdo_timeout=1.0) as master:
+        async with open_master("socketcan:vcan0?filter=ids", dictionary=dictionary, sdo_timeout=LIMIT) as master:
             node = master.node(NODE)
             await node.write(WIDE, 77)
             assert await node.read(WIDE) == 77
             network.send_message(0x701, b"\x05")  # a node that nobody here asks for
             assert await node.read(WIDE) == 77
             assert 1 not in master.bus().network.heard_nodes()
+        async with open_master("socketcan:vcan0?filter=ids", dictionary=dictionary, sdo_timeout=0.1) as master:
             with pytest.raises(SdoTimeout, match="frames are filtered: other nodes may be there"):
                 await master.node(9).read(0x1000)
 
@@ -112,7 +116,7 @@ async def test_an_interface_down_amid_a_transfer_and_up_again() -> None:
     with interface() as name:
         async with trio.open_nursery() as nursery:
             await nursery.start(simulate, await open_transport(f"socketcan:{name}"), powerballs(NODE))
-            async with open_master(f"socketcan:{name}", sdo_timeout=1.0) as master:
+            async with open_master(f"socketcan:{name}", sdo_timeout=3.0) as master:
                 node = master.node(NODE)
                 count = 0
                 with master.events(BusChanged, FramesNotSent) as events:
@@ -130,14 +134,13 @@ async def test_an_interface_down_amid_a_transfer_and_up_again() -> None:
                             await trio.sleep(0.01)
                         await trio.to_thread.run_sync(ip, "link", "set", name, "down")
                         report = await events.receive()
-                        if isinstance(report, FramesNotSent):
+                        while isinstance(report, FramesNotSent):
                             report = await events.receive()
                         assert (report.state, report.reason) == (BusState.DOWN, f"{name} is DOWN")
                     await trio.to_thread.run_sync(ip, "link", "set", name, "up")
                     while not (isinstance(report, BusChanged) and report.state is BusState.UP):
                         report = await events.receive()
-                    await trio.sleep(0.2)  # the device, too, has to notice
-                    assert await node.read("manufacturer_device_name")
+                    await reads_again(master)
             nursery.cancel_scope.cancel()
 
 
@@ -152,4 +155,6 @@ async def test_sync_of_the_kernel_reaches_them_and_is_reported_here() -> None:
                 for _ in range(20):
                     await events.receive()
                 master.sync_stop()
-        assert len(heard) >= 19
+            while len(heard) < 20:  # their thread takes its time
+                await trio.sleep(0.01)
+            assert set(heard) == {b""}

@@ -13,7 +13,7 @@ import trio.testing
 
 from canopen_transports import FrameNotSent, ReceiveOverrun, Transport, TransportError
 from canopen_transports.conformance.frames import END, number_of, numbered
-from tests.transports.support import trio_test
+from tests.transports.support import LIMIT, trio_test
 from tests.vcan.support import interface, ip, joined, needs_vcan, raw_socket, slow
 
 pytestmark = needs_vcan
@@ -102,6 +102,12 @@ async def test_a_socket_that_fails_in_any_other_way_is_a_lost_bus() -> None:
                 os.close(sender)
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Senders wait for room however long this computer takes."""
+    monkeypatch.setattr("canopen_transports.socketcan.transport.ROOM_TIME", LIMIT)
+
+
 # ---- too much ----
 
 
@@ -167,6 +173,7 @@ async def test_frames_that_come_while_the_process_stalls_between_two_looks_stand
             assert lost == [1000 - len(first), 1000 - len(second)]
 
 
+@pytest.mark.usefixtures("patient")
 @trio_test(real_time=True)
 async def test_a_sender_waits_for_room_and_keeps_the_order() -> None:
     with interface() as name:
@@ -201,6 +208,7 @@ async def test_a_sender_that_gets_no_room_gives_up() -> None:
             assert "nobody else on the bus" in caught.value.cause
 
 
+@pytest.mark.usefixtures("patient")
 @trio_test(real_time=True)
 async def test_a_sender_that_waits_for_room_wakes_when_the_bus_goes_and_when_it_is_closed() -> None:
     with interface() as name:
@@ -221,6 +229,7 @@ async def test_a_sender_that_waits_for_room_wakes_when_the_bus_goes_and_when_it_
         await one.aclose()
 
 
+@pytest.mark.usefixtures("patient")
 @trio_test(real_time=True)
 async def test_several_senders_share_a_queue_with_room_for_one_frame() -> None:
     with interface() as name:
@@ -240,11 +249,12 @@ async def test_several_senders_share_a_queue_with_room_for_one_frame() -> None:
                 assert [number for number in heard if first <= number < first + 1000] == list(range(first, first + 50))
 
 
+@pytest.mark.usefixtures("patient")
 @trio_test(real_time=True)
 async def test_where_there_is_no_room_a_frame_at_once_is_refused_and_a_cancelled_one_is_not_sent() -> None:
     with interface() as name:
         async with joined(name) as one, joined(name) as other:
-            slow(name, "2kbit")
+            slow(name, "8bit")
             sent = 0
             while one.send_nowait(numbered(sent)):
                 sent += 1
@@ -253,6 +263,7 @@ async def test_where_there_is_no_room_a_frame_at_once_is_refused_and_a_cancelled
                 await trio.testing.wait_all_tasks_blocked()
                 assert not one.send_nowait(numbered(2000))  # others wait
                 nursery.cancel_scope.cancel()
+            slow(name, "128kbit")
             await one.send(END)
             for number in range(sent):
                 assert number_of((await other.receive())[0]) == number
