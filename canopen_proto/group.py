@@ -196,10 +196,12 @@ class Group(Machine):
         self._settle(mark, now)
 
     def receiver_of(self, key: RoutingKey) -> Machine:
-        """Return the entrance for a key; the group itself if its class has a `receive` of its own, as LocalNode has."""
-        if type(self).receive is not Group.receive:
+        """Return the entrance for a key, or the group itself: if several members share the key, or if its class has a `receive`
+        of its own, as LocalNode has."""
+        machines = self._members.receivers.get(key, ())
+        if len(machines) != 1 or type(self).receive is not Group.receive:
             return self
-        return _Entrance(self, self._members.receivers.get(key, ()))
+        return _Entrance(self, machines[0])
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
@@ -228,26 +230,25 @@ class Group(Machine):
 
 
 class _Entrance(Machine):
-    """Where a group that is a member takes in the frames of one key: `Group.receive` without its look-up.
+    """Where a group that is a member takes in the frames of one key for one machine: `Group.receive` without its look-up.
 
     The members around it keep it in their routes, and ask for another one when the group's own routes change. A frame passes one
     for each level, so what is saved here counts.
     """
 
-    __slots__ = ("_events", "_machines", "_reactions")
+    __slots__ = ("_events", "_machine", "_reactions")
 
-    def __init__(self, group: Group, machines: tuple[Machine, ...]) -> None:
+    def __init__(self, group: Group, machine: Machine) -> None:
         super().__init__(group.out)
         self._events = group.inner.events
         self._reactions = group._reactions
-        self._machines = machines
+        self._machine = machine
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Hand the frame to the machines, then react to what they reported: `Group._settle`, written out to save the call."""
+        """Hand the frame to the machine, then react to what it reported: `Group._settle`, written out to save the call."""
         events = self._events
         mark = len(events)
-        for machine in self._machines:
-            machine.receive(frame, now)
+        self._machine.receive(frame, now)
         while mark < len(events):
             reaction = self._reactions.get(type(events[mark]))
             if reaction is not None:

@@ -108,7 +108,8 @@ class Network:
         out = self.out
         if out.rerouted:
             self._members.refresh()
-        out.root.timestamp = timestamp
+        if timestamp is not None:
+            out.root.timestamp = timestamp
         key = frame.key
         for machine in self._routes.get(key, ()):
             machine.receive(frame, now)
@@ -169,8 +170,7 @@ class Network:
         """Return when to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) if nothing changed."""
         if self.out.armed or self.out.rerouted:
             self._members.refresh()
-        heap = self._heap
-        return heap[0][0] if heap else NEVER
+        return self._heap[0][0] if self._heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
         """Wake every machine whose deadline has come. Early calls do nothing."""
@@ -194,17 +194,17 @@ class Network:
         if self._tasks:
             self._feed(now)
         to_send: list[Frame] = []
-        to_deliver: list[Event] = []
         if frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
             to_send = frames[:]
             frames.clear()
-        if events:
-            to_deliver = events[:]
-            events.clear()
-            self._settled = 0
-            if self._dropped:
-                to_deliver.insert(0, EventsDropped(0, self._dropped))
-                self._dropped = 0
+        if not events:
+            return to_send, []
+        to_deliver = events[:]
+        events.clear()
+        self._settled = 0
+        if self._dropped:
+            to_deliver.insert(0, EventsDropped(0, self._dropped))
+            self._dropped = 0
         return to_send, to_deliver
 
     def _feed(self, now: Time) -> None:

@@ -246,7 +246,8 @@ class Mapping:
 
     def unpack_into(self, store: dict[Mux, Value], data: bytes) -> tuple[Value, ...]:
         """Put the values into a store by mux, and return them. Errors are those of `unpack`; the store then stays as it was."""
-        values = self.unpack(data)
+        layout = self._layout
+        values = self.unpack(data) if layout is None or len(data) < self.byte_length else layout.unpack_from(data)
         position = 0  # counted by hand in this hottest of paths: zip takes half as long again, and twice as long with strict=
         for each in self.muxes:
             store[each] = values[position]

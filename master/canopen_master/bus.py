@@ -28,7 +28,7 @@ from typing import Final
 
 import trio
 
-from canopen_proto.frame import EXTENDED, Frame, frame_for_key
+from canopen_proto.frame import Frame, frame_for_key
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.network import Network
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSent
@@ -159,7 +159,7 @@ class Bus:
         first, sdo = self._first, self._sdo
         eager = self._eager is not None and not first and not self._is_sending
         for frame in frames:
-            if _SDO_FIRST <= frame.can_id <= _SDO_LAST and not frame.flags & EXTENDED:
+            if _SDO_FIRST <= frame.key <= _SDO_LAST:
                 sdo.append(frame)
             elif not (eager and self._send_at_once(frame)):
                 eager = False
@@ -194,7 +194,7 @@ class Bus:
             return await self._batch.receive_many(MAX_BATCH)
         return (await self.transport.receive(),)
 
-    def push_to(self, receiver: Callable[[Received], None] | None) -> None:
+    def push_to(self, receiver: Callable[[Frame, Time], None] | None) -> None:
         """Let a transport that can do so push the frames to `receiver`; None: end this."""
         if isinstance(self.transport, PushingTransport):
             self.transport.push_to(receiver)

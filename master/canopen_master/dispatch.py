@@ -28,16 +28,16 @@ class Canceller(Protocol):
 
 
 class Waiter:
-    """A place to wait for the outcome of one request. done: set when there is a `result`. ends: a scope to cancel then."""
+    """A place to wait for the outcome of one request. is_done: whether there is a `result`. ends: a scope to cancel then."""
 
-    __slots__ = ("_error", "_news", "_outcome", "_parked", "canceller", "done", "ends")
+    __slots__ = ("_error", "_news", "_outcome", "_parked", "canceller", "ends", "is_done")
 
     def __init__(self, canceller: Canceller) -> None:
         self.canceller = canceller
-        self.done = trio.Event()
+        self.is_done = False
         self.ends: trio.CancelScope | None = None
         self._news: deque[SdoProgress] = deque()  # a stream tells little before it is answered
-        self._parked: trio.lowlevel.ParkingLot | None = None  # of who waits for news; most never do
+        self._parked: trio.lowlevel.ParkingLot | None = None  # made for the first that waits: an answer may be there before
         self._outcome: Outcome | None = None
         self._error: Exception | None = None
 
@@ -52,7 +52,7 @@ class Waiter:
         self._end()
 
     def _end(self) -> None:
-        self.done.set()
+        self.is_done = True
         if self._parked is not None:
             self._parked.unpark_all()
         if self.ends is not None:
@@ -64,17 +64,27 @@ class Waiter:
         if self._parked is not None:
             self._parked.unpark_all()
 
+    async def wait(self) -> None:
+        """Wait until it is done; a checkpoint in any case."""
+        if self.is_done:
+            await trio.lowlevel.checkpoint()
+        while not self.is_done:
+            await self._park()
+
     async def next_news(self) -> SdoProgress | None:
-        """Wait for the next news; None when all has been told and `done` is set."""
+        """Wait for the next news; None when all has been told and it is done."""
         await trio.lowlevel.checkpoint_if_cancelled()
-        if self._parked is None:
-            self._parked = trio.lowlevel.ParkingLot()
-        while not self._news and not self.done.is_set():
-            await self._parked.park()
+        while not self._news and not self.is_done:
+            await self._park()
         return self._news.popleft() if self._news else None
 
+    async def _park(self) -> None:
+        if self._parked is None:
+            self._parked = trio.lowlevel.ParkingLot()
+        await self._parked.park()
+
     def result(self) -> Outcome:
-        """The outcome, once `done`; raises the reason why there is none."""
+        """The outcome, once it is done; raises the reason why there is none."""
         if self._error is not None:
             raise self._error
         assert self._outcome is not None
@@ -99,7 +109,8 @@ class Dispatcher:
     def __init__(self) -> None:
         self._waiters: dict[tuple[object, RequestId], Waiter] = {}
         self._watchers: list[Watcher] = []
-        self._by_kind: dict[type[Event], tuple[bool, tuple[Watcher, ...]]] = {}  # whether a request may wait for it; who watches
+        # By kind: how to tell the one whose request it is about, if it is about one; and those who watch
+        self._by_kind: dict[type[Event], tuple[Callable[[Bus, Any], None] | None, tuple[Watcher, ...]]] = {}
 
     def expect(self, root: object, request_id: RequestId, canceller: Canceller) -> Waiter:
         """Wait for the outcome of a request of the network whose `out.root` is given."""
@@ -138,10 +149,10 @@ class Dispatcher:
         told = self._by_kind.get(kind)
         if told is None:
             watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
-            told = self._by_kind[kind] = issubclass(kind, Outcome | SdoProgress), watching
-        is_of_request, watchers = told
-        if is_of_request:
-            self._tell_waiter(bus, event)
+            told = self._by_kind[kind] = self._teller_of(kind), watching
+        tell, watchers = told
+        if tell is not None:
+            tell(bus, event)
         if not watchers:
             return
         failure: Exception | None = None
@@ -154,12 +165,17 @@ class Dispatcher:
         if failure is not None:
             raise failure
 
-    def _tell_waiter(self, bus: Bus, event: Event) -> None:
-        if isinstance(event, Outcome):
-            waiter = self._waiters.pop((bus.network.out.root, event.request_id), None)
-            if waiter is not None:
-                waiter.resolve(event)
-        elif isinstance(event, SdoProgress):
-            waiter = self._waiters.get((bus.network.out.root, event.request_id))
-            if waiter is not None:
-                waiter.tell(event)
+    def _teller_of(self, kind: type[Event]) -> Callable[[Bus, Any], None] | None:
+        if issubclass(kind, Outcome):
+            return self._resolve
+        return self._progress if issubclass(kind, SdoProgress) else None
+
+    def _resolve(self, bus: Bus, outcome: Outcome) -> None:
+        waiter = self._waiters.pop((bus.network.out.root, outcome.request_id), None)
+        if waiter is not None:
+            waiter.resolve(outcome)
+
+    def _progress(self, bus: Bus, report: SdoProgress) -> None:
+        waiter = self._waiters.get((bus.network.out.root, report.request_id))
+        if waiter is not None:
+            waiter.tell(report)

@@ -209,11 +209,11 @@ class Participant:
     async def outcome_of(self, request_id: RequestId, waiter: Waiter) -> Any:
         """The result of a procedure that was launched; see `run`. ProcedureTakenBack if somebody else has cancelled it."""
         try:
-            await waiter.done.wait()
+            await waiter.wait()
         except BaseException:
             self.take_back(request_id)
             with trio.CancelScope(shield=True):
-                await waiter.done.wait()
+                await waiter.wait()
             raise
         return self.result_of(waiter)
 

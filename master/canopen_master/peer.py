@@ -74,7 +74,7 @@ class Peer:
     @enable_ki_protection
     async def request(self, submit: Callable[[Time], RequestId]) -> Outcome:
         """Give its machines a command and wait for the outcome. If the task is cancelled, the request is taken back."""
-        return await self.begin(submit).outcome()
+        return await self._participant.begin(self._bus, self.remote, submit).outcome()
 
     def send_nmt(self, command: NmtCommand, now: Time) -> None:
         """Queue an NMT command, at a procedure's `now`. It goes out when the procedure next waits."""

@@ -40,6 +40,7 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_master.alarm import Alarm, best_alarm
 from canopen_master.bus import Bus
+from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.sync import SyncReceived
 from canopen_transports import FrameNotSent, Received, Report, TransportError
@@ -94,6 +95,7 @@ class Pump:
         self._quiet_ticks = quiet_ticks
         self._scope = trio.CancelScope(shield=True)
         self._alarm: Alarm | None = None
+        self._wake: Time = NEVER  # what the alarm is set for
         self._is_pumping = False
         self._received = 0
         self._outs = tuple((bus, bus.network.out) for bus in self.buses)
@@ -185,10 +187,15 @@ class Pump:
                 self._take_in(bus, received, self.now())
 
     @enable_ki_protection
-    def _pushed(self, bus: Bus, received: Received) -> None:
-        if not bus.failed:
-            self._received += 1
-            self._take_in(bus, (received,), self.now())
+    def _pushed(self, bus: Bus, frame: Frame, now: Time) -> None:
+        if bus.failed:
+            return
+        self._received += 1
+        try:
+            bus.network.receive(frame, now, now)
+            self.pump(now)
+        except Exception as error:  # noqa: BLE001 - as in `_turn`
+            self._on_failure(None, error)
 
     def _take_in(self, bus: Bus, received: Sequence[Received | Report], now: Time) -> None:
         """Hand over all that came, and pump once."""
@@ -224,6 +231,7 @@ class Pump:
             while True:
                 self._set_alarm()
                 await self._alarm.wait()
+                self._wake = NEVER
                 late = self.now() - self._next_deadline()
                 if late >= 0:
                     await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
@@ -248,7 +256,8 @@ class Pump:
     def _set_alarm(self) -> None:
         """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
         deadline = self._next_deadline()  # which also takes up what machines have announced
-        if self._alarm is not None and deadline < NEVER:
+        if deadline < self._wake and self._alarm is not None:
+            self._wake = deadline
             self._alarm.set(deadline / SECOND)
 
     def _next_deadline(self) -> Time:

@@ -39,7 +39,7 @@ class OpenRequest:
     async def outcome(self) -> Outcome:
         """Wait for it. Cancelled, the request is taken back. Raises the reason why there is none: BusError, MasterClosed."""
         try:
-            await self._waiter.done.wait()
+            await self._waiter.wait()
         except BaseException:  # Cancelled or KeyboardInterrupt: the caller no longer wants the outcome
             self.take_back()
             raise
@@ -54,7 +54,7 @@ class OpenRequest:
         """A scope that is cancelled when the outcome comes."""
         with trio.CancelScope() as scope:
             self._waiter.ends = scope
-            if self._waiter.done.is_set():
+            if self._waiter.is_done:
                 scope.cancel()
             try:
                 yield scope

@@ -223,15 +223,15 @@ class TakesThoughCancelled(Shown):  # type: ignore[misc]
 
 
 class PushesPastOthers(Shown):  # type: ignore[misc]
-    receiver: Callable[[Any], None] | None = None
+    receiver: Callable[[Frame, int], None] | None = None
 
-    def push_to(self, receiver: Callable[[Any], None] | None) -> None:
+    def push_to(self, receiver: Callable[[Frame, int], None] | None) -> None:
         self.receiver = receiver
 
     async def send(self, frame: Frame) -> None:
         for member in self.bus:
             if member is not self and member.receiver is not None:
-                member.receiver((frame, 0))
+                member.receiver(frame, 0)
                 return
         await super().send(frame)
 

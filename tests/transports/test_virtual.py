@@ -9,7 +9,7 @@ import trio
 import trio.testing
 
 from canopen_proto.frame import Frame
-from canopen_transports import Received, ReceiveOverrun, Transport, VirtualTransport, open_transport
+from canopen_transports import ReceiveOverrun, Transport, VirtualTransport, open_transport
 from canopen_transports.conformance.frames import number_of, numbered
 from canopen_transports.virtual import MAX_PUSHED
 from tests.transports.support import reported, run, trio_test
@@ -107,13 +107,13 @@ async def test_what_is_pushed_may_be_answered_at_once_and_all_hear_one_order() -
     asking, answering, spy = (VirtualTransport("a") for _ in range(3))
     heard: list[int] = []
 
-    def answer(received: Received) -> None:
-        number = number_of(received[0])
+    def answer(frame: Frame, now: int) -> None:
+        number = number_of(frame)
         if number < 10:
             assert answering.send_nowait(numbered(number + 10))
 
     answering.push_to(answer)
-    asking.push_to(lambda received: heard.append(number_of(received[0])))
+    asking.push_to(lambda frame, now: heard.append(number_of(frame)))
     for number in (1, 2):
         assert asking.send_nowait(numbered(number))
     assert heard == [11, 12]
@@ -125,9 +125,9 @@ async def test_an_endless_talk_lets_other_tasks_run() -> None:
     one, other = VirtualTransport("a"), VirtualTransport("a")
     pushed: list[int] = []
 
-    def answer_to(member: VirtualTransport) -> Callable[[Received], None]:
-        def answer(received: Received) -> None:
-            pushed.append(number_of(received[0]))
+    def answer_to(member: VirtualTransport) -> Callable[[Frame, int], None]:
+        def answer(frame: Frame, now: int) -> None:
+            pushed.append(number_of(frame))
             member.send_nowait(numbered(len(pushed)))
 
         return answer

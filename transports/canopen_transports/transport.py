@@ -90,8 +90,9 @@ class BatchTransport(Protocol):
 class PushingTransport(Protocol):
     """The additional method of a transport that can hand over a frame without waking a task."""
 
-    def push_to(self, receiver: Callable[[Received], None] | None) -> None:
-        """Call `receiver` with each frame that comes while no earlier frame waits. None: stop calling it.
+    def push_to(self, receiver: Callable[[Frame, int], None] | None) -> None:
+        """Call `receiver` with each frame that comes while no earlier frame waits, and with its time stamp, which must be trio's
+        clock in ns. None: stop calling it.
 
         After many frames in a row, a frame may come by `receive` instead, as reports always do. The receiver may send, but must
         not raise.

@@ -11,13 +11,13 @@ faults: see virtual_wire.py.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
 import trio
 
 from canopen_proto.frame import Frame
+from canopen_proto.machine import Time
 from canopen_transports.errors import Report, bad_locator
 from canopen_transports.locator import Option
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
@@ -35,26 +35,21 @@ class _Line:
 
     def __init__(self) -> None:
         self.members: tuple[VirtualTransport, ...] = ()
-        self._under_way: deque[tuple[VirtualTransport, Received]] = deque()
-        self._is_carrying = False
+        self._under_way: list[tuple[VirtualTransport, Frame, Time]] = []
 
-    def carry(self, sender: VirtualTransport, received: Received) -> None:
+    def carry(self, sender: VirtualTransport, frame: Frame, now: Time) -> None:
         """Hand a frame to all members but its sender, then the frames that their receivers send meanwhile: one order for all."""
         under_way = self._under_way
-        under_way.append((sender, received))
-        if self._is_carrying:
+        under_way.append((sender, frame, now))
+        if len(under_way) > 1:
             return  # a receiver sends: the loop of the outer call hands its frame over
-        self._is_carrying = True
-        room = MAX_PUSHED
         try:
-            while under_way:
-                sender, received = under_way.popleft()
+            for sender, frame, now in under_way:
                 for member in self.members:
                     if member is not sender:
-                        member.take(received, room > 0)
-                room -= 1
+                        member.take(frame, now, len(under_way) <= MAX_PUSHED)
         finally:
-            self._is_carrying = False
+            under_way.clear()
 
 
 class VirtualTransport(trio.abc.AsyncResource):
@@ -70,7 +65,7 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._closed = False
         self._clock = trio.lowlevel.current_clock()
         self._queue = ReceiveQueue(self.locator, queue_size)
-        self._receiver: Callable[[Received], None] | None = None
+        self._receiver: Callable[[Frame, Time], None] | None = None
         self._line = _names().setdefault(name, _Line())
         self._line.members += (self,)
 
@@ -91,17 +86,17 @@ class VirtualTransport(trio.abc.AsyncResource):
     def _hand_over(self, frame: Frame) -> None:
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
-        self._line.carry(self, (frame, round(self._clock.current_time() * 1e9)))
+        self._line.carry(self, frame, round(self._clock.current_time() * 1e9))
 
-    def take(self, received: Received, at_once: bool) -> None:
+    def take(self, frame: Frame, now: Time, at_once: bool) -> None:
         """Push a frame to the receiver, or queue it if there is no receiver or earlier frames wait."""
         if at_once and self._receiver is not None and self._queue.is_empty():
-            self._receiver(received)
+            self._receiver(frame, now)
         else:
-            self._queue.put(received)
+            self._queue.put((frame, now))
             self._queue.wake()
 
-    def push_to(self, receiver: Callable[[Received], None] | None) -> None:
+    def push_to(self, receiver: Callable[[Frame, Time], None] | None) -> None:
         """Call `receiver` with each frame, MAX_PUSHED in a row, until None is given."""
         self._receiver = receiver
 

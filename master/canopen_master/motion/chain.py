@@ -238,7 +238,7 @@ class Chain:
         The joints stay enabled. Raises ChainError, which names a joint that did not confirm that it stands.
         """
         self._participant.check_open()
-        if self._stopping is None or self._stopping.done.is_set():
+        if self._stopping is None or self._stopping.is_done:
             self._stop("by halt()")
         failures = await self._joints_stopped()
         self._raise_first("halt", failures)
@@ -409,7 +409,7 @@ class Chain:
         await trio.lowlevel.checkpoint()
         if self._stopping is None:
             return []
-        await self._stopping.done.wait()
+        await self._stopping.wait()
         failures: list[JointFailed | None] = self._participant.result_of(self._stopping)
         return failures
 

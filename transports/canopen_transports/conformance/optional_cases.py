@@ -92,7 +92,7 @@ async def pushed_frames(bench: Bench) -> None:
             await one.send(numbered(number))
 
     await send(range(10))
-    other.push_to(lambda received: pushed.append(number_of(received[0])))
+    other.push_to(lambda frame, now: pushed.append(number_of(frame)))
     await send(range(10, 20))
     expect_numbers(pushed, [], "frames that were pushed past others")
     expect_numbers(await bench.numbers(other, 20), list(range(20)), "the frames that waited")
