@@ -1,27 +1,34 @@
-"""`canopen drive`: one drive by CiA 402: its state and what keeps it from moving, its units; disable it, reset its fault."""
+"""`canopen drive`: one drive by CiA 402: its state and what keeps it from moving, its units; power, mode, moves."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar
 
 import click
 
-from canopen_cli.options import NodeId, Settings, common
+from canopen_cli.options import Duration, NodeId, Settings, common, enabling
 from canopen_cli.problem import ExitCode, Problem, usage
-from canopen_cli.running import run
+from canopen_cli.running import Story, run
 from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import Session, open_session
 from canopen_master.motion.joint_procedures import awake
+from canopen_master.node import Node
 from canopen_proto import drive as procedures
-from canopen_proto.cia402.modes import describe_status, mode_name
+from canopen_proto.cia402.modes import Mode, describe_status, mode_name, supported_modes
+from canopen_proto.cia402.states import POWERED, State
 from canopen_proto.drive.axis import Axis, AxisSettings
+from canopen_proto.drive.identity import identify
 from canopen_proto.drive.reasons import DriveView, look_at, reasons
 from canopen_proto.drive.units import DriveUnits, Unit, read_units
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.drive.watching import Watch
+from canopen_proto.machine import NEVER, SECOND, Time
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 
 T = TypeVar("T")
 
+COUNTS: Final = "counts"
 _NODE: Final = "canopen.drive.node"
 _COUNTS: Final = AxisSettings(counts_per_unit=1.0)
 
@@ -45,25 +52,36 @@ def drive(ctx: click.Context, node_id: int) -> None:
     canopen drive 3 state -b demo      and what keeps it from moving
     canopen drive 3 units -b demo      what a count is, and where that stands
     canopen drive 3 fault-reset -b demo
+    canopen drive 3 mode -b demo       the modes that it has; with a mode: select it
+    canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
+    canopen drive 3 enable -b demo     power until Ctrl-C
     canopen drive 3 disable -b demo    no power, from any state
+    canopen drive 3 stop -b demo       a quick stop
     """
     ctx.meta[_NODE] = node_id
 
 
-def _on_axis(settings: Settings, screen: Screen, procedure: Callable[[Axis], Procedure[T]]) -> T:
-    """Run a procedure on the drive that the command line names."""
+def _on_node(
+    settings: Settings, screen: Screen, procedure: Callable[[Node, Session], Procedure[T]], story: Story = lambda confirmed: []
+) -> T:
+    """Run a procedure on the node that the command line names."""
     node_id: int = click.get_current_context().meta[_NODE]
 
     def whole(session: Session) -> Procedure[T]:
         node = session.node(node_id)
         yield from awake(node)
-        return (yield from procedure(session.master.device(node, settings=_COUNTS).axis))
+        return (yield from procedure(node, session))
 
     async def command() -> T:
         async with open_session(settings, screen) as session:
             return await session.master.run(whole(session))
 
-    return run(settings, screen, command)
+    return run(settings, screen, command, story=story)
+
+
+def _on_axis(settings: Settings, screen: Screen, procedure: Callable[[Axis], Procedure[T]]) -> T:
+    """Run a procedure on the drive that the command line names, in counts."""
+    return _on_node(settings, screen, lambda node, session: procedure(session.master.device(node, settings=_COUNTS).axis))
 
 
 def _look_at(axis: Axis) -> Procedure[DriveView]:
@@ -195,3 +213,148 @@ def _show(settings: Settings, screen: Screen, view: DriveView) -> None:
         screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
     for number, (what, remedy) in enumerate(found):
         screen.fact("" if number else "it does not move", f"{what}. Try: {remedy}")
+
+
+@drive.command()
+@common
+@click.pass_obj
+def stop(settings: Settings) -> None:
+    """Command a quick stop. The drive brakes as 0x605A says, and most drives have no power afterwards."""
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from procedures.quick_stop(axis)
+        return (yield from _look_at(axis))
+
+    _show(settings, screen, _on_axis(settings, screen, procedure))
+
+
+@drive.command()
+@click.argument("name", metavar="[MODE]", required=False)
+@common
+@click.pass_obj
+def mode(settings: Settings, name: str | None) -> None:
+    """Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one.
+
+    A drive that is enabled is not changed: in some modes it would obey an old target at once.
+    """
+    screen = settings.screen()
+    number = None if name is None else _mode_of(name)
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        view = yield from _look_at(axis)
+        if number is None:
+            return view
+        if view.state in POWERED:
+            raise Problem(
+                ExitCode.DRIVE_FAULT,
+                "CO409",
+                f"drive {axis.node.node_id} has power ({view.state}): in another mode it could obey an old target at once",
+                tries=(f"canopen drive {axis.node.node_id} disable",),
+            )
+        yield from procedures.set_mode(axis, number)
+        return (yield from _look_at(axis))
+
+    view = _on_axis(settings, screen, procedure)
+    modes = () if view.supported_modes is None else supported_modes(view.supported_modes)
+    if settings.json:
+        screen.json({"mode": view.mode, "wanted_mode": view.wanted_mode, "supported_modes": list(modes)})
+        return
+    screen.fact("mode", "not told (0x6061)" if view.mode is None else mode_name(view.mode))
+    screen.fact("it has", ", ".join(map(mode_name, modes)) if modes else "it does not tell (0x6502)")
+
+
+def _mode_of(name: str) -> int:
+    """Return the number of a mode that the command line names."""
+    short = {mode_name(each).rpartition("(")[2].rstrip(")"): int(each) for each in Mode if each}
+    if name.lower() in short:
+        return short[name.lower()]
+    if re.fullmatch("-?[0-9]{1,3}", name) and -128 <= int(name) <= 127:
+        return int(name)
+    raise usage("CO136", f"{name!r} is no mode of operation", tries=(f"one of {', '.join(short)}, or a number from -128 to 127",))
+
+
+@drive.command()
+@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@enabling
+@common
+@click.pass_obj
+def enable(settings: Settings, seconds: float | None) -> None:
+    """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none."""
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from identify(axis)
+        yield from procedures.select_standing_mode(axis)
+        yield from procedures.enable(axis)
+        screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
+        try:
+            end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
+            watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
+            yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
+        except (Cancelled, ProcedureError):
+            yield from procedures.shut_down(axis)
+            raise
+        yield from procedures.shut_down(axis)
+        return (yield from _look_at(axis))
+
+    _show(settings, screen, _on_axis(settings, screen, procedure))
+
+
+@drive.command()
+@click.argument("position", type=float)
+@click.option("--relative", is_flag=True, help="By so much from where it stands.")
+@click.option(
+    "--in",
+    "unit",
+    type=click.Choice([COUNTS, *(each.value for each in Unit)]),
+    default=COUNTS,
+    show_default=True,
+    help="The unit of POSITION.",
+)
+@click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
+@enabling
+@common
+@click.pass_obj
+def move(settings: Settings, position: float, relative: bool, unit: str, limit: Time) -> None:
+    """Move a drive to POSITION by its own profile (profile position). IT MOVES. Ctrl-C halts it; then it has no power.
+
+    The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
+    than counts need a drive that tells its scale: `canopen drive NODE units`.
+    """
+    screen = settings.screen()
+
+    def procedure(node: Node, session: Session) -> Procedure[tuple[float, float, DriveView]]:
+        scale = 1.0 if unit == COUNTS else (yield from _scale(node, Unit(unit)))
+        axis = session.master.device(node, settings=AxisSettings(counts_per_unit=scale)).axis
+        yield from identify(axis)
+        begin = yield from procedures.read_position(axis)
+        yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
+        end = yield from procedures.read_position(axis)
+        yield from procedures.shut_down(axis)
+        return begin, end, (yield from _look_at(axis))
+
+    begin, end, view = _on_node(settings, screen, procedure, story=_moved)
+    if settings.json:
+        screen.json({"from": begin, "to": end, "unit": unit, "state": str(view.state)})
+        return
+    name = unit if unit == COUNTS else f"{unit}s"
+    screen.fact("moved", f"from {begin:.10g} to {end:.10g} {name}")
+    screen.fact("state", str(view.state))
+
+
+def _moved(confirmed: bool) -> list[str]:
+    return [f"the drive was {'halted' if confirmed else 'told to halt'}: it is not at its target"]
+
+
+def _scale(node: Node, unit: Unit) -> Procedure[float]:
+    """Return the counts in one unit, as the drive tells. Raises a Problem if it does not."""
+    found = (yield from read_units(node.remote)).counts_per(unit)
+    if found is None:
+        raise Problem(
+            ExitCode.USAGE,
+            "CO321",
+            f"drive {node.node_id} does not tell how many counts a {unit} has",
+            tries=(f"canopen drive {node.node_id} units    what it tells", "the same in counts, without --in"),
+        )
+    return found

@@ -131,7 +131,12 @@ COMMANDS = [
     ("demo", "--eds", NAMED_EDS, "--seconds", "0.5"),
     ("home", "5", *DEMO, "-e", NAMED_EDS),
     *[("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO) for word in ("state", "units")],
-    *[("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO) for word in ("fault-reset", "disable")],
+    *[
+        ("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO)
+        for word in ("fault-reset", "disable", "stop", "mode")
+    ],
+    ("drive", "5", "enable", "--seconds", "1", "-e", "device.eds", "--overlay", "odd.toml", *DEMO),
+    ("drive", "5", "move", "5", "-e", "device.eds", "--overlay", "odd.toml", *DEMO),
     ("eds", "show", "device.eds"),
     ("eds", "show", "odd.eds", "2300"),
     ("eds", "show", "device.dcf", "2300", "2003"),

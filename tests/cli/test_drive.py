@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -13,14 +14,17 @@ from canopen_cli.fleet import Fleet
 from canopen_cli.problem import ExitCode
 from canopen_master.simulation import simulate
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
-from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
+from tests.cli.cli_support import Alarm, Run, runner, stands, watched_fleets
 from tests.proto.devices import io_device
 
 DEMO = ("-b", "demo")
+WINDOW = 10
+"""Counts: 0x6067 of the simulated drive, within which it is at its target."""
 
 
 @pytest.fixture
@@ -139,6 +143,107 @@ def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch:
     device(monkeypatch, {**encoder, objects.SI_UNIT_POSITION: 0xFD410000})
     outcome = run("drive", "5", "units", *DEMO)
     assert "these differ: 0x608F = 2000 / 1: 2000 counts for a turn; 0x60A8 = 0xFD410000" in outcome.out
+
+
+def test_modes_and_one_is_selected(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "mode", *DEMO)
+    assert "it has            profile position (pp), velocity (vl), interpolated position (ip)" in outcome.out.splitlines()
+    assert run("drive", "3", "mode", "pp", *DEMO, "--json").json == {"mode": 1, "wanted_mode": 1, "supported_modes": [1, 2, 7]}
+    assert fleets[-1].drives[3].drive.mode == Mode.PROFILE_POSITION
+    assert "mode              interpolated position (ip)" in run("drive", "3", "mode", "7", *DEMO).out
+    refused = run("drive", "3", "mode", "csp", *DEMO)
+    assert refused.status == ExitCode.DRIVE_FAULT
+    assert "CO405" in refused.err
+    for word in ("dance", "200", "--5"):
+        assert run("drive", "3", "mode", word, *DEMO).status == ExitCode.USAGE
+
+
+def test_the_mode_of_a_drive_with_power_stays(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    async def powered(fleet: Fleet) -> None:
+        drive = fleet.drives[3]
+        for word in (0x06, 0x07, 0x0F):
+            drive.values.store[objects.CONTROLWORD] = word
+            drive.drive.written(0x6040, 0, 0)
+
+    alarm.task = powered
+    outcome = run("drive", "3", "mode", "pp", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "has power (operation enabled)" in outcome.err
+    assert "canopen drive 3 disable" in outcome.err
+
+
+def test_move(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "move", "2000", *DEMO)
+    assert outcome.status == 0
+    assert outcome.out.startswith("moved             from -14000 to ")
+    drive = fleets[-1].drives[3]
+    assert drive.drive.state is State.SWITCH_ON_DISABLED
+    assert drive.values[objects.POSITION_ACTUAL_VALUE] == pytest.approx(2000, abs=WINDOW)
+    document = run("drive", "3", "move", "--relative", "--json", *DEMO, "--", "-500").json
+    assert document == {"from": -14000, "to": pytest.approx(-14500, abs=WINDOW), "unit": "counts", "state": "switch on disabled"}
+
+
+def test_a_move_in_a_unit_that_the_drive_does_not_tell(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "move", "10", "--in", "degree", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "does not tell how many counts a degree has" in outcome.err
+    assert fleets[-1].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14000
+
+
+@pytest.mark.parametrize("at", [0.1, 0.5, 1.0])
+def test_ctrl_c_halts_a_move(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
+    alarm.set((at, signal.SIGINT))
+    outcome = run("drive", "3", "move", "90000", *DEMO)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "the drive was halted: it is not at its target" in outcome.err
+    assert stands(fleets[-1].drives[3])
+
+
+def test_a_move_that_takes_too_long(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "move", "90000", "--limit", "200ms", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "did not reach its target position within 0.2 s" in outcome.err
+    assert stands(fleets[-1].drives[3])
+
+
+def test_enable_holds_the_power_for_a_time(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    seen = []
+
+    async def look(fleet: Fleet) -> None:
+        for _ in range(30):
+            await trio.sleep(0.1)
+            seen.append(fleet.drives[3].drive.state)
+
+    alarm.task = look
+    outcome = run("drive", "3", "enable", "--seconds", "2", *DEMO)
+    assert outcome.status == 0
+    assert "drive 3 is enabled, in interpolated position (ip); Ctrl-C disables it" in outcome.err
+    assert State.OPERATION_ENABLED in seen
+    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_ctrl_c_disables(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    alarm.set((1.0, signal.SIGINT))
+    outcome = run("drive", "3", "enable", *DEMO)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_fault_ends_the_hold_and_is_told(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    async def fault(fleet: Fleet) -> None:
+        await trio.sleep(1)
+        fleet.raise_fault(3, 0x2310)
+
+    alarm.task = fault
+    outcome = run("drive", "3", "enable", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "0x2310" in outcome.err
+
+
+def test_stop(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "stop", *DEMO)
+    assert outcome.status == 0
+    assert "controlword       0x0002" in outcome.out
 
 
 def test_what_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
