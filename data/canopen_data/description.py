@@ -160,6 +160,11 @@ class DeviceDescription:
     encoding: str = field(default="utf-8", compare=False)
     document: Document | None = field(default=None, compare=False, repr=False)
 
+    @property
+    def node_id(self) -> int | None:
+        """The node-ID of the device, None if the file names none."""
+        return None if self.commissioning is None else self.commissioning.node_id
+
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
         """Return line and column of an object in the file; see Document.place_of. (0, 0) if there is no file."""
         return (0, 0) if self.document is None else self.document.place_of(index, subindex, field)

@@ -12,9 +12,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from canopen_cli.options import Kind
 from canopen_cli.problem import usage
-from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.session import Session
-from canopen_cli.values import as_json, hex_text, place_text, value_text
+from canopen_cli.values import as_json, hex_text, object_json, place_text, value_text
 from canopen_master.subscription import Subscription
 from canopen_proto.abort import text_of
 from canopen_proto.datatypes import Value
@@ -120,7 +120,7 @@ def counts_text(backup: Backup) -> str:
     counts = backup.counts
     read = counts.pop(ReadResult.READ, 0)
     rest = ", ".join(f"{number} {_WORDS.get(result, str(result))}" for result, number in counts.items())
-    return f"{read} object{'' if read == 1 else 's'} read" + (f"; {rest}" if rest else "")
+    return f"{counted(read, 'object')} read" + (f"; {rest}" if rest else "")
 
 
 _WORDS: Final = {
@@ -162,10 +162,7 @@ def reason_text(reading: Reading) -> str:
 def reading_as_json(reading: Reading) -> dict[str, Any]:
     """Return one object, for --json and for files."""
     variable = reading.variable
-    return {
-        "index": variable.index,
-        "sub": variable.subindex,
-        "name": variable.name,
+    return object_json(variable) | {
         "type": variable.data_type.name,
         "access": str(variable.access),
         "result": str(reading.result),

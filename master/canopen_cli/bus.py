@@ -10,8 +10,7 @@ import trio
 
 from canopen_cli.nmt import confirm
 from canopen_cli.options import Settings, common
-from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.running import run
+from canopen_cli.running import first_of, run_until_interrupted
 from canopen_cli.screen import escape
 from canopen_proto.frame import Frame
 from canopen_transports.record import Record
@@ -83,18 +82,6 @@ def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | 
         try:
             await be_a_bus()
         except ExceptionGroup as group:
-            raise _first(group) from None
+            raise first_of(group) from None
 
-    try:
-        run(settings, screen, serve_unwrapped)
-    except Problem as ended:
-        if ended.exit_code is not ExitCode.INTERRUPTED:
-            raise
-        screen.say("ended")  # Ctrl-C is how it is meant to end
-
-
-def _first(error: Exception) -> Exception:
-    """Return the error that a nursery wrapped in a group."""
-    while isinstance(error, ExceptionGroup):
-        error = error.exceptions[0]
-    return error
+    run_until_interrupted(settings, screen, serve_unwrapped)

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from canopen_check.case import Case
 from canopen_cli.new_files import write_file
-from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_master.plain_text import clean
 from canopen_proto.verdict import Result, Verdict
 
@@ -89,7 +89,7 @@ class Report:
             if result is not Result.REMARK:
                 yield f"{count} {result}"
             elif count:
-                yield f"{count} remark{'' if count == 1 else 's'}"
+                yield counted(count, "remark")
 
     def _as_json(self) -> dict[str, Any]:
         return {

@@ -17,9 +17,9 @@ from canopen_cli.backup_reading import both_notations, shown, tell_unread
 from canopen_cli.options import Kind, NodeId, Settings, common, node_id_of
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.running import run
-from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.session import open_session
-from canopen_cli.values import as_json, hex_text, place_text
+from canopen_cli.values import as_json, hex_text, object_json, place_text
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
@@ -130,7 +130,7 @@ def compare(
     descriptions = [
         open_description(path, settings.encoding).description for path in ([right] if live is not None else [left, right])
     ]
-    whose = live or node_id or next(filter(None, map(_named, descriptions)), None)
+    whose = live or node_id or next((each.node_id for each in descriptions if each.node_id), None)
     second = _side(right, descriptions[-1], whose, defaults)
     if live is not None:
         found = run(settings, screen, lambda: _read(settings, screen, live, second))
@@ -149,8 +149,7 @@ def compare(
             screen.table([escape(each) for each in columns], [_cells(row) for row in rows])
         if live is not None:
             tell_unread(screen, found)
-        count = f"{len(rows)} difference{'' if len(rows) == 1 else 's'}"
-        screen.say(f"{count} between {escape(first.name)} and {escape(second.name)}")
+        screen.say(f"{counted(len(rows), 'difference')} between {escape(first.name)} and {escape(second.name)}")
     if rows:
         return ExitCode.DIFFERENT
     return ExitCode.PARTIAL if first.missing else ExitCode.OK
@@ -179,16 +178,12 @@ async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) ->
         return await shown(session, screen, f"reading {node_text(node_id)}", reading, ObjectRead)
 
 
-def _named(description: DeviceDescription) -> int | None:
-    return None if description.commissioning is None else description.commissioning.node_id
-
-
 def _side(path: str, description: DeviceDescription, whose: int | None, defaults: bool) -> Side:
     """Return the values of a file. whose: the node-ID, for a file that names none."""
     from canopen_proto.dictionary.download_order import settings_of
 
     dictionary = description.dictionary
-    node_id = _named(description) or whose
+    node_id = description.node_id or whose
     if node_id is None:
         depends = next((each for each in dictionary if each.adds_node_id or each.configured_adds_node_id), None)
         if depends is not None:
@@ -205,10 +200,7 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 
 def _as_json(row: Row) -> dict[str, Any]:
-    return {
-        "index": row.variable.index,
-        "sub": row.variable.subindex,
-        "name": row.variable.name,
+    return object_json(row.variable) | {
         "change": str(row.change),
         "role": str(row.role),
         "left": None if row.left is None else as_json(row.variable, row.left),

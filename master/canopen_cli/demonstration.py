@@ -24,7 +24,7 @@ from canopen_cli.path import MAX_SPEED, Path
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.recording import JointTrack, Recording
 from canopen_cli.running import all_stand
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.motion.chain import Chain, ChainSettings, ChainState
@@ -221,10 +221,8 @@ class Demonstration:
             raise ChainFileError(description.source, doubles)
         axes, scale, max_speed = {}, self.plan.scale, None
         if self.plan.bus is None:
-            scale, max_speed = (
-                MILLIDEGREES_PER_RADIAN,
-                MAX_SPEED,
-            )  # every simulated drive sends it, also if its file says otherwise
+            # Every simulated drive sends millidegrees, whatever its file says.
+            scale, max_speed = MILLIDEGREES_PER_RADIAN, MAX_SPEED
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
             axis = AxisSettings() if file is None else file.axis
@@ -271,7 +269,7 @@ class Demonstration:
             if device.axis.settings.counts_per_unit is None:
                 seen, tries = "only Schunk's joints tell it", ("--counts-per-degree 1000, or whatever it is",)
                 raise usage("CO123", f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
-        view.done(step, f"{_count(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
+        view.done(step, f"{counted(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
 
     async def _home(self, arm: Chain, view: DemoView) -> None:
         if self.plan.bus is not None:
@@ -281,7 +279,7 @@ class Demonstration:
         self._stage, self._has_begun = "the joints were homing", True
         step, start = view.begin("home", "the joints look for their reference"), trio.current_time()
         await arm.home()
-        view.done(step, f"{_count(len(arm.devices), 'joint')} homed after {trio.current_time() - start:.2f} s")
+        view.done(step, f"{counted(len(arm.devices), 'joint')} homed after {trio.current_time() - start:.2f} s")
 
     async def _move(self, arm: Chain, view: DemoView) -> None:
         """Send the path: one set-point for each joint in each cycle."""
@@ -362,8 +360,8 @@ class Demonstration:
     def titles(self) -> tuple[str, str]:
         """Return title and subtitle of the picture."""
         count = len(self.description.joints)
-        drives = _count(count, "simulated drive") if self.plan.bus is None else f"{_count(count, 'drive')} on {self.plan.bus}"
-        title = f"{self.description.name}: {_count(count, 'joint')} in interpolated position mode"
+        drives = counted(count, "simulated drive") if self.plan.bus is None else f"{counted(count, 'drive')} on {self.plan.bus}"
+        title = f"{self.description.name}: {counted(count, 'joint')} in interpolated position mode"
         source = f"{self.description.name} of {self.description.source}"
         files = ", ".join(dict.fromkeys(file.source for file in self.plan.files.values()))
         drives += f" made of {files}" if files and self.plan.bus is None else ""
@@ -435,10 +433,6 @@ def _nobody_reads(error: Exception) -> bool:
     """Return whether the run ended only because its reader went away (`canopen demo | head`), and all drives stand."""
     rest = error.split(BrokenPipeError)[1] if isinstance(error, ExceptionGroup) else error
     return (rest is None or isinstance(rest, BrokenPipeError)) and all_stand(error)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _percent(share: float) -> str:

@@ -43,7 +43,7 @@ def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Scr
     for node_id, path in named:
         description = with_names(_read(path, screen, encoding), names)
         if node_id is None and without > 1:
-            node_id = description.commissioning.node_id if description.commissioning is not None else None
+            node_id = description.node_id
             if node_id is None:
                 tries = (f"-e 5={path}    (it is the file of node 5)",)
                 raise usage("CO126", f"there are several files, and {path} names no node-ID", tries=tries)

@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 
 import click
 
-from canopen_cli.eds_files import DescriptionFile, counted, open_description, tell_faults
+from canopen_cli.eds_files import DescriptionFile, open_description, tell_faults
 from canopen_cli.new_files import check_new_file, write_file
 from canopen_cli.options import NodeId, Settings, common
 from canopen_cli.problem import usage
-from canopen_cli.screen import escape
-from canopen_cli.values import as_json, parse_value, place_text, value_text
+from canopen_cli.screen import counted, escape
+from canopen_cli.values import as_json, object_json, parse_value, place_text, value_text
 from canopen_data.configured import with_configured
 from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.writer import encode_eds, write_eds
@@ -152,4 +152,4 @@ def _assigned(file: DescriptionFile, assignments: tuple[str, ...]) -> list[Setti
 
 def _as_json(setting: Setting) -> dict[str, Any]:
     variable, value = setting
-    return {"index": variable.index, "sub": variable.subindex, "name": variable.name, "value": as_json(variable, value)}
+    return object_json(variable) | {"value": as_json(variable, value)}

@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.eds_files import counted, open_description, tell_faults
+from canopen_cli.eds_files import open_description, tell_faults
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode
-from canopen_cli.screen import escape
+from canopen_cli.screen import counted, escape
 from canopen_cli.values import plain_json
 from canopen_data.difference import Change, Difference, Relative, compare
 

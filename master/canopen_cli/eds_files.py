@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_data import DataError
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import read_file
@@ -71,11 +71,6 @@ def tell_faults(screen: Screen, file: DescriptionFile) -> None:
     errors = sum(1 for each in file.description.findings if each.severity is Severity.ERROR)
     if errors:
         screen.say(f"[yellow]{escape(file.path)}: {counted(errors, 'error')} in it[/]; canopen eds lint {escape(file.path)}")
-
-
-def counted(number: int, what: str) -> str:
-    """Return a text such as "1 error", "2 errors"."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 # ---- findings ----

@@ -6,11 +6,11 @@ import difflib
 
 import click
 
-from canopen_cli.eds_files import counted, finding_as_json, lines_of, open_description
+from canopen_cli.eds_files import finding_as_json, lines_of, open_description
 from canopen_cli.new_files import check_new_file, write_file
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, usage
-from canopen_cli.screen import escape
+from canopen_cli.screen import counted, escape
 from canopen_data.checks import check
 from canopen_data.description import FileKind
 from canopen_data.findings import Severity

@@ -9,7 +9,6 @@ import click
 
 from canopen_cli.eds_files import (
     DescriptionFile,
-    counted,
     counts_of,
     counts_text,
     finding_as_json,
@@ -18,7 +17,7 @@ from canopen_cli.eds_files import (
 )
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_data.checks import RULES, check
 from canopen_data.description import FileKind
 from canopen_data.findings import Finding, Severity

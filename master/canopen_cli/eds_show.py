@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from canopen_cli import eds_text
-from canopen_cli.eds_files import counted, finding_as_json, open_description, tell_faults
+from canopen_cli.eds_files import finding_as_json, open_description, tell_faults
 from canopen_cli.options import Settings, common
-from canopen_cli.screen import Screen, escape
-from canopen_cli.values import as_json, place_text
+from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.values import as_json, object_json, place_text
 from canopen_data.description import DeviceDescription
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFound, Variable
@@ -193,10 +193,7 @@ def _object_as_json(each: Object, variables: list[Variable]) -> dict[str, Any]:
 
 
 def _variable_as_json(variable: Variable) -> dict[str, Any]:
-    return {
-        "index": variable.index,
-        "sub": variable.subindex,
-        "name": variable.name,
+    return object_json(variable) | {
         "type": variable.data_type.name,
         "access": str(variable.access),
         "pdo": variable.pdo_mappable,

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 
 from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.values import object_json
 from canopen_master.node import Node
 from canopen_proto.dictionary import Variable
 from canopen_proto.sdo.client import Block
@@ -48,9 +49,7 @@ class FileTransfer:
         """Return the transfer for --json."""
         return {
             "node": self.node_id,
-            "index": self.variable.index,
-            "sub": self.variable.subindex,
-            "name": self.variable.name,
+            **object_json(self.variable),
             "file": self.path,
             "bytes": self.size,
             "seconds": round(self.seconds, 3),

@@ -19,6 +19,7 @@ from canopen_cli.values import (
     TYPES,
     as_json,
     hex_text,
+    object_json,
     parse_value,
     physical,
     physical_text,
@@ -37,6 +38,16 @@ _TYPE = click.option(
 _BLOCK = click.option(
     "--block/--no-block", default=None, help="By SDO block transfer, or never so. By default where it pays and the device can."
 )
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the arguments choose. type_name, block: see --type and --block; None if not given."""
+
+    node_id: int
+    type_name: str | None
+    block: bool | None
+    verify: bool = False
 
 
 @dataclass
@@ -60,9 +71,7 @@ class Reading:
         """Return the value for --json."""
         return {
             "node": self.node_id,
-            "index": self.variable.index,
-            "sub": self.variable.subindex,
-            "name": self.variable.name,
+            **object_json(self.variable),
             "type": self.variable.data_type.name,
             "value": as_json(self.variable, self.value),
             "hex": hex_text(self.variable, self.value) or None,
@@ -129,16 +138,16 @@ def read(
     canopen read 3 6041 6064 --json -b demo
     canopen read 3 1008 -o name.bin -b demo
     """
-    screen = settings.screen()
+    screen, request = settings.screen(), Request(node_id, type_name, block)
     if output is not None:
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
         check_new_file(settings, screen, output)
         with new_file(output) as file:  # opening a pipe waits for its reader: do it here, where Ctrl-C ends the wait
-            taken = run(settings, screen, lambda: _read_file(settings, screen, node_id, keys[0], type_name, block, output, file))
+            taken = run(settings, screen, lambda: _read_file(settings, screen, request, keys[0], output, file))
         _tell_file(settings, screen, taken, "→")
         return
-    readings = run(settings, screen, lambda: _read(settings, screen, node_id, keys, type_name, block))
+    readings = run(settings, screen, lambda: _read(settings, screen, request, keys))
     if settings.json:
         documents = [reading.as_json() for reading in readings]
         screen.json(documents if len(documents) > 1 else documents[0])
@@ -147,31 +156,23 @@ def read(
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
 
 
-async def _read(
-    settings: Settings, screen: Screen, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None
-) -> list[Reading]:
+async def _read(settings: Settings, screen: Screen, request: Request, keys: tuple[str, ...]) -> list[Reading]:
     async with open_session(settings, screen) as session:
-        variables = [find(session.dictionary_of(node_id), key, type_name) for key in keys]
+        node = session.node(request.node_id)
+        variables = [find(node.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
             _check_readable(variable)
-        node = session.node(node_id)
-        return [await read_object(node, variable, block) for variable in variables]
+        return [await read_object(node, variable, request.block) for variable in variables]
 
 
 async def _read_file(
-    settings: Settings,
-    screen: Screen,
-    node_id: int,
-    key: str,
-    type_name: str | None,
-    block: bool | None,
-    output: str,
-    file: IO[bytes],
+    settings: Settings, screen: Screen, request: Request, key: str, output: str, file: IO[bytes]
 ) -> FileTransfer:
     async with open_session(settings, screen) as session:
-        variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
+        node = session.node(request.node_id)
+        variable = find(node.dictionary, key, request.type_name or BYTES)
         _check_readable(variable)
-        return await read_into_file(screen, session.node(node_id), variable, output, file, block_of(variable, block))
+        return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
 
 
 def _check_readable(variable: Variable) -> None:
@@ -223,22 +224,17 @@ def write(
     canopen write 3 6081 20000 -b demo
     canopen write 5 1F50:01 --file firmware.bin
     """
-    screen = settings.screen()
+    screen, request = settings.screen(), Request(node_id, type_name, block, verify)
     if path is not None and text is None:
-        written = run(settings, screen, lambda: _write_file(settings, screen, node_id, key, type_name, block, path, verify))
+        written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
         return
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
-    before, after = run(settings, screen, lambda: _write(settings, screen, node_id, key, text, type_name, block, verify))
+    before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text))
     if settings.json:
-        screen.json(
-            {
-                **after.as_json(),
-                "previous": None if before is None else as_json(before.variable, before.value),
-                "verified": verify,
-            }
-        )
+        previous = None if before is None else as_json(before.variable, before.value)
+        screen.json({**after.as_json(), "previous": previous, "verified": verify})
         return
     old = "?" if before is None else _shown(before)
     screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
@@ -251,41 +247,25 @@ def _shown(reading: Reading) -> str:
     return f"{value_text(reading.variable, reading.value)}{f' ({number})' if number else ''}{words}"
 
 
-async def _write_file(
-    settings: Settings,
-    screen: Screen,
-    node_id: int,
-    key: str,
-    type_name: str | None,
-    block: bool | None,
-    path: str,
-    verify: bool,
-) -> FileTransfer:
+async def _write_file(settings: Settings, screen: Screen, request: Request, key: str, path: str) -> FileTransfer:
     async with open_session(settings, screen) as session:
-        variable = find(session.dictionary_of(node_id), key, type_name or BYTES)
+        node = session.node(request.node_id)
+        variable = find(node.dictionary, key, request.type_name or BYTES)
         _check_writable(variable)
-        verify = verify and variable.access.readable
-        return await write_from_file(screen, session.node(node_id), variable, path, block_of(variable, block), verify)
+        verify = request.verify and variable.access.readable
+        return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)
 
 
-async def _write(
-    settings: Settings,
-    screen: Screen,
-    node_id: int,
-    key: str,
-    text: str,
-    type_name: str | None,
-    block: bool | None,
-    verify: bool,
-) -> tuple[Reading | None, Reading]:
+async def _write(settings: Settings, screen: Screen, request: Request, key: str, text: str) -> tuple[Reading | None, Reading]:
     async with open_session(settings, screen) as session:
-        dictionary = session.dictionary_of(node_id)
-        variable = find(dictionary, key, type_name)
+        node_id, block = request.node_id, request.block
+        node = session.node(node_id)
+        dictionary = node.dictionary
+        variable = find(dictionary, key, request.type_name)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)
         variable.check_limits(value)
         data = variable.encode(value)
-        node = session.node(node_id)
         before = await read_object(node, variable, block) if variable.access.readable else None
         how = block_of(variable, block)
         if dictionary.get(variable.index, variable.subindex) is not None:
@@ -293,7 +273,7 @@ async def _write(
         else:
             await node.write_bytes(variable.index, variable.subindex, data, block=how)
         after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
-        if verify and variable.access.readable:
+        if request.verify and variable.access.readable:
             shown = await read_object(node, variable, block)
             if shown.value != value:
                 raise Problem(

@@ -194,32 +194,14 @@ def _time_text(time: Time) -> str:
 
 
 def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
-    settings = ctx.ensure_object(Settings)
-    match param.name:
-        case "bus" if value is not None:
-            settings.bus = value
-        case "eds":
-            settings.eds += value
-        case "overlays":
-            settings.overlays += value
-        case "master_id" if value is not None:
-            settings.master_id = value
-        case "timeout" if value is not None:
-            settings.timeout = value
-        case "trace" if value is not None:
-            settings.trace = value
-        case "encoding" if value is not None:
-            settings.encoding = value
-        case "force" if value:
-            settings.force = True
-        case "json_output" if value:
-            settings.json = True
-        case "no_color" if value:
-            settings.no_color = True
-        case "verbose" if value:
-            settings.verbosity = value
-        case "quiet" if value:
-            settings.verbosity = -1
+    """Keep the value of an option in the settings, under the option's name."""
+    settings, name = ctx.ensure_object(Settings), str(param.name)
+    if name in ("eds", "overlays"):  # may be repeated
+        setattr(settings, name, getattr(settings, name) + value)
+    elif name == "quiet":
+        settings.verbosity = -1 if value else settings.verbosity
+    elif value not in (None, False):
+        setattr(settings, name, value)
 
 
 def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
@@ -267,9 +249,9 @@ def common(command: F) -> F:
             help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc.",
         ),
         _option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
-        _option("--json", "json_output", is_flag=True, help="Results and errors as JSON."),
+        _option("--json", is_flag=True, help="Results and errors as JSON."),
         _option("-q", "--quiet", is_flag=True, help="Only results and errors."),
-        _option("-v", "--verbose", count=True, help="Tell more; -vv with tracebacks."),
+        _option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
         _option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
     ]
     for option in reversed(options):

@@ -10,7 +10,7 @@ import click
 from canopen_cli.device_files import DeviceFiles, description_of, read_device_files
 from canopen_cli.options import Duration, Settings, common
 from canopen_cli.problem import ExitCode, usage
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_master.motion.chain import ChainSettings
@@ -161,7 +161,7 @@ def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: in
 def _show(screen: Screen, network: NetworkPlan) -> None:
     joints = len({each.stream.node_id for each in network.streams} - {0})
     screen.data(
-        f"[bold]{escape(network.bus)}[/]: {joints} joint{'s' if joints > 1 else ''}, {bitrate_text(network.bitrate)}bit/s,"
+        f"[bold]{escape(network.bus)}[/]: {counted(joints, 'joint')}, {bitrate_text(network.bitrate)}bit/s,"
         f" cycle {milliseconds(network.cycle)}"
     )
     rows = []

@@ -114,7 +114,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> Objec
     from canopen_cli.eds_files import open_description
 
     description = open_description(path, encoding).description
-    named = None if description.commissioning is None else description.commissioning.node_id
+    named = description.node_id
     if named is not None and named != node_id and not any_node:
         raise usage(
             "CO128",

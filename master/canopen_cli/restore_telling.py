@@ -9,8 +9,8 @@ from typing import Any, Final
 from canopen_cli.backup_reading import both_notations
 from canopen_cli.failures import problem_of
 from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.screen import Screen, escape, node_text
-from canopen_cli.values import as_json, hex_text, place_text
+from canopen_cli.screen import Screen, counted, escape, node_text
+from canopen_cli.values import as_json, hex_text, object_json, place_text
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.multiplexer import index_of, split_mux, subindex_of
 from canopen_proto.nmt import NmtState
@@ -49,12 +49,12 @@ def show(screen: Screen, so_far: Restoration, path: str, *, dry_run: bool) -> No
     for key, why in sorted(plan.left_out.items()):
         screen.detail(f"left out: {index_of(key):04X}:{subindex_of(key):02X}, {why}")
     left = "; ".join(f"{number} {why}" for why, number in Counter(plan.left_out.values()).most_common())
-    screen.say(f"{_counted(plan.equal, 'object')} as in {escape(path)} already" + (f"; left out: {escape(left)}" if left else ""))
+    screen.say(f"{counted(plan.equal, 'object')} as in {escape(path)} already" + (f"; left out: {escape(left)}" if left else ""))
     who = node_text(plan.node_id)
     if dry_run:
-        screen.say(f"{who}: {_counted(len(writes), 'write')} to do; nothing was written (--dry-run)")
+        screen.say(f"{who}: {counted(len(writes), 'write')} to do; nothing was written (--dry-run)")
     elif so_far.is_done:
-        screen.say(f"{who}: {_counted(len(writes), 'write')} done{', and stored' if so_far.stored else ''}{_state_text(so_far)}")
+        screen.say(f"{who}: {counted(len(writes), 'write')} done{', and stored' if so_far.stored else ''}{_state_text(so_far)}")
 
 
 def tell_unread(screen: Screen, dictionary: ObjectDictionary, so_far: Restoration) -> bool:
@@ -85,10 +85,7 @@ def _line(write: PlannedWrite) -> str:
 
 
 def _as_json(write: PlannedWrite, is_done: bool) -> dict[str, Any]:
-    return {
-        "index": write.variable.index,
-        "sub": write.variable.subindex,
-        "name": write.variable.name,
+    return object_json(write.variable) | {
         "before": None if write.value_before is None else as_json(write.variable, write.value_before),
         "value": as_json(write.variable, write.value),
         "hex": hex_text(write.variable, write.value) or None,
@@ -102,7 +99,7 @@ def story(so_far: Sequence[Restoration]) -> list[str]:
         return ["nothing was written"]
     found = so_far[0]
     total = len(found.plan.writes)
-    lines = [f"{found.written} of {_counted(total, 'write')} were confirmed"]
+    lines = [f"{found.written} of {counted(total, 'write')} were confirmed"]
     not_sent = [each.variable for each in found.open if each is not found.in_doubt]
     if found.in_doubt is not None:
         lines.append(f"not confirmed, so it may have been executed: {_places([found.in_doubt.variable])}; it is not sent again")
@@ -153,7 +150,3 @@ def told(error: Exception, so_far: Sequence[Restoration], path: str) -> Problem:
         tries.append(f"canopen nmt start {node_id}    (run it as it is now)")
     problem.tries = (*tries, *problem.tries)
     return problem
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"

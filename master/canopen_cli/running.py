@@ -22,7 +22,7 @@ from canopen_cli.failures import problem_of
 from canopen_cli.new_files import check_new_file
 from canopen_cli.options import Settings
 from canopen_cli.problem import ExitCode, Problem, usage
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_master.errors import HaltNotConfirmed
 from canopen_master.grip import LOGGER
 from canopen_transports.log_files import LOSSES, log_writer
@@ -67,7 +67,26 @@ def run(
             trace.close()
             settings.late = _missing(settings.trace, trace)
             if settings.late is None:
-                screen.say(f"[dim]{trace.recorded} frame{'s' * (trace.recorded != 1)} recorded: {escape(str(settings.trace))}[/]")
+                screen.say(f"[dim]{counted(trace.recorded, 'frame')} recorded: {escape(str(settings.trace))}[/]")
+
+
+def run_until_interrupted(
+    settings: Settings, screen: Screen, command: Callable[[], Awaitable[None]], *, devices: bool = False
+) -> None:
+    """Run a command that is meant to end by Ctrl-C. devices: as for `run`."""
+    try:
+        run(settings, screen, command, devices=devices)
+    except Problem as ended:
+        if ended.exit_code is not ExitCode.INTERRUPTED:
+            raise
+        screen.say("ended")
+
+
+def first_of(error: BaseException) -> BaseException:
+    """Return the error that nurseries wrapped in groups: the first one, if there are several."""
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error
 
 
 @contextmanager

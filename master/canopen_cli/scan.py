@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from canopen_cli.device_types import device_type_text
 from canopen_cli.options import Duration, NodeIds, Settings, common
 from canopen_cli.running import run
-from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.session import open_session
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.network import Network
@@ -46,7 +46,7 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
         columns = [name for name in COLUMNS if name not in hidden and any(row[name] for row in cells)]
         screen.table(columns, [[row[name] for name in columns] for row in cells], right=("node",))
     how = "heard" if passive else "found"
-    screen.say(f"{len(found)} node{'' if len(found) == 1 else 's'} {how}" + remark)
+    screen.say(f"{counted(len(found), 'node')} {how}" + remark)
 
 
 def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:

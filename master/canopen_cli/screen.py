@@ -47,6 +47,11 @@ def node_text(node_id: int) -> str:
     return f"node {node_id} (0x{node_id:02X})"
 
 
+def counted(number: int, what: str) -> str:
+    """Return a text such as "1 error", "2 errors"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 class Screen:
     """The screen of a command. out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv)."""
 

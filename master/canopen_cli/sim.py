@@ -14,8 +14,8 @@ import trio
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
 from canopen_cli.options import DEMO, NodeIds, Settings, common
 from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.running import run
-from canopen_cli.screen import Screen, escape, node_text
+from canopen_cli.running import first_of, run_until_interrupted
+from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.sim_devices import SHAPES, models, script_problem, wanted
 from canopen_master.hooks import ScriptError
 from canopen_master.parameter_keeper import ParameterKeeper, StateFileError
@@ -91,12 +91,11 @@ def sim(
     def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
         if plant is None:
             ids = node_ids or DEFAULT_IDS
-            what = f"{len(ids)} simulated drive{'s' if len(ids) > 1 else ''}"
             fleet = simulated_fleet([(locator, node_id) for node_id in ids], SHAPES[shape or "schunk"], tell)
-            return what, fleet
+            return counted(len(ids), "simulated drive"), fleet
         made = models(plant.devices, screen)
         keeper = _keeper(state or plant.state)
-        what = f"{len(made)} simulated device{'s' if len(made) > 1 else ''}"
+        what = counted(len(made), "simulated device")
         return what, simulated_devices({locator: made}, tell, keeper=keeper, say=report)
 
     async def serve() -> None:
@@ -110,14 +109,11 @@ def sim(
                     screen.json({"bus": locator, "nodes": served.node_ids})
                 await trio.sleep(math.inf if seconds is None else seconds)
         except* ScriptError as errors:
-            raise script_problem(_first(errors)) from None
+            error = first_of(errors)
+            assert isinstance(error, ScriptError)
+            raise script_problem(error) from None
 
-    try:
-        run(settings, screen, serve, devices=True)
-    except Problem as ended:
-        if ended.exit_code is not ExitCode.INTERRUPTED:
-            raise
-        screen.say("ended")  # Ctrl-C is how it is meant to end
+    run_until_interrupted(settings, screen, serve, devices=True)
 
 
 def _teller(screen: Screen) -> Callable[[Event], None]:
@@ -133,14 +129,6 @@ def _teller(screen: Screen) -> Callable[[Event], None]:
                 screen.say(f"{node_text(node_id)}  [red]fault 0x{code:04X} {error_text(code)}[/]")
 
     return tell
-
-
-def _first(errors: BaseExceptionGroup[ScriptError]) -> ScriptError:
-    first: BaseException = errors
-    while isinstance(first, BaseExceptionGroup):
-        first = first.exceptions[0]
-    assert isinstance(first, ScriptError)
-    return first
 
 
 def _keeper(path: str) -> ParameterKeeper:

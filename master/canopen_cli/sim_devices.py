@@ -126,8 +126,7 @@ def script_problem(error: ScriptError) -> Problem:
 def _node_ids(entry: DeviceEntry, description: DeviceDescription) -> tuple[int, ...]:
     if entry.node_ids:
         return entry.node_ids
-    commissioning = description.commissioning
-    node_id = None if commissioning is None else commissioning.node_id
+    node_id = description.node_id
     if node_id is None or not 1 <= node_id <= MAX_NODE_ID:
         seen = "the file names none" if node_id is None else f"the file names {node_id}, which is not valid"
         tries = (f"canopen sim {entry.file} --id 5", f"canopen sim 5={entry.file}")

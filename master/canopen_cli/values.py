@@ -30,6 +30,11 @@ def place_text(variable: Variable) -> str:
     return f"{variable.index:04X}:{variable.subindex:02X}"
 
 
+def object_json(variable: Variable) -> dict[str, Any]:
+    """Return how an object is named in a JSON document."""
+    return {"index": variable.index, "sub": variable.subindex, "name": variable.name}
+
+
 def value_text(variable: Variable, value: Value) -> str:
     """Return a value for people. A text of a device is read as UTF-8 if it is valid, else as Latin-1."""
     if isinstance(value, bytes):

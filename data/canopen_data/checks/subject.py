@@ -55,7 +55,7 @@ class Subject:
         self.dictionary = description.dictionary
         self.shared: set[tuple[str, int, int]] = set()
         self._rules: Mapping[str, Rule] = {rule.code: rule for rule in rules}
-        node_id = description.commissioning.node_id if description.commissioning is not None else None
+        node_id = description.node_id
         self.node_id = node_id if node_id is not None and 1 <= node_id <= MAX_NODE_ID else None
 
     @property
