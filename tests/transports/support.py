@@ -11,12 +11,32 @@ import trio
 import trio.testing
 
 from canopen_transports import BusStateChanged, Report, Transport
-from canopen_transports.conformance import CASES, Case, Site
-from canopen_transports.conformance.catalogue import HEARING, OPTIONAL
+from canopen_transports.conformance import (
+    CASES,
+    Case,
+    Site,
+    cancelling_cases,
+    carrying_cases,
+    closing_cases,
+    flooding_cases,
+    optional_cases,
+)
 from canopen_transports.conformance.opening_cases import what_cannot_be_opened_says_what_to_do as UNOPENABLE
 
 LIMIT = 100
 """Seconds. In virtual time a test that hangs gets there at once, and a computer that is busy may need them in real time."""
+
+HEARING = (
+    UNOPENABLE,
+    carrying_cases.every_kind_of_frame,
+    flooding_cases.stream,
+    flooding_cases.two_receivers,
+    cancelling_cases.storm_on_receive,
+    closing_cases.closing_wakes_the_receiver,
+    closing_cases.closing_by_two_tasks,
+    closing_cases.cancelled_close,
+)
+"""The cases for a transport that can only hear."""
 
 P = ParamSpec("P")
 R = TypeVar("R", bound=Report)
@@ -27,7 +47,7 @@ def cases(site: Site, *, hears_only: bool = False, optional: tuple[str, ...] = (
     return [
         case
         for case in (HEARING if hears_only else CASES)
-        if (case not in OPTIONAL or case.name in optional) and (site.unopenable or case is not UNOPENABLE)
+        if (case not in optional_cases.CASES or case.name in optional) and (site.unopenable or case is not UNOPENABLE)
     ]
 
 

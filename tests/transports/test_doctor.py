@@ -136,7 +136,7 @@ def test_another_program_has_the_adapter(tmp_path: Path) -> None:
 def test_an_adapter_that_is_plugged_in(tmp_path: Path) -> None:
     files = {"sys/bus/usb/devices/1-1/idVendor": "0c72\n", "sys/bus/usb/devices/1-2/idVendor": "1d6b\n"}
     first, second = peak(tmp_path, files, None)
-    assert first.seen == "1 USB adapter of PEAK is plugged in, and no driver is loaded"
+    assert first.seen == "1 USB adapter of PEAK plugged in, and no driver is loaded"
     assert first.tries[0].startswith("sudo modprobe peak_usb")
     assert second.health is Health.NOTE
     first, _ = peak(tmp_path, {"sys/module/peak_usb/version": ""}, None)

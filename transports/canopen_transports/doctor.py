@@ -254,7 +254,7 @@ def _plugged_in(root: Path, adapter: _UsbAdapter) -> Iterator[Finding]:
         seen = f"the kernel's own driver, {adapter.module}, has it: use socketcan:can0"
         yield Finding(subject, Health.OK, seen)
     elif count:
-        seen = f"{_count(count, 'USB adapter')} of {adapter.maker} is plugged in, and no driver is loaded"
+        seen = f"{count} USB adapter{'s' * (count > 1)} of {adapter.maker} plugged in, and no driver is loaded"
         steps = (f"sudo modprobe {adapter.module}   (the kernel's own: socketcan:can0)", adapter.other)
         yield Finding(subject, Health.WARNING, seen, tuple(filter(None, steps)))
 
@@ -311,7 +311,3 @@ def _text(path: Path) -> str:
         return path.read_text(errors="replace").strip()
     except OSError:
         return ""
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -8,7 +8,7 @@ import ipaddress
 import logging
 import os
 import socket
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import can
 import trio
@@ -16,7 +16,7 @@ import trio
 from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.driver_calls import open_bus
 from canopen_transports.errors import TransportError, bad_locator
-from canopen_transports.locator import Locator, Option, parse_locator
+from canopen_transports.locator import Locator, parse_locator
 from canopen_transports.python_can import PythonCanTransport
 from canopen_transports.replay import ReplayTransport, open_replay
 from canopen_transports.tcp import TcpTransport, open_tcp
@@ -101,7 +101,13 @@ def _open_bus(locator: Locator) -> can.BusABC:
             _check_server(locator)
         elif locator.interface == "pcan":
             _check_peak_bitrate(locator)
-        bus = _bus(locator.interface, channel, options)
+        # ignore_config: else python-can adds options from ~/.canrc and the environment that the locator does not name.
+        bus = can.Bus(
+            channel=channel if channel != "" else None,  # type: ignore[arg-type]
+            interface=locator.interface,
+            ignore_config=True,
+            **options,
+        )
     except TransportError:
         raise
     except diagnosis.DRIVER_ERRORS as error:
@@ -111,11 +117,6 @@ def _open_bus(locator: Locator) -> can.BusABC:
         bus.shutdown()
         raise diagnosis.interface_down(locator)
     return bus
-
-
-def _bus(interface: str, channel: Option, options: dict[str, Any]) -> can.BusABC:
-    # ignore_config: else python-can adds options from ~/.canrc and the environment that the locator does not name.
-    return can.Bus(channel=channel if channel != "" else None, interface=interface, ignore_config=True, **options)  # type: ignore[arg-type]
 
 
 def _check_net_device(locator: Locator) -> None:

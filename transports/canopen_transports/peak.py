@@ -83,7 +83,8 @@ class PeakStatus:
 
     def text(self, status: int) -> str:
         """Return the library's words for a status, those of several bits one after the other."""
-        parts = [status] if status & (status - 1) == 0 or status in (0x1400, 0x1800, 0x1C00) else _bits(status)
+        is_one = status & (status - 1) == 0 or status in (0x1400, 0x1800, 0x1C00)
+        parts = [status] if is_one else [1 << bit for bit in range(32) if status >> bit & 1]
         return "; ".join(self._one_text(part) for part in parts)
 
     def _one_text(self, status: int) -> str:
@@ -107,14 +108,9 @@ def attached() -> dict[str, str]:
         from can.interfaces.pcan import PcanBus
 
         detect: Callable[[], Iterable[dict[str, Any]]] = PcanBus._detect_available_configs
-        configs = detect()
-        for config in configs:
+        for config in detect():
             condition = config.get("channel_condition", _AVAILABLE)
             found[str(config["channel"])] = (
                 "free" if condition & _AVAILABLE else "in use" if condition & _OCCUPIED else "not usable"
             )
     return found
-
-
-def _bits(status: int) -> list[int]:
-    return [1 << bit for bit in range(32) if status >> bit & 1]

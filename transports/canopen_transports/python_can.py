@@ -212,7 +212,6 @@ class PythonCanTransport(trio.abc.AsyncResource):
     # ---- receiving ----
 
     async def receive(self) -> Received | Report:
-        """Return the next frame from the bus, or a report."""
         await trio.lowlevel.checkpoint_if_cancelled()
         while True:
             over = self._reader.is_over and self._queue.is_empty()
@@ -221,7 +220,6 @@ class PythonCanTransport(trio.abc.AsyncResource):
                 return received
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Wait until something came from the bus; return it."""
         first = await self.receive()
         return [first] if self._queue.is_empty() else [first, *self._queue.take_many(limit - 1)]
 

@@ -116,7 +116,7 @@ class Trace:
 
 
 class TracingTransport(trio.abc.AsyncResource):
-    """A transport that records in a trace what passes through it. It offers what the transport below offers, except filters: a
+    """A transport that records in a trace what passes through it. Its methods are those of the transport below, except filters: a
     trace must see all frames."""
 
     def __init__(self, transport: Named, trace: Trace) -> None:
@@ -140,7 +140,6 @@ class TracingTransport(trio.abc.AsyncResource):
         return errors
 
     async def send(self, frame: Frame) -> None:
-        """Send as the transport below does, and record the frame."""
         record = self._record_of(frame, self._ours)
         self._sending += 1
         try:
@@ -154,20 +153,19 @@ class TracingTransport(trio.abc.AsyncResource):
                 self._held.clear()
 
     def send_nowait(self, frame: Frame) -> bool:
-        """Send as the transport below does; False if that one cannot."""
+        """False if the transport below has no `send_nowait`."""
         if self._eager is None or not self._eager.send_nowait(frame):
             return False
         self._record_in_turn(self._record_of(frame, self._ours))
         return True
 
     async def receive(self) -> Received | Report:
-        """Receive as the transport below does, and record the frame."""
         received = await self.transport.receive()
         self._note(received)
         return received
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Receive as the transport below does; one by one if that one has no `receive_many`."""
+        """One by one if the transport below has no `receive_many`."""
         if self._batch is None:
             return [await self.receive()]
         taken = await self._batch.receive_many(limit)
@@ -176,19 +174,16 @@ class TracingTransport(trio.abc.AsyncResource):
         return taken
 
     def start_cyclic(self, frames: Sequence[Frame], period: int) -> None:
-        """Start cyclic frames on the transport below; they come back by `receive`."""
         assert self._cyclic is not None, "sends_sync says that it cannot"
         self._cyclic.start_cyclic(frames, period)
         self._cyclic_keys = {frame.key for frame in frames}
 
     def stop_cyclic(self) -> None:
-        """Stop the cyclic frames."""
         assert self._cyclic is not None, "sends_sync says that it cannot"
         self._cyclic.stop_cyclic()
         self._cyclic_keys.clear()
 
     async def aclose(self) -> None:
-        """Close the transport below, and leave the trace."""
         try:
             await self.transport.aclose()
         finally:

@@ -101,11 +101,9 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._receiver = receiver
 
     async def receive(self) -> Received | Report:
-        """Return the next frame of another member, or a report."""
         return await self._queue.get()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Wait until other members have sent something; return it."""
         return await self._queue.get_many(limit)
 
     async def aclose(self) -> None:

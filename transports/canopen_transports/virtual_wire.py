@@ -252,11 +252,9 @@ class WireTransport(trio.abc.AsyncResource):
         return True
 
     async def receive(self) -> Received | Report:
-        """Return the next frame of another member, or a report."""
         return await self.queue.get()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Wait until other members have sent something; return it."""
         return await self.queue.get_many(limit)
 
     async def aclose(self) -> None:
@@ -282,9 +280,7 @@ class WireTransport(trio.abc.AsyncResource):
         )
 
 
-async def open_wire(
-    locator: str, name: str, bitrate: int | None, options: Mapping[str, str | int | float | bool]
-) -> WireTransport | None:
+async def open_wire(locator: str, name: str, bitrate: int | None, options: Mapping[str, Option]) -> WireTransport | None:
     """Open one more member of the physical bus of this name. Returns None without options if there is no such bus.
 
     bitrate: the one after the locator's @. Raises TransportError (CO100) for options that are not valid, or not those of the bus.

@@ -25,19 +25,6 @@ CASES: Final[tuple[Case, ...]] = (
     *closing_cases.CASES,
     *optional_cases.CASES,
 )
-OPTIONAL: Final = optional_cases.CASES
-"""Cases about features that not every transport has."""
-HEARING: Final = (
-    opening_cases.what_cannot_be_opened_says_what_to_do,
-    carrying_cases.every_kind_of_frame,
-    flooding_cases.stream,
-    flooding_cases.two_receivers,
-    cancelling_cases.storm_on_receive,
-    closing_cases.closing_wakes_the_receiver,
-    closing_cases.closing_by_two_tasks,
-    closing_cases.cancelled_close,
-)
-"""Cases for a transport that can only hear; see `Bus.told`."""
 
 
 def run_all(site: Site) -> Iterator[tuple[Case, Verdict]]:

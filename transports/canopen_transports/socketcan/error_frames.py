@@ -19,7 +19,6 @@ _NO_ACKNOWLEDGE: Final = 0x020
 _BUS_OFF: Final = 0x040
 _BUS_ERROR: Final = 0x080
 _RESTARTED: Final = 0x100
-_COUNTERS: Final = 0x200
 
 _CLASSES: Final = (
     (_TX_TIMEOUT, "transmission timed out"),

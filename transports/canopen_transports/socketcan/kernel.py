@@ -13,7 +13,6 @@ from typing import Final
 
 from canopen_proto.frame import KEY_EXTENDED, Frame, RoutingKey
 
-SO_SNDBUFFORCE: Final = 32
 SO_RCVBUFFORCE: Final = 33
 SO_TIMESTAMPNS: Final = 35
 SO_RXQ_OVFL: Final = 40

@@ -68,7 +68,6 @@ class TcpTransport(trio.abc.AsyncResource):
         return self._next()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Wait until other members have sent something; return it."""
         await self._read()
         taken: list[Received | Report] = []
         while self._waiting and len(taken) < limit:
@@ -97,7 +96,6 @@ class TcpTransport(trio.abc.AsyncResource):
         self._check_open()
 
     async def aclose(self) -> None:
-        """Leave the bus."""
         if not self._closed:
             self._closed = True
             self._socket.close()
