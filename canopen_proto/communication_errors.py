@@ -30,7 +30,7 @@ COMMUNICATION_ERROR_BIT: Final = 0x10
 """The communication error bit of the error register (overrun, error state). CiA 301 v4.2.0, 7.5.2.2."""
 EMCY_SYNC_LENGTH: Final = 0x8240
 _OUR_MASTER: Final = 0
-"""Used in place of a lost node's ID: life guarding does not know the master's."""
+"""The node-ID in the EMCY of life guarding, which does not know the master's."""
 
 
 class CommunicationErrors:

@@ -1,8 +1,7 @@
-"""The communication objects of a device that have an effect, besides its PDOs', and the machines that they set.
+"""The communication objects of a device that take effect, except those of PDOs, and the machines that they set.
 
-Each index with an effect is a row: what may be written there (`check_write`), and what the machines do then (`_effects`). A
-dictionary without an index never comes to that row. Two objects are shown rather than held: 0x1001 and 0x1003 are the EMCY
-producer's own, and are copied into the values when they are read (`refresh`).
+Each index has a rule for its writes (`check_write`) and an effect on the machines (`_effects`). 0x1001 and 0x1003 belong to the
+EMCY producer; they are copied into the values when they are read (`refresh`).
 
     0x1003   error history: writing 0 to subindex 0 clears it, nothing else may be written; an entry
              beyond the number of errors has no data to read (0x08000024)                             7.5.2.4
@@ -10,7 +9,7 @@ producer's own, and are copied into the values when they are read (`refresh`).
     0x1006   communication cycle period in us, 0 stops the producer                                   7.5.2.6
     0x100C   guard time in ms, and 0x100D life time factor: their product is the node life time. A
              device that has both answers guarding requests while it has no heartbeat               7.5.2.11, .12
-    0x1012   COB-ID TIME: bit 31 makes us hear it, bit 30 lets us send it; the CAN-ID may not change
+    0x1012   COB-ID TIME: bit 31 lets us receive it, bit 30 send it; the CAN-ID may not change
              while one of them is set                                                               7.5.2.15
     0x1014   COB-ID EMCY: the CAN-ID may not change while it is valid                                 7.5.2.17
     0x1015   EMCY inhibit time in 100 us                                                              7.5.2.18
@@ -19,11 +18,11 @@ producer's own, and are copied into the values when they are read (`refresh`).
     0x1019   SYNC counter overflow: 0 or 2 to 240, only while 0x1006 is 0                             7.5.2.22
     0x1028   EMCY consumers: the subindex is the node-ID; the CAN-ID may not change while it is
              valid. 0, which no EMCY can have, counts as not valid                                  7.5.2.31
-    0x1029   error behaviour: 0, 1 or 2; the rest is reserved, or of manufacturers other than us      7.5.2.32
+    0x1029   error behaviour: 0, 1 or 2; other values are reserved, or of other manufacturers          7.5.2.32
 
-A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40). Where the
-description of a device has one, or another type than the standard, the service is off or goes by its default:
-`canopen_data.device_notices` tells of it.
+A write that changes nothing is always allowed. CAN-IDs that the standard restricts are refused (7.3.5, table 40). If the file of
+a device has such a CAN-ID as a default, or another type than the standard, the service is off or uses the default of the
+standard; `canopen_data.device_notices` reports it.
 
 The synchronous window (0x1007) and the PDO parameters are in pdo/parameters.py.
 
@@ -73,18 +72,19 @@ EMCY_INHIBIT_TIME: Final = mux(indices.INHIBIT_TIME_EMERGENCY)
 PRODUCER_HEARTBEAT: Final = mux(indices.PRODUCER_HEARTBEAT_TIME)
 SYNC_OVERFLOW: Final = mux(indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE)
 LAST_ERROR_BEHAVIOUR: Final = 2
-"""Of 0x1029: 0 pre-operational, 1 no change, 2 stopped."""
+"""The values of 0x1029: 0 = pre-operational, 1 = no change, 2 = stopped."""
 
 BYTE: Final = 0xFF
 MAX_NUMBER: Final = 0xFFFF_FFFF
-"""All communication objects are UNSIGNED32 or smaller, whatever a file says. A time of more would reach NEVER."""
+"""The greatest number of a communication object, an UNSIGNED32 at most. A faulty file may have more, and such a time would reach
+NEVER."""
 
 DEFAULT_HISTORY_LENGTH: Final = 8
-"""Entries kept where the dictionary has no 0x1003."""
+"""The entries of the history if the dictionary has no 0x1003."""
 
 
 class CommunicationObjects(Owner):
-    """The machines that a device's communication objects set, and the rules of writing these objects."""
+    """The machines that a device's communication objects set, and the rules for writes to these objects."""
 
     __slots__ = (
         "_effects",
@@ -105,7 +105,7 @@ class CommunicationObjects(Owner):
     )
 
     def __init__(self, out: Outbox, node_id: int, values: Values, members: Members) -> None:
-        """Makes the machines and attaches them to `members`; `reload` sets them by the values."""
+        """Make the machines and attach them to `members`. `reload` sets them by the values."""
         self._out = out
         self._state = NmtState.INITIALISING
         self._members = members
@@ -141,11 +141,11 @@ class CommunicationObjects(Owner):
             members.attach(machine)
 
     def _int(self, key: Mux, default: int = 0) -> int:
-        """The stored number, MAX_NUMBER at most; `default` if a file describes the object as something else."""
+        """Return the stored number, at most MAX_NUMBER; `default` if a file describes the object as no number."""
         return min(number_at(self.values.store, key, default), MAX_NUMBER)
 
     def _cob_id(self, key: Mux, default: int) -> int:
-        """The stored COB-ID, or `default` if its CAN-ID is restricted (only a faulty file can put one there)."""
+        """Return the stored COB-ID, or `default` if its CAN-ID is restricted (only a faulty file can put one there)."""
         cob_id = self._int(key, default)
         return cob_id if check_can_id(cob_id & CAN_ID_AND_FRAME) is None else default
 
@@ -154,7 +154,7 @@ class CommunicationObjects(Owner):
         return cob_id if cob_id & COB_ID_INVALID else self._cob_id(COB_ID_EMCY, EMCY + self.node_id)
 
     def reload(self, now: Time) -> None:
-        """Set all machines by the values: at the start, and after a reset has put the defaults back. Monitoring begins again."""
+        """Set all machines by the values: at start-up, and after a reset to the defaults. Monitoring of nodes starts again."""
         for monitor in self.monitors.values():
             self._members.detach(monitor)
         self.monitors.clear()
@@ -167,7 +167,7 @@ class CommunicationObjects(Owner):
         self._set_emcy_consumers(now)
 
     def set_state(self, state: NmtState, now: Time) -> None:
-        """Take up a new NMT state: it decides which services live, and heartbeat or guarding answers show it."""
+        """Set the NMT state. It decides which services run; heartbeats and guarding answers show it."""
         self._state = state
         self.emcy.set_enabled(self._lives(Service.EMCY), now)
         self._set_sync(now)
@@ -178,7 +178,7 @@ class CommunicationObjects(Owner):
 
     @property
     def may_send_time(self) -> bool:
-        """Whether the device is a TIME producer (0x1012), and TIME lives in its NMT state."""
+        """Whether the device is a TIME producer (0x1012), and its NMT state allows TIME."""
         return bool(self._cob_id(COB_ID_TIME, 0) & TIME_PRODUCER_BIT) and self._lives(Service.TIME)
 
     def _lives(self, service: Service) -> bool:
@@ -205,7 +205,7 @@ class CommunicationObjects(Owner):
         return None
 
     def _has_room(self, index: int, subindex: int, highest: int) -> bool:
-        """Whether the dictionary has such an object, and as a type that can hold numbers up to `highest`."""
+        """Return whether the dictionary has an object, with a type that can hold numbers up to `highest`."""
         variable = self.values.dictionary.get(index, subindex)
         numbers = None if variable is None else range_of(variable.data_type)
         return numbers is not None and numbers[1] >= highest
@@ -252,7 +252,7 @@ class CommunicationObjects(Owner):
         return None
 
     def _entries(self, index: int) -> dict[int, int]:
-        """The numbers of an array by subindex."""
+        """Return the numbers of an array by subindex."""
         described = self.values.dictionary.objects.get(index)
         subindices = [] if described is None else [subindex for subindex in described.variables if subindex]
         return {subindex: self._int(mux(index, subindex)) for subindex in subindices}
@@ -292,7 +292,7 @@ class CommunicationObjects(Owner):
                 monitor.set_timeout(timeout, now)
 
     def _set_emcy_consumers(self, now: Time) -> None:
-        """While EMCY lives, one consumer for each valid entry of 0x1028, whose subindex is the node-ID."""
+        """Keep one consumer for each valid entry of 0x1028, whose subindex is the node-ID, while the NMT state allows EMCY."""
         entries = self._entries(indices.EMERGENCY_CONSUMER).items() if self._lives(Service.EMCY) else ()
         wanted = {node_id: key_of_cob_id(entry) for node_id, entry in entries if node_id <= MAX_NODE_ID and is_valid(entry)}
         for node_id in [each for each, consumer in self.emcy_consumers.items() if wanted.get(each) != consumer.key]:
@@ -303,7 +303,7 @@ class CommunicationObjects(Owner):
 
     def _set_guarding(self, now: Time) -> None:
         store = self.values.store
-        has_heartbeat = self._int(PRODUCER_HEARTBEAT) != 0  # a device has one or the other: 7.2.8.3.2
+        has_heartbeat = self._int(PRODUCER_HEARTBEAT) != 0  # a device uses only one of the two: 7.2.8.3.2
         self.guarding.set_enabled(GUARD_TIME in store and LIFE_TIME_FACTOR in store and not has_heartbeat)
         life_time = self._int(GUARD_TIME) * self._int(LIFE_TIME_FACTOR) * MILLISECOND
         if life_time != self.guarding.life_time:
@@ -312,7 +312,7 @@ class CommunicationObjects(Owner):
     def _set_sync(self, now: Time) -> None:
         cob_id, overflow = self._cob_id(COB_ID_SYNC, SYNC), self._int(SYNC_OVERFLOW)
         if not _is_overflow(overflow):
-            overflow = 0  # a device's description may hold what no client could write
+            overflow = 0  # a faulty file may have a value that no client could write
         produces = self._lives(Service.SYNC) and bool(cob_id & SYNC_PRODUCER_BIT)
         period = self._int(CYCLE_PERIOD) if produces else 0
         if period:

@@ -73,7 +73,7 @@ class EmcyDropped(Event):
 
 
 class EmcyReceived(Event):
-    """A node's emergency frame.
+    """A node sent an emergency frame.
 
     code: 16 bits; 0x00xx means that errors are gone (all of them if error_register is 0). error_register: 0x1001 at that time
     (`register_names`). vendor_data: always 5 bytes. text: the standards' name for the code. length: the number of bytes that
@@ -130,7 +130,7 @@ class EmcyProducer(Machine):
         """Add an error to the register and the history, and send its frame. Does nothing if the error is already present.
 
         code: 0x0100..0xFFFF. register_bits: of 0x1001 (`register_bits_of(code)`); the generic bit is added. vendor_data: up
-        to 5 bytes. additional_info: 16 bits, for the history, and to tell errors with the same code apart. Event: EmcySent, at
+        to 5 bytes. additional_info: 16 bits, for the history; distinguishes errors with the same code. Event: EmcySent, at
         once or when the frame may be sent; EmcyDropped beyond MAX_ACTIVE errors. Raises LocalProtocolError for other values.
         CiA 301 v4.2.0, 7.2.7.1, 7.5.2.2, 7.5.2.4
         """
@@ -163,14 +163,6 @@ class EmcyProducer(Machine):
         for bits in self._active.values():
             self.error_register |= bits
         if not self._active:
-            self._tell(_MESSAGE.pack(NO_ERROR, 0, b""), now)
-
-    def clear_all(self, now: Time) -> None:
-        """Remove all errors (a drive's fault reset): send one frame with code 0x0000, none if there was no error. Event:
-        EmcySent"""
-        if self._active:
-            self._active.clear()
-            self.error_register = 0
             self._tell(_MESSAGE.pack(NO_ERROR, 0, b""), now)
 
     def clear_history(self) -> None:
@@ -208,7 +200,7 @@ class EmcyProducer(Machine):
         self.inhibit_time = inhibit_time
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
-        """Say whether the node's NMT state allows EMCY. When it does again, the most recent frame that waited is sent.
+        """Set whether the node's NMT state allows EMCY. When it does again, the most recent of the waiting frames is sent.
 
         Event: EmcySent. CiA 301 v4.2.0, 7.3.2.2.4
         """
@@ -230,7 +222,7 @@ class EmcyProducer(Machine):
         self._arm(self._next_free if self._pending else NEVER)
 
     def _tell(self, message: bytes, now: Time) -> None:
-        """Send a frame now, or queue it behind those that wait already."""
+        """Send a frame now, or queue it after those that wait already."""
         if self.key is None:
             return
         if self.enabled and not self._pending and now >= self._next_free:

@@ -1,6 +1,6 @@
-"""Heartbeat: a node says that it lives and in which NMT state; others notice when it stops (CiA 301 v4.2.0, 7.2.8.3.2.2).
+"""Heartbeat: a node reports its NMT state once per period; other nodes notice when it stops (CiA 301 v4.2.0, 7.2.8.3.2.2).
 
-The producer sends one byte, its NMT state, on 0x700 + node-ID once per producer heartbeat time (0x1017, 0: never). The same
+The producer sends one byte, its NMT state, on 0x700 + node-ID once per producer heartbeat time (0x1017, 0 = never). The same
 CAN-ID carries the boot-up frame, the one byte 0, which the producer's NmtSlave sends.
 
 `HeartbeatProducer` begins as 7.2.8.3.2.2 says. A time that is set while the node runs begins at once, with a frame. If the time
@@ -20,9 +20,9 @@ Every frame becomes an event of its own, in order, so a heartbeat right after a 
 A heartbeat that was waiting to be handled when its time ran out is in time: a driver that was stalled hands over the frames
 first, then the time, so our own delay loses no node.
 
-Left out: node guarding, which shares the CAN-ID but is asked for by remote frames (guarding.py). A guarding answer's toggle
-bit is masked out here, so that a node that is guarded by somebody else is still understood. EMCY 0x8130 and the error
-behaviour of a device that lost a heartbeat belong to its node.
+Left out: node guarding, which shares the CAN-ID but uses remote frames (guarding.py). The toggle bit of a guarding answer is
+masked out here, so that a node that another master guards is still understood. The node of a device sends EMCY 0x8130 and reacts
+to a lost heartbeat.
 
 `OwnHeartbeat` is the heartbeat of a participant that is no device: a master whose drives watch over it (procedures/grip.py).
 """
@@ -62,7 +62,7 @@ class HeartbeatsSkipped(Event):
 
 
 class HeartbeatReceived(Event):
-    """A heartbeat. timestamp: the transport's, if it has one."""
+    """A heartbeat was received. timestamp: of the frame, from the transport."""
 
     __slots__ = ("state", "timestamp")
     __match_args__ = ("node_id", "state", "timestamp")
@@ -74,7 +74,7 @@ class HeartbeatReceived(Event):
 
 
 class NodeBooted(Event):
-    """A boot-up frame: the node was reset or switched on, and is in PRE-OPERATIONAL now. timestamp: as in HeartbeatReceived."""
+    """A boot-up frame was received: the node was reset or switched on, and is in PRE-OPERATIONAL now. timestamp: of the frame."""
 
     __slots__ = ("timestamp",)
     __match_args__ = ("node_id", "timestamp")
@@ -97,9 +97,9 @@ class NmtStateReported(Event):
 
 
 class HeartbeatLost(Event):
-    """No heartbeat within the consumer time. Once; HeartbeatRecovered follows with the next heartbeat.
+    """No heartbeat came within the consumer time. Reported once; HeartbeatRecovered follows with the next heartbeat.
 
-    state: the last one heard. last_heard: when the last frame came. timeout: the consumer time that is over.
+    state: of the last heartbeat. last_heard: the time of the last frame. timeout: the consumer time, ns.
     """
 
     __slots__ = ("last_heard", "state", "timeout")
@@ -125,7 +125,7 @@ class HeartbeatRecovered(Event):
 
 class ForeignHeartbeat(Event):
     """Another node uses the node-ID of our own heartbeat. A node that watches this ID will not notice when we are gone. Reported
-    once in each run of our heartbeat. state: what the other one shows, None for a boot-up frame."""
+    once in each run of our heartbeat. state: of the other node; None for a boot-up frame."""
 
     __slots__ = ("state",)
     __match_args__ = ("node_id", "state")
@@ -137,14 +137,14 @@ class ForeignHeartbeat(Event):
 
 def _check_time(name: str, value: Time) -> Time:
     if value != 0 and value < MIN_PERIOD:
-        raise LocalProtocolError(f"{name} is {value} ns, neither 0 (off) nor 1 ms or more")
+        raise LocalProtocolError(f"{name} is {value} ns; it must be 0 (off), or 1 ms or more")
     return value
 
 
 class HeartbeatProducer(Machine):
     """Sends a node's heartbeat: once per period, in every state but INITIALISING.
 
-    period: ns, 0 is off. state: what the next heartbeat bears. Both read-only outside.
+    period: ns; 0 = off. state: shown by the next heartbeat. Both are read-only.
     """
 
     __slots__ = ("node_id", "period", "state")
@@ -169,9 +169,9 @@ class HeartbeatProducer(Machine):
             self._arm(now + period)
 
     def set_state(self, state: NmtState, now: Time) -> None:
-        """Say what state the node is in now; the next heartbeat bears it.
+        """Set the node's NMT state, which the next heartbeat shows.
 
-        Leaving INITIALISING starts the period, without a frame: the boot-up frame is the first heartbeat. Entering it stops.
+        Leaving INITIALISING starts the period without a frame: the boot-up frame is the first heartbeat. Entering it stops.
         CiA 301 v4.2.0, 7.2.8.3.2.2
         """
         previous, self.state = self.state, state
@@ -181,7 +181,7 @@ class HeartbeatProducer(Machine):
             self._arm(now + self.period)
 
     def handle_timeout(self, now: Time) -> None:
-        """Send the due heartbeat. Late by whole periods, it sends one, keeps its phase and reports HeartbeatsSkipped."""
+        """Send the due heartbeat. If it is late by whole periods: send one, keep the phase, report HeartbeatsSkipped."""
         if now < self.deadline:
             return
         self._send()
@@ -195,7 +195,7 @@ class HeartbeatProducer(Machine):
 
 
 class OwnHeartbeat(HeartbeatProducer):
-    """The heartbeat of a participant that is no device, under a node-ID that nobody else may have: it also hears who does.
+    """The heartbeat of a participant that is no device, such as a master. Reports another node with the same node-ID.
 
     It shows OPERATIONAL, and sends no boot-up frame.
     """
@@ -212,7 +212,7 @@ class OwnHeartbeat(HeartbeatProducer):
         return (routing_key(ERROR_CONTROL + self.node_id),)
 
     def start(self, period: Time, now: Time) -> None:
-        """Send a heartbeat now and then once per period (ns); one that runs with that period goes on."""
+        """Send a heartbeat now, then once per period (ns). Does nothing if it already runs with this period."""
         if period != self.period:
             self._told = False
             self.set_period(period, now)
@@ -222,11 +222,11 @@ class OwnHeartbeat(HeartbeatProducer):
         self.set_period(0, now)
 
     def beat(self, now: Time) -> None:
-        """Send a heartbeat now, beside those of the period: who was told to watch us begins with the first one that he hears."""
+        """Send an extra heartbeat now: a node that was told to watch us starts with the first one that it receives."""
         self._send()
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Take a frame of somebody else with our node-ID. Event: ForeignHeartbeat, once, while ours is sent."""
+        """Take another node's frame with our node-ID. Event: ForeignHeartbeat, once, while ours is sent."""
         data = frame.data
         if self.period and not self._told and len(data) == 1:
             self._told = True
@@ -236,17 +236,17 @@ class OwnHeartbeat(HeartbeatProducer):
 
 
 class HeartbeatConsumer(Machine):
-    """Hears one node's boot-ups and heartbeats, and notices when they stop.
+    """Receives one node's boot-up frames and heartbeats, and notices when they stop.
 
-    state: the node's NMT state as last heard; None before the first frame, and from HeartbeatLost to the next frame. After a
-    boot-up frame it is PRE_OPERATIONAL: that is what the frame says (7.2.8.3.3). last_heard: when, on the driver's clock, or
-    None. lost: HeartbeatLost was reported and no heartbeat came since. timeout: ns, 0 only listens. All read-only outside.
+    state: the node's NMT state in the last frame, PRE_OPERATIONAL after a boot-up frame (7.2.8.3.3); None before the first frame,
+    and from HeartbeatLost to the next frame. last_heard: when the last frame came, on the driver's clock, or None. lost:
+    HeartbeatLost was reported, and no heartbeat came since. timeout: ns; 0 = listen only. All are read-only.
     """
 
     __slots__ = ("_begun", "last_heard", "lost", "node_id", "state", "timeout")
 
     def __init__(self, out: Outbox, node_id: int, timeout: Time = 0) -> None:
-        """node_id: 1..127. timeout: as in set_timeout. LocalProtocolError for others."""
+        """node_id: 1..127. timeout: as in `set_timeout`. Raises LocalProtocolError for other values."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.timeout = _check_time("the consumer heartbeat time", timeout)
@@ -259,10 +259,10 @@ class HeartbeatConsumer(Machine):
         return (routing_key(ERROR_CONTROL + self.node_id),)
 
     def set_timeout(self, timeout: Time, now: Time) -> None:
-        """Set the consumer heartbeat time: 0 only listens; else 1 ms or more.
+        """Set the consumer heartbeat time, in ns: 0 = listen only; else 1 ms or more.
 
-        A node whose heartbeat was heard before is watched from now on; another from its first heartbeat on. A lost node stays
-        lost until it is heard, or until 0 is set. Raises LocalProtocolError for other values. CiA 301 v4.2.0, 7.5.2.19
+        The watch starts now if a heartbeat came before, else with the first one. A lost node stays lost until its next heartbeat,
+        or until 0 is set. Raises LocalProtocolError for other values. CiA 301 v4.2.0, 7.5.2.19
         """
         self.timeout = _check_time("the consumer heartbeat time", timeout)
         if timeout == 0:
@@ -275,7 +275,7 @@ class HeartbeatConsumer(Machine):
         """Take a boot-up frame or a heartbeat.
 
         Events, in this order: NodeBooted or HeartbeatReceived; HeartbeatRecovered if it was lost; NmtStateReported if the
-        state is not the one known. A frame that is not one byte long, or names no state, is FrameIgnored and no sign of life.
+        state is a new one. A frame that is not one byte long, or has no valid state, is FrameIgnored and no sign of life.
         CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.2.8.3.3
         """
         data = frame.data
@@ -299,7 +299,7 @@ class HeartbeatConsumer(Machine):
         timeout = self.timeout
         if timeout:
             self.deadline = deadline = now + timeout
-            if deadline < self._wake:  # seldom: a deadline that moves later needs no more than this
+            if deadline < self._wake:  # rare: a deadline that moves later need not be announced
                 self._arm(deadline)
         if state is not self.state:
             out.events.append(NmtStateReported(self.node_id, self.state, state))

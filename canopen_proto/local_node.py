@@ -1,28 +1,26 @@
-"""`LocalNode`: a device. A dictionary, values of its own, and every service that they describe.
+"""`LocalNode`: a device. It has a dictionary, its own values, and every service that the dictionary describes.
 
-A group of machines, set up by the dictionary: NMT slave, SDO servers and clients, heartbeat producer and consumers or guarding,
-SYNC, TIME, EMCY, PDOs, and, where there is one, an `application` (a simulated drive). All of them share the memory `values`.
+It is a group of machines: NMT slave, SDO servers and clients, heartbeat producer and consumers or guarding, SYNC, TIME, EMCY,
+PDOs, and perhaps an `application` (such as a simulated drive). All of them share the memory `values`.
 
-**A write is asked, stored, obeyed.** The SDO servers call `check_write` and `write`. Once type, access and limits are right, the
-owner of the object is asked, and may refuse with an abort code. Each communication object of the dictionary has one `Owner`
+**A write is checked, stored, and takes effect.** The SDO servers call `check_write` and `write`. If type, access and limits are
+right, the owner of the object checks the value, and may refuse it with an abort code. Each communication object has one `Owner`
 (owner.py): the PDO parameters (pdo/parameters.py), the storage of parameters (parameter_storage.py), the records of SDO channels
-(sdo/channels.py), or the rest (communication_objects.py). All other objects belong to the application. Then the value is stored,
-and its owner goes by it, before the client gets its answer.
+(sdo/channels.py), or communication_objects.py for the rest. All other objects belong to the application. Then the value is
+stored, and its owner acts on it before the client gets its answer.
 
-What follows from what:
+The reactions:
 
-    NMT state changes          services live or don't (`nmt.SERVICES`); the heartbeat bears the new state; the application hears
-    NMT reset                  values (all, or 0x1000 to 0x1FFF) as at power-on, errors (all, or those below) gone; boot-up
-    "save", "load" written     ObjectAccessPending; when the host has stored: other values at power-on (`storage`)
-    SYNC heard or sent         TPDOs are sampled, RPDOs held for it take effect, the application makes its step: in this order
-    PDO received               the application is told of each value
-    heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); 0x1029's behaviour, by default pre-operational
-    life guarding: not asked   the same, for no node
-    PDO too short, or overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack
-    PDO too long               it is used; EMCY 0x8220 where that is wished (`optional_emcy`); 0x8240 for a SYNC's length likewise
-    remote request of a TPDO   the application brings its values up to date, and the TPDO is sent
-    an error of the device     EMCY, 0x1001 and 0x1003; where it has a class in 0x1029, what stands there
-    CAN was off the bus        what 0x1029:01 says, and EMCY 0x8140 when it is back
+    NMT state changes          services start or stop (`nmt.SERVICES`); the heartbeat shows the new state; the application is told
+    NMT reset                  values (all, or 0x1000 to 0x1FFF) as at power-on, errors (all, or those below) cleared; boot-up
+    "save", "load" written     ObjectAccessPending; once the host has stored: other values at power-on (`storage`) SYNC received
+    or sent      in this order: TPDOs are sent, held RPDOs take effect, the application makes its step PDO received
+    the application is told of each value heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007);
+    behaviour of 0x1029, by default pre-operational life guarding lost         the same, without a node-ID PDO too short, or
+    overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack PDO too long               it is
+    used; EMCY 0x8220 if that is wanted (`optional_emcy`); likewise 0x8240 for a SYNC's length remote request of a TPDO   the
+    application updates its values, and the TPDO is sent an error of the device     EMCY, 0x1001 and 0x1003; behaviour of 0x1029
+    if it has the class of the error CAN was off the bus        behaviour of 0x1029:01, and EMCY 0x8140 when it is back
 
 Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
 """
@@ -76,14 +74,14 @@ from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
 ALL_OBJECTS: Final = range(0x10000)
 
 COMMUNICATION_ERROR: Final = 1
-"""Subindex of 0x1029: CAN off the bus, a lost heartbeat, life guarding. The further ones are the device profile's: in CiA 401
-output errors (2) and input errors (3). CiA 301 v4.2.0, 7.5.2.32"""
+"""Subindex of 0x1029 for CAN off the bus, a lost heartbeat and life guarding. The device profile defines the next ones: CiA 401
+has output errors (2) and input errors (3). CiA 301 v4.2.0, 7.5.2.32"""
 EMCY_BUS_OFF_RECOVERED: Final = 0x8140
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class LocalNode(Group):
-    """A device on the bus; see this module's text. It is mute until `boot`."""
+    """A device on the bus; see the text of this module. It sends nothing before `boot`."""
 
     __slots__ = (
         "_errors",
@@ -104,7 +102,7 @@ class LocalNode(Group):
     )
 
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary) -> None:
-        """node_id: 1..127; dictionary: what the device is. Its PDO and communication objects decide what runs."""
+        """node_id: 1..127. dictionary: the device's objects; its PDO and communication objects decide which services run."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.values = Values(dictionary, node_id)
@@ -114,11 +112,11 @@ class LocalNode(Group):
         self._store = ValuesStore(self.values)
         self.pdos = DevicePdos(self.inner, node_id, self.values)
         self.optional_emcy: set[int] = set()
-        """EMCY codes that the standard leaves open and that are to be sent: 0x8220 (a PDO too long), 0x8240 (SYNC length)."""
+        """The EMCY codes to send among those that the standard leaves open: 0x8220 (a PDO too long), 0x8240 (SYNC length)."""
         self.deferred: set[int] = set()
-        """Indices that only the host can serve: ObjectAccessPending is reported, and it answers by `complete`."""
+        """The indices that only the host can serve: ObjectAccessPending is reported, and the host answers by `complete`."""
         self.in_pieces: set[int] = set()
-        """Of `deferred`: those that the host takes piece by piece (`ObjectAccessPending.more`), such as a DOMAIN of firmware."""
+        """Those of `deferred` that the host takes piece by piece (`ObjectAccessPending.more`), such as a DOMAIN of firmware."""
         self._members.attach(self.nmt)
         self.channels = SdoChannels(self.inner, node_id, self.values, self, self._members)
         self.sdo = self.channels.servers[1]
@@ -176,10 +174,10 @@ class LocalNode(Group):
             self.nmt.execute(command, now)
 
     def set_value(self, index: int, subindex: int, value: Value, now: Time) -> None:
-        """Change a value from the device's own side, whatever its access right. Event-driven TPDOs that carry it are triggered.
+        """Set a value as the device itself, whatever the access right. Triggers the event-driven TPDOs that carry it.
 
-        A communication object takes effect as if a client had written it. Raises LocalProtocolError, ValueRangeError where the
-        dictionary has no such object, it cannot hold the value, or a communication object refuses it.
+        A communication object takes effect as after a client's write. Raises ObjectNotFound, ValueRangeError if the object cannot
+        hold the value, LocalProtocolError if a communication object refuses it.
         """
         variable = self.dictionary.variable((index, subindex))
         variable.encode(value)
@@ -201,8 +199,8 @@ class LocalNode(Group):
     ) -> None:
         """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error.
 
-        error_class: subindex of 0x1029 that says what follows for the NMT state (1 a communication error, 2.. by the device
-        profile, such as an output error); pre-operational where the dictionary lacks it. None: nothing follows.
+        error_class: the subindex of 0x1029 with the NMT state that follows (1: communication error; 2 and on: of the device
+        profile, such as an output error). Without that object, the node becomes pre-operational. None = the state stays.
         """
         with self._settling(now):
             self.communication.emcy.raise_error(code, register_bits, vendor_data, now)
@@ -215,7 +213,7 @@ class LocalNode(Group):
             self.communication.emcy.clear(code, now)
 
     def bus_off(self, now: Time) -> None:
-        """Report that the CAN controller went off the bus: the application is told, and the node does what 0x1029:01 says."""
+        """Report that the CAN controller went off the bus: the application is told, and the node behaves as 0x1029:01 says."""
         with self._settling(now):
             self._on_connection_lost(now)
 
@@ -232,11 +230,11 @@ class LocalNode(Group):
     def send_time(self, time: datetime.datetime, now: Time) -> None:
         """Send the time of day to the bus. Event: TimeSent. See TimeProducer.send.
 
-        Raises LocalProtocolError where the device is no TIME producer (bit 30 of 0x1012), or TIME does not live in its NMT state.
+        Raises LocalProtocolError if the device is no TIME producer (bit 30 of 0x1012), or its NMT state forbids TIME.
         """
         if not self.communication.may_send_time:
             cob_id = self.values.store.get(COB_ID_TIME, "not there")
-            raise LocalProtocolError(f"node {self.node_id} sends no TIME: it is {self.state.name}, and its 0x1012 is {cob_id!r}")
+            raise LocalProtocolError(f"node {self.node_id} cannot send TIME: it is {self.state.name}, its 0x1012 is {cob_id!r}")
         self.communication.time_producer.send(time, now)
 
     def complete(
@@ -253,7 +251,7 @@ class LocalNode(Group):
     # ---- what the SDO servers ask: they serve this node ----
 
     def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
-        """Return an object's bytes, brought up to date; an abort code if it cannot be read; PENDING if the host has to answer."""
+        """Return an object's present bytes; an abort code if it cannot be read; PENDING if the host has to answer."""
         if index in self.deferred:
             variable = self._store.readable(index, subindex)
             return variable if isinstance(variable, AbortCode) else PENDING
@@ -265,14 +263,14 @@ class LocalNode(Group):
         return self._store.read(index, subindex, now)
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
-        """Return what forbids a download (access, announced length), PENDING if the host takes it in pieces, or None."""
+        """Return the abort code that forbids a download (access, announced length), PENDING if the host takes pieces, or None."""
         refusal = self._store.check_write(index, subindex, size)
         if refusal is not None or index not in self.in_pieces:
             return refusal
         return AbortCode.DEVICE_STATE if self.channels.host_takes(index, subindex) else PENDING  # the pieces of two would mix
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Ask, store, obey; see this module's text."""
+        """Check the value, store it and let it take effect; see the text of this module."""
         variable = self._store.writable(index, subindex)
         if isinstance(variable, AbortCode):
             return variable
@@ -287,7 +285,7 @@ class LocalNode(Group):
     def take_write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
         """Store a write to a `deferred` object and let it take effect, as for any other object.
 
-        data: as ObjectAccessPending had it. Returns what to pass to `complete`: None, or an abort code. Raises ObjectNotFound.
+        data: of ObjectAccessPending. Returns the argument for `complete`: None, or an abort code. Raises ObjectNotFound.
         """
         variable = self.dictionary.variable((index, subindex))
         value = self._store.decode(variable, data)
@@ -298,7 +296,7 @@ class LocalNode(Group):
         return AbortCode.CANNOT_TRANSFER if isinstance(refusal, Pending) else refusal  # storing is the host's own
 
     def _take(self, variable: Variable, value: Value, now: Time) -> AbortCode | Pending | None:
-        """Ask the owner of an object, store, and let the owner obey."""
+        """Let the owner of an object check the value, store it, and let the owner act on it."""
         index, subindex = variable.index, variable.subindex
         refusal = self._refusal(index, subindex, value)
         if refusal is not None:
@@ -312,12 +310,12 @@ class LocalNode(Group):
         return None
 
     def _refusal(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Return why the owner of an object does not take a value that is right in type and limits, or None."""
+        """Return the abort code with which the owner of an object refuses a value of the right type and limits, or None."""
         owner = self._owners.get(index)
         return (self.application if owner is None else owner).check_write(index, subindex, value)
 
     def _obey(self, index: int, subindex: int, now: Time) -> None:
-        """Let the owner of an object go by the value that was stored."""
+        """Let the owner of an object act on the stored value."""
         owner = self._owners.get(index)
         if owner is None:
             self.application.written(index, subindex, now)
@@ -400,7 +398,7 @@ class LocalNode(Group):
         self.application.refresh(now)
         mark = len(self.inner.events)
         self.pdos.on_sync(sync.counter, now)
-        # Before the application's step, not in the course of `_settle`: what came for this SYNC acts at this SYNC.
+        # Before the application's step and not later by `_settle`: the PDOs for this SYNC take effect at this SYNC.
         for report in self.inner.events[mark:]:
             if isinstance(report, PdoReceived):
                 self._on_values(report, now)
@@ -457,7 +455,7 @@ class LocalNode(Group):
         self._behave(COMMUNICATION_ERROR, now)
 
     def _behave(self, error_class: int, now: Time) -> None:
-        """Do what 0x1029 says: 0 pre-operational, but only from operational; 1 nothing; 2 stopped. CiA 301 v4.2.0, 7.5.2.32"""
+        """Behave as 0x1029 says: 0 = pre-operational, from operational only; 1 = stay; 2 = stopped. CiA 301 v4.2.0, 7.5.2.32"""
         behaviour = self.values.store.get(mux(indices.ERROR_BEHAVIOR, error_class), 0)
         if behaviour == 0 and self.state is NmtState.OPERATIONAL:
             self.nmt.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now)

@@ -1,15 +1,16 @@
-"""`RemoteNode`: one participant's view of another node, that of a master, a service tool or a bus monitor.
+"""`RemoteNode`: the view that a master, a service tool or a bus monitor has of another node.
 
-A group of the machines that concern one node: SDO clients, heartbeat consumer, EMCY consumer, and the PDOs that it exchanges with
-us. It holds
+It is a group of machines for one node: SDO clients, heartbeat consumer, EMCY consumer, and the PDOs that it exchanges with us. It
+holds
 
-- `values`: the values of the node's objects as far as we know them. PDOs are decoded into this image and built from it; an SDO
-  read and a confirmed SDO write also set it. `heard_at`: when the node itself last sent the value (a PDO, a read). Objects that
-  we command keep the value that we set, whatever is read: those of RPDOs that we send, and those in `commanded`. `may_hold`
-  tells which other values of these the device may have: those written as bytes, past `write`, and those not confirmed;
+- `values`: the known values of the node's objects. PDOs are decoded into this image and built from it; an SDO read and a
+confirmed
+  SDO write also set it. `heard_at`: when the node itself last sent the value (a PDO, a read). Objects that we command keep the
+  value that we set, whatever is read: those of RPDOs that we send, and those in `commanded`. `may_hold` returns the other values
+  that the device may have in them: those written as bytes, past `write`, and those not confirmed;
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, which would undo a write by SDO. So a `write` of an
-  object in `commanded` (a controlword) first sends each of these RPDOs that carries it again, with the new value: then the
-  next SYNC brings the last command;
+  object in `commanded` (a controlword) first sends each such RPDO with this object again, with the new value: the next SYNC then
+  brings the last command;
 - `nmt_state`: the state in its heartbeat; without a heartbeat, the state that we commanded. A heartbeat right after a command may
   have been sent before it: the command counts until NMT_REACTION_TIME is over. A node whose heartbeat is lost keeps its state.
 
@@ -19,7 +20,7 @@ The reactions (CiA 301 v4.2.0, 7.3.2.2, table 37):
     node boots                      its values are old; its RPDOs must be enabled again: its mappings are the defaults
     node Operational / not          its PDOs live / don't: RPDOs are not sent to a node that would ignore them
     SYNC sent or heard              synchronous RPDOs go out
-    PDO received                    `values` is brought up to date
+    PDO received                    `values` is updated
 
 Directions have the device's point of view: an RPDO is sent by us, a TPDO is received by us.
 """
@@ -60,7 +61,7 @@ NMT_REACTION_TIME: Final = 50 * MILLISECOND
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class RemoteNode(Group):
-    """Everything that we run for one other node. Made with a Network's `out`, then attached to it."""
+    """All machines for one other node. Make it with a Network's `out`, then attach it to the Network."""
 
     __slots__ = (
         "_boot_listeners",
@@ -98,8 +99,8 @@ class RemoteNode(Group):
         sdo_timeout: Time = 500 * MILLISECOND,
         heartbeat_timeout: Time = 0,
     ) -> None:
-        """node_id: 1..127. dictionary: describes the node's objects. sdo_timeout: ns for one answer. heartbeat_timeout: ns until
-        HeartbeatLost, 0 to only listen."""
+        """node_id: 1..127. dictionary: of the node. sdo_timeout: ns for one answer. heartbeat_timeout: ns until HeartbeatLost; 0
+        = listen only."""
         super().__init__(out)
         self.node_id = check_node_id(node_id)
         self.dictionary = dictionary
@@ -157,11 +158,11 @@ class RemoteNode(Group):
         return self.sdo.upload(variable.index, variable.subindex, now, urgent=urgent, block=block)
 
     def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
-        """Write an object by SDO: a value, or the name of a constant. SdoDownloaded or SdoAborted follows. block: see `Block`.
+        """Write an object by SDO. value: may be the name of a constant. SdoDownloaded or SdoAborted follows. block: see `Block`.
 
-        A synchronous RPDO that the device may hold, and that carries an object in `commanded`, goes first, with the new value.
-        Raises LocalProtocolError for an unknown name or a read-only object, ValueRangeError for a value that does not fit; then
-        nothing was sent. CiA 301 v4.2.0, 7.2.4.2.2
+        If the device may hold a synchronous RPDO with an object in `commanded`, that RPDO is sent first, with the new value.
+        Raises LocalProtocolError for an unknown name or a read-only object, ValueRangeError for a value that does not fit;
+        nothing is sent then. CiA 301 v4.2.0, 7.2.4.2.2
         """
         variable, meant, data = self.encode(key, value)
         frames = self.out.frames
@@ -177,7 +178,7 @@ class RemoteNode(Group):
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         """Give up a request of `read` or `write`, or of an SDO client of this node: SdoAborted follows at once.
 
-        False if it is not open.
+        Returns False if no such request is open.
         """
         mark = len(self.inner.events)
         was_open = any(client.cancel(request_id, now) for client in self._clients)
@@ -185,17 +186,17 @@ class RemoteNode(Group):
         return was_open
 
     def add_sdo_channel(self, request_key: RoutingKey, response_key: RoutingKey) -> SdoClient:
-        """A client for a further SDO server of the node (0x1201 and on): its keys (`Frame.key`) to the server and from it.
+        """Return a client for another SDO server of the node (0x1201 and on). request_key: to the server; response_key: from it.
 
-        It has a transfer and a queue of its own, so a long transfer does not delay the others. Its requests end like those of
-        `sdo` when the node boots or is lost; values that it reads, or confirms, go into `values`; `cancel` finds its requests.
-        Raises LocalProtocolError for an invalid key, or one that this node already uses. CiA 301 v4.2.0, 7.5.2.33
+        It has its own transfer and queue, so a long transfer does not delay the others. As with `sdo`, its requests end when the
+        node boots or is lost, values that it reads or writes go into `values`, and `cancel` finds its requests. Raises
+        LocalProtocolError for an invalid key, or one that this node already uses. CiA 301 v4.2.0, 7.5.2.33
         """
         for key in (request_key, response_key):
             self._check_key("SDO channel", key)
         if request_key == response_key or any(response_key in client.can_ids() for client in self._clients):
             raise LocalProtocolError(
-                f"SDO channel of node {self.node_id}: CAN-ID 0x{response_key & ~KEY_EXTENDED:X} is in use by another"
+                f"SDO channel of node {self.node_id}: another channel uses CAN-ID 0x{response_key & ~KEY_EXTENDED:X}"
             )
         client = SdoClient(self.inner, self.node_id, request_key=request_key, response_key=response_key, timeout=self.sdo.timeout)
         self.sdo_channels.append(client)
@@ -218,7 +219,7 @@ class RemoteNode(Group):
         """Return the object, the value and the bytes that `write` would send. Raises as `write` does."""
         variable = self.dictionary.variable(key)
         if not variable.access.writable:
-            raise LocalProtocolError(f"{variable.label} of node {self.node_id} is {variable.access}: it can't be written")
+            raise LocalProtocolError(f"{variable.label} of node {self.node_id} is {variable.access}: it cannot be written")
         meant = self.dictionary.value_from(variable, value)
         variable.check_limits(meant)
         return variable, meant, variable.encode(meant)
@@ -242,10 +243,10 @@ class RemoteNode(Group):
     def add_pdo(
         self, description: PdoDescription, now: Time, *, number: int | None = None, transmission_type: int = 1
     ) -> PdoConsumer | PdoProducer:
-        """Exchange a PDO with the node as described; it replaces the one of that number and direction.
+        """Exchange a PDO with the node as described. It replaces the one of this number and direction.
 
-        number: 1..512, by default that of the predefined connection set. transmission_type: of an RPDO, when we send it: 1..240
-        at every n-th SYNC, 254 and 255 when triggered. A TPDO is decoded as it comes. An RPDO is made disabled: `enable_rpdo`.
+        number: 1..512; None = that of the predefined connection set. transmission_type: of an RPDO: 1..240 = sent at every n-th
+        SYNC, 254 and 255 = when triggered. A TPDO is decoded when it comes. An RPDO is sent once `enable_rpdo` was called.
         """
         number = description.number if number is None else number
         if number is None:
@@ -273,14 +274,14 @@ class RemoteNode(Group):
         self.remove_pdo(Direction.RPDO, number)
         producer = PdoProducer(self.inner, self.node_id, number, key, mapping, self.values.store, transmission_type)
         if before is not None and (before.key, before.mapping.entries) == (producer.key, mapping.entries):
-            producer.sent_at = before.sent_at  # what the device holds of it is held still
+            producer.sent_at = before.sent_at  # the device may still hold the data of the one before
         self.rpdos[number] = producer
         self._members.attach(producer)
         return producer
 
     def _check_pdo(self, direction: Direction, number: int, key: RoutingKey) -> None:
         if not 1 <= number <= MAX_PDOS:
-            raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: PDOs have the numbers 1..{MAX_PDOS}")
+            raise LocalProtocolError(f"{direction} {number} of node {self.node_id}: a PDO has a number in 1..{MAX_PDOS}")
         self._check_key(f"{direction} {number}", key)
 
     def _check_key(self, what: str, key: RoutingKey) -> None:
@@ -301,8 +302,8 @@ class RemoteNode(Group):
             self._mpdo_listener.set_pdo(number, None)
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
-        """Let an RPDO be sent while the node is Operational, or stop it. Set `values` first: the next SYNC sends them. A boot of
-        the node stops it too."""
+        """Send an RPDO while the node is Operational, or stop it. Set `values` first: the next SYNC sends them. A boot of the
+        node stops it too."""
         producer = self.rpdos.get(number)
         if producer is None:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
@@ -310,23 +311,22 @@ class RemoteNode(Group):
         producer.set_enabled(enabled and self.is_operational, now)
 
     def rpdo_of(self, key: Key) -> PdoProducer | None:
-        """Return the live RPDO that carries an object, or None. key: as of `Mapping.find_component`."""
+        """Return the live RPDO that carries an object, or None. key: as in `Mapping.find_component`."""
         for producer in self.rpdos.values():
             if producer.is_live and producer.mapping.find_component(key) is not None:
                 return producer
         return None
 
     def send_rpdo(self, producer: PdoProducer, now: Time) -> bool:
-        """Send an RPDO to the node now, by the caller's own producer over `values.store`, which is not in `rpdos`.
+        """Send an RPDO to the node now. producer: the caller's own over `values.store`, with the device's transmission type.
 
-        For a master that sends its RPDOs by hand, and a SYNC after them. transmission_type of the producer: as the device has it.
-        Returns and raises as `PdoProducer.send` does.
+        For a master that sends its RPDOs by hand, and a SYNC after them. Returns and raises as `PdoProducer.send` does.
         """
         self.held.sent_by_hand(producer)
         return producer.send(now)
 
     def may_hold(self, mux: Mux) -> set[Value | None]:
-        """Return the values that the device may have in an object of `commanded`; None among them: an unknown value."""
+        """Return the values that the device may have in an object of `commanded`; None in the set is an unknown value."""
         image = {self.values.store[mux]} if mux in self.values.store else set()
         return image | self._in_doubt.get(mux, set())
 
@@ -345,11 +345,10 @@ class RemoteNode(Group):
     # ---- multiplexed PDOs ----
 
     def add_mpdo(self, direction: Direction, number: int, key: RoutingKey) -> None:
-        """Exchange a multiplexed PDO with the node; it replaces the PDO of that number (1..512) and direction.
+        """Exchange a multiplexed PDO with the node. It replaces the PDO of this number (1..512) and direction.
 
-        A TPDO: one in source address mode is received by this key from now on, whatever objects it brings: `values` and
-        `heard_at` follow, and MpdoReceived is reported. An RPDO: `send_mpdo` sends it, in destination address mode.
-        CiA 301 v4.2.0, 7.2.3
+        A TPDO, in source address mode, is received with this key: it sets `values` and `heard_at`, and MpdoReceived is reported.
+        `send_mpdo` sends an RPDO, in destination address mode. CiA 301 v4.2.0, 7.2.3
         """
         self._check_pdo(direction, number, key)
         self.remove_pdo(direction, number)
@@ -359,16 +358,16 @@ class RemoteNode(Group):
             self._mpdo_rpdos[number] = key
 
     def send_mpdo(self, number: int, key: Key, value: Value, now: Time) -> bool:
-        """Write an object of the node, a value or the name of a constant, by its RPDO `number`, an MPDO. Nobody confirms it.
+        """Write an object of the node by its RPDO `number`, an MPDO, which is not confirmed. Sets `values`.
 
-        False, and nothing is sent, while the node is not Operational. `values` follows. Raises LocalProtocolError where that RPDO
-        was not added, and for an object that an RPDO may not carry; else as `write` does.
+        value: may be the name of a constant. Sends nothing and returns False while the node is not Operational. Raises
+        LocalProtocolError if this RPDO was not added, or cannot carry the object; else as `write` does.
         """
         if number not in self._mpdo_rpdos:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that is an MPDO; add_mpdo makes one")
         variable, meant, data = self.encode(key, value)
         if not suits_mpdo(variable, Direction.RPDO):
-            raise LocalProtocolError(f"{variable.label} of node {self.node_id} is no object that an MPDO can carry to it")
+            raise LocalProtocolError(f"an MPDO cannot carry {variable.label} to node {self.node_id}")
         frame = destination_frame(self._mpdo_rpdos[number], self.node_id, variable.index, variable.subindex, data)
         if self.is_operational:
             self.out.frames.append(frame)
@@ -381,10 +380,10 @@ class RemoteNode(Group):
         on_boot: Callable[[], None] | None = None,
         on_sync: Callable[[Time], None] | None = None,
     ) -> None:
-        """Call `listener` with the muxes of values that were just updated. For code built upon this node, such as an Axis.
+        """Call `listener` with the muxes of updated values. For code on top of this node, such as an Axis.
 
-        on_boot: called when the node boots: all values that it sent before are old. on_sync: called at each SYNC, ours or
-        another's, after the RPDOs that it releases were built.
+        on_boot: called when the node boots: all values that it sent before are old. on_sync: called at each SYNC that is sent or
+        received, after the RPDOs for it were built.
         """
         if listener is not None:
             self._listeners.append(listener)
@@ -398,7 +397,7 @@ class RemoteNode(Group):
     def start_guarding(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
         """Ask the node once per guard time whether it is alive: for a node without a heartbeat. See GuardingMaster.start.
 
-        Its answers are heard like heartbeats too (HeartbeatReceived, `nmt_state`). NodeGuardingLost ends open SDO requests.
+        Its answers also count as heartbeats (HeartbeatReceived, `nmt_state`). NodeGuardingLost ends open SDO requests.
         """
         self.guarding.start(guard_time, life_time_factor, now)
         self._members.attach(self.guarding)
@@ -469,7 +468,7 @@ class RemoteNode(Group):
         self._heard((variable.mux,), now)
 
     def _is_ours(self, mux: Mux) -> bool:
-        """Whether we command the object: then our image of it is newer than anything that is read."""
+        """Return whether we command an object: our image of it is then newer than any value that is read."""
         for producer in self.rpdos.values():  # written out: `any` over a generator costs more than the rest of a read's reaction
             if mux in producer.mapping.muxes:
                 return True

@@ -120,23 +120,6 @@ def homing_status(statusword: int) -> HomingStatus:
     return HOMING_STATUS[statusword >> 13 & 1, statusword >> 12 & 1, statusword >> 10 & 1]
 
 
-HOMING_METHODS: Final[dict[int, str]] = {
-    0: "no homing",
-    1: "negative limit switch and index pulse",
-    2: "positive limit switch and index pulse",
-    17: "negative limit switch",
-    18: "positive limit switch",
-    19: "positive home switch, its edge from the active side",
-    20: "positive home switch, its edge from the inactive side",
-    21: "negative home switch, its edge from the active side",
-    22: "negative home switch, its edge from the inactive side",
-    33: "next index pulse in negative direction",
-    34: "next index pulse in positive direction",
-    35: "current position (older number of 37)",
-    37: "current position",
-}
-"""Texts for the usual values of 6098h."""
-
 _COMMON_BITS: Final = (
     (StatusBit.VOLTAGE_ENABLED, "voltage enabled"),
     (StatusBit.WARNING, "warning"),

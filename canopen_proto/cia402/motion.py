@@ -33,16 +33,15 @@ class Profile:
     """A planned motion. It never changes.
 
     start: when it was planned; end: the first nanosecond at which only its last piece is left, NEVER if that lies beyond the
-    clock. pieces: oldest first, at least one. final_position, final_velocity: at the beginning of the last piece; if
-    final_velocity is 0, the motion ends there.
+    clock. pieces: oldest first, at least one. final_velocity: of the last piece; if it is 0, the motion ends there.
     """
 
-    __slots__ = ("end", "final_position", "final_velocity", "pieces", "start")
+    __slots__ = ("end", "final_velocity", "pieces", "start")
 
     def __init__(self, start: Time, pieces: tuple[Piece, ...]) -> None:
         self.start = start
         self.pieces = pieces
-        duration, self.final_position, self.final_velocity, _ = pieces[-1]
+        duration, _, self.final_velocity, _ = pieces[-1]
         self.end: Time = min(start + math.ceil(duration * _NANOSECONDS), NEVER)
 
     def at(self, now: Time) -> tuple[float, float, float]:

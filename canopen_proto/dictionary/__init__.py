@@ -1,39 +1,18 @@
 """The object dictionary: its description (`model`), and one device's memory for it (`values`)."""
 
-from canopen_proto.dictionary.model import (
-    Access,
-    Constant,
-    ConstantNotFound,
-    Direction,
-    Filler,
-    Key,
-    Message,
-    NotInDictionary,
-    Object,
-    ObjectDictionary,
-    ObjectNotFound,
-    ObjectType,
-    PdoDescription,
-    PdoNotFound,
-    Variable,
-)
-from canopen_proto.dictionary.values import Values
-
-__all__ = [
-    "Access",
-    "Constant",
-    "ConstantNotFound",
-    "Direction",
-    "Filler",
-    "Key",
-    "Message",
-    "NotInDictionary",
-    "Object",
-    "ObjectDictionary",
-    "ObjectNotFound",
-    "ObjectType",
-    "PdoDescription",
-    "PdoNotFound",
-    "Values",
-    "Variable",
-]
+from canopen_proto.dictionary.model import Access as Access
+from canopen_proto.dictionary.model import Constant as Constant
+from canopen_proto.dictionary.model import ConstantNotFound as ConstantNotFound
+from canopen_proto.dictionary.model import Direction as Direction
+from canopen_proto.dictionary.model import Filler as Filler
+from canopen_proto.dictionary.model import Key as Key
+from canopen_proto.dictionary.model import Message as Message
+from canopen_proto.dictionary.model import NotInDictionary as NotInDictionary
+from canopen_proto.dictionary.model import Object as Object
+from canopen_proto.dictionary.model import ObjectDictionary as ObjectDictionary
+from canopen_proto.dictionary.model import ObjectNotFound as ObjectNotFound
+from canopen_proto.dictionary.model import ObjectType as ObjectType
+from canopen_proto.dictionary.model import PdoDescription as PdoDescription
+from canopen_proto.dictionary.model import PdoNotFound as PdoNotFound
+from canopen_proto.dictionary.model import Variable as Variable
+from canopen_proto.dictionary.values import Values as Values

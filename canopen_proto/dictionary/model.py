@@ -27,28 +27,13 @@ from typing import Final, NoReturn
 
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import DataType, Value, is_signed
-from canopen_proto.dictionary.objects import Access, Key, Object, ObjectType, Variable
+from canopen_proto.dictionary.objects import Access as Access
+from canopen_proto.dictionary.objects import Key as Key
+from canopen_proto.dictionary.objects import Object as Object
+from canopen_proto.dictionary.objects import ObjectType as ObjectType
+from canopen_proto.dictionary.objects import Variable as Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
-
-__all__ = [
-    "Access",
-    "Constant",
-    "ConstantNotFound",
-    "Direction",
-    "Filler",
-    "Key",
-    "Message",
-    "NotInDictionary",
-    "Object",
-    "ObjectDictionary",
-    "ObjectNotFound",
-    "ObjectType",
-    "PdoDescription",
-    "PdoNotFound",
-    "Variable",
-    "did_you_mean",
-]
 
 
 @mypyc_attr(native_class=False)

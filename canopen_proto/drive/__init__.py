@@ -23,59 +23,30 @@ ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), Limi
 Source: IEC 61800-7-201 (CiA 402-2).
 """
 
-from canopen_proto.drive.controlword import command
-from canopen_proto.drive.failures import (
-    DriveFault,
-    HomingFailed,
-    LimitReached,
-    ModeLost,
-    ModeUnsupported,
-    NodeLost,
-    ReferenceLost,
-    StateLost,
-    fault_of,
-)
-from canopen_proto.drive.halting import halt, halt_after
-from canopen_proto.drive.homing import home
-from canopen_proto.drive.motion import move_to, read_position, start_cyclic_position, start_interpolation
-from canopen_proto.drive.state import (
-    change_state,
-    enable,
-    engage_brake,
-    quick_stop,
-    reset_fault,
-    select_standing_mode,
-    set_mode,
-    shut_down,
-)
-from canopen_proto.drive.watching import read_statusword, wait_for_statusword
-
-__all__ = [
-    "DriveFault",
-    "HomingFailed",
-    "LimitReached",
-    "ModeLost",
-    "ModeUnsupported",
-    "NodeLost",
-    "ReferenceLost",
-    "StateLost",
-    "change_state",
-    "command",
-    "enable",
-    "engage_brake",
-    "fault_of",
-    "halt",
-    "halt_after",
-    "home",
-    "move_to",
-    "quick_stop",
-    "read_position",
-    "read_statusword",
-    "reset_fault",
-    "select_standing_mode",
-    "set_mode",
-    "shut_down",
-    "start_cyclic_position",
-    "start_interpolation",
-    "wait_for_statusword",
-]
+from canopen_proto.drive.controlword import command as command
+from canopen_proto.drive.failures import DriveFault as DriveFault
+from canopen_proto.drive.failures import HomingFailed as HomingFailed
+from canopen_proto.drive.failures import LimitReached as LimitReached
+from canopen_proto.drive.failures import ModeLost as ModeLost
+from canopen_proto.drive.failures import ModeUnsupported as ModeUnsupported
+from canopen_proto.drive.failures import NodeLost as NodeLost
+from canopen_proto.drive.failures import ReferenceLost as ReferenceLost
+from canopen_proto.drive.failures import StateLost as StateLost
+from canopen_proto.drive.failures import fault_of as fault_of
+from canopen_proto.drive.halting import halt as halt
+from canopen_proto.drive.halting import halt_after as halt_after
+from canopen_proto.drive.homing import home as home
+from canopen_proto.drive.motion import move_to as move_to
+from canopen_proto.drive.motion import read_position as read_position
+from canopen_proto.drive.motion import start_cyclic_position as start_cyclic_position
+from canopen_proto.drive.motion import start_interpolation as start_interpolation
+from canopen_proto.drive.state import change_state as change_state
+from canopen_proto.drive.state import enable as enable
+from canopen_proto.drive.state import engage_brake as engage_brake
+from canopen_proto.drive.state import quick_stop as quick_stop
+from canopen_proto.drive.state import reset_fault as reset_fault
+from canopen_proto.drive.state import select_standing_mode as select_standing_mode
+from canopen_proto.drive.state import set_mode as set_mode
+from canopen_proto.drive.state import shut_down as shut_down
+from canopen_proto.drive.watching import read_statusword as read_statusword
+from canopen_proto.drive.watching import wait_for_statusword as wait_for_statusword

@@ -1,35 +1,26 @@
 """Process data: the bits of a PDO (`mapping`), receiving and sending one (`consumer`, `producer`), a device's own PDOs
 (`parameters`, by the `rules`), setting one up (`settings`), and multiplexed PDOs (`multiplexed`)."""
 
-from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived, PdoTooLate
-from canopen_proto.pdo.mapping import MappedEntry, Mapping, MappingError
-from canopen_proto.pdo.multiplexed import MpdoConsumer, MpdoMode, MpdoNotProcessed, MpdoProducer, MpdoReceived
-from canopen_proto.pdo.parameters import DevicePdos
-from canopen_proto.pdo.producer import PdoNotSent, PdoPeriodsSkipped, PdoProducer
-from canopen_proto.pdo.settings import PdoSettings, RemapStep, communication_index, mapping_index, objects_to_read, remap_steps
-
-__all__ = [
-    "DevicePdos",
-    "MappedEntry",
-    "Mapping",
-    "MappingError",
-    "MpdoConsumer",
-    "MpdoMode",
-    "MpdoNotProcessed",
-    "MpdoProducer",
-    "MpdoReceived",
-    "PdoConsumer",
-    "PdoLengthError",
-    "PdoNotSent",
-    "PdoOverdue",
-    "PdoPeriodsSkipped",
-    "PdoProducer",
-    "PdoReceived",
-    "PdoSettings",
-    "PdoTooLate",
-    "RemapStep",
-    "communication_index",
-    "mapping_index",
-    "objects_to_read",
-    "remap_steps",
-]
+from canopen_proto.pdo.consumer import PdoConsumer as PdoConsumer
+from canopen_proto.pdo.consumer import PdoLengthError as PdoLengthError
+from canopen_proto.pdo.consumer import PdoOverdue as PdoOverdue
+from canopen_proto.pdo.consumer import PdoReceived as PdoReceived
+from canopen_proto.pdo.consumer import PdoTooLate as PdoTooLate
+from canopen_proto.pdo.mapping import MappedEntry as MappedEntry
+from canopen_proto.pdo.mapping import Mapping as Mapping
+from canopen_proto.pdo.mapping import MappingError as MappingError
+from canopen_proto.pdo.multiplexed import MpdoConsumer as MpdoConsumer
+from canopen_proto.pdo.multiplexed import MpdoMode as MpdoMode
+from canopen_proto.pdo.multiplexed import MpdoNotProcessed as MpdoNotProcessed
+from canopen_proto.pdo.multiplexed import MpdoProducer as MpdoProducer
+from canopen_proto.pdo.multiplexed import MpdoReceived as MpdoReceived
+from canopen_proto.pdo.parameters import DevicePdos as DevicePdos
+from canopen_proto.pdo.producer import PdoNotSent as PdoNotSent
+from canopen_proto.pdo.producer import PdoPeriodsSkipped as PdoPeriodsSkipped
+from canopen_proto.pdo.producer import PdoProducer as PdoProducer
+from canopen_proto.pdo.settings import PdoSettings as PdoSettings
+from canopen_proto.pdo.settings import RemapStep as RemapStep
+from canopen_proto.pdo.settings import communication_index as communication_index
+from canopen_proto.pdo.settings import mapping_index as mapping_index
+from canopen_proto.pdo.settings import objects_to_read as objects_to_read
+from canopen_proto.pdo.settings import remap_steps as remap_steps

@@ -175,7 +175,7 @@ def test_write_without_a_dictionary_entry(run: Run) -> None:
         ("controlword", "sm_shutdwn", "sm_shutdown"),
         ("controlword", "-1", "controlword"),
         ("controlword", "1.5", "controlword"),
-        ("statusword", "5", "can't be written"),
+        ("statusword", "5", "cannot be written"),
     ],
 )
 def test_what_does_not_fit_is_refused_before_anything_is_sent(run: Run, key: str, value: str, words: str) -> None:

@@ -79,7 +79,7 @@ async def test_a_wrong_call_sends_nothing() -> None:
             await node.read("statuswort")
         with pytest.raises(ValueRangeError, match="controlword"):
             await node.write("controlword", 70000)
-        with pytest.raises(LocalProtocolError, match="can't be written"):
+        with pytest.raises(LocalProtocolError, match="cannot be written"):
             await node.write("statusword", 1)
         with pytest.raises(LookupError, match="no constant"):
             await node.matches("statusword", "no_such_constant")

@@ -64,7 +64,7 @@ def test_a_move_onto_the_spot_is_over_at_once() -> None:
 def test_a_target_that_is_passed_before_the_axis_can_stop_is_reached_from_behind() -> None:
     profile = move(0, 0.0, 100.0, 10.0, max_velocity=100.0, acceleration=100.0, deceleration=100.0)
     assert profile.at(SECOND) == pytest.approx((50.0, 0.0, -100.0))  # stopped beyond
-    assert profile.final_position == 10.0
+    assert profile.pieces[-1][1] == 10.0
     assert_continuous(profile)
 
 
@@ -115,7 +115,7 @@ def test_a_move_ends_at_its_target_within_its_limits(
 ) -> None:
     profile = move(0, position, velocity, target, max_velocity, acceleration, deceleration)
     assert profile.pieces[0][:1] == (0.0,)
-    assert (profile.final_position, profile.final_velocity) == (target, 0.0)
+    assert profile.pieces[-1][1:3] == (target, 0.0)
     fastest = max(max_velocity, abs(velocity)) * (1 + 1e-9)
     speeding_up, slowing_down = acceleration * (1 + 1e-9), deceleration * (1 + 1e-9)
     for now in times_of(profile):
@@ -165,8 +165,9 @@ def test_run_reaches_its_speed_and_keeps_it(
 @given(positions, velocities, limits)
 def test_stop_brakes_over_the_shortest_distance(position: float, velocity: float, deceleration: float) -> None:
     profile = stop(0, position, velocity, deceleration)
-    assert profile.final_velocity == 0.0
-    assert abs(profile.final_position - position) == pytest.approx(velocity**2 / (2 * deceleration), rel=1e-9, abs=1e-6)
+    _, final_position, final_velocity, _ = profile.pieces[-1]
+    assert final_velocity == 0.0
+    assert abs(final_position - position) == pytest.approx(velocity**2 / (2 * deceleration), rel=1e-9, abs=1e-6)
     assert_continuous(profile)
 
 

@@ -156,7 +156,7 @@ def test_a_value_or_a_constant_is_written_and_the_image_has_it_once_confirmed(va
         ("outputt", 1, NotInDictionary, "did you mean output"),
         ("output", "lampp", NotInDictionary, "did you mean lamp"),
         (0x2FFF, 1, NotInDictionary, "0x2FFF:00 is not in the dictionary"),
-        ("input", 1, LocalProtocolError, r"input \(0x2000:00\) of node 5 is ro: it can't be written"),
+        ("input", 1, LocalProtocolError, r"input \(0x2000:00\) of node 5 is ro: it cannot be written"),
         ("output", 40_000, ValueRangeError, "output"),
         ("output", 1.5, ValueRangeError, "output"),
         ("limited", 21, ValueRangeError, "outside 10..20"),

@@ -83,9 +83,9 @@ def test_a_channel_is_removed() -> None:
 @pytest.mark.parametrize(
     ("request_key", "response_key", "match"),
     [
-        (0x640, 0x585, "0x585 is in use"),
-        (0x640, 0x640, "0x640 is in use"),
-        (0x640, 0x5C1, "0x5C1 is in use"),
+        (0x640, 0x585, "another channel uses CAN-ID 0x585"),
+        (0x640, 0x640, "another channel uses CAN-ID 0x640"),
+        (0x640, 0x5C1, "another channel uses CAN-ID 0x5C1"),
         (0x800, 0x5C0, "more than 11 bits"),
         (0x640, 0x5C00, "more than 11 bits"),
     ],
@@ -167,8 +167,8 @@ def test_what_cannot_be_sent_raises() -> None:
     bench = listening()
     for number, key, match in (
         (3, (TABLE, 2), "add_mpdo"),
-        (4, SECRET, "no object that an MPDO"),
-        (4, INPUT, "can't be written"),
+        (4, SECRET, "an MPDO cannot carry"),
+        (4, INPUT, "cannot be written"),
     ):
         with pytest.raises(LocalProtocolError, match=match):
             bench.node.send_mpdo(number, key, 1, bench.now)

@@ -168,7 +168,7 @@ def test_a_device_sends_time_while_bit_30_says_so() -> None:
     with pytest.raises(ValueRangeError):
         bench.node.send_time(EPOCH - DAY, bench.now)
     bench.tell(STOP)
-    with pytest.raises(LocalProtocolError, match="node 5 sends no TIME: it is STOPPED"):
+    with pytest.raises(LocalProtocolError, match="node 5 cannot send TIME: it is STOPPED"):
         bench.node.send_time(EPOCH, bench.now)
     bench = device(CONSUME)
     with pytest.raises(LocalProtocolError, match="its 0x1012 is 2147483904"):
