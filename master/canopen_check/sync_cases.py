@@ -55,7 +55,7 @@ def produce(bench: Bench, overflow: int | None = None) -> Procedure[None]:
         yield from bench.write(OVERFLOW, 0, overflow)
     yield from bench.write(CYCLE_PERIOD, 0, PERIOD // MICROSECOND)
     if (yield from bench.refusal_of_write(COB_ID_SYNC, 0, bench.default(COB_ID_SYNC) | PRODUCER)) is not None:
-        does_not_apply("the device can't produce SYNC")
+        does_not_apply("the device cannot produce SYNC")
 
 
 def count_syncs(bench: Bench) -> Procedure[str]:

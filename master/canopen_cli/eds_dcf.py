@@ -143,7 +143,7 @@ def _assigned(file: DescriptionFile, assignments: tuple[str, ...]) -> list[Setti
         variable = dictionary.variable(key.strip())
         value = parse_value(dictionary, variable, value_shown.strip())
         if not variable.access.writable:
-            raise usage("CO303", f"{variable.label} is {variable.access}: it can't be written")
+            raise usage("CO303", f"{variable.label} is {variable.access}: it cannot be written")
         variable.encode(value)
         variable.check_limits(value)
         found.append((variable, value))

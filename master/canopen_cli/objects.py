@@ -182,7 +182,7 @@ def _check_readable(variable: Variable) -> None:
 
 def _check_writable(variable: Variable) -> None:
     if not variable.access.writable:
-        raise usage("CO303", f"{variable.label} is {variable.access}: it can't be written", seen="nothing was sent")
+        raise usage("CO303", f"{variable.label} is {variable.access}: it cannot be written", seen="nothing was sent")
 
 
 def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow: str, **more: Any) -> None:
