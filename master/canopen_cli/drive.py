@@ -96,6 +96,17 @@ def _look_at(axis: Axis) -> Procedure[DriveView]:
     return view
 
 
+def _do(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
+    """Take a step with the drive, and show what it shows then."""
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from step(axis)
+        return (yield from _look_at(axis))
+
+    _show(settings, screen, _on_axis(settings, screen, procedure))
+
+
 @drive.command()
 @common
 @click.pass_obj
@@ -110,13 +121,7 @@ def state(settings: Settings) -> None:
 @click.pass_obj
 def fault_reset(settings: Settings) -> None:
     """Reset a fault: a rising edge of bit 7. It moves nothing: the drive is not enabled afterwards."""
-    screen = settings.screen()
-
-    def procedure(axis: Axis) -> Procedure[DriveView]:
-        yield from procedures.reset_fault(axis)
-        return (yield from _look_at(axis))
-
-    _show(settings, screen, _on_axis(settings, screen, procedure))
+    _do(settings, procedures.reset_fault)
 
 
 @drive.command()
@@ -124,13 +129,7 @@ def fault_reset(settings: Settings) -> None:
 @click.pass_obj
 def disable(settings: Settings) -> None:
     """Take the power from a drive. One that moves is stopped as its option codes (0x605B, 0x605C) say, or coasts."""
-    screen = settings.screen()
-
-    def procedure(axis: Axis) -> Procedure[DriveView]:
-        yield from procedures.shut_down(axis)
-        return (yield from _look_at(axis))
-
-    _show(settings, screen, _on_axis(settings, screen, procedure))
+    _do(settings, procedures.shut_down)
 
 
 @drive.command()
@@ -220,13 +219,7 @@ def _show(settings: Settings, screen: Screen, view: DriveView) -> None:
 @click.pass_obj
 def stop(settings: Settings) -> None:
     """Command a quick stop. The drive brakes as 0x605A says, and most drives have no power afterwards."""
-    screen = settings.screen()
-
-    def procedure(axis: Axis) -> Procedure[DriveView]:
-        yield from procedures.quick_stop(axis)
-        return (yield from _look_at(axis))
-
-    _show(settings, screen, _on_axis(settings, screen, procedure))
+    _do(settings, procedures.quick_stop)
 
 
 @drive.command()
