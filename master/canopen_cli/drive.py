@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import click
@@ -25,12 +26,12 @@ from canopen_proto.drive.units import DriveUnits, Unit, read_units
 from canopen_proto.drive.watching import Watch
 from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+from canopen_proto.remote_node import RemoteNode
 
 T = TypeVar("T")
 
 COUNTS: Final = "counts"
 _NODE: Final = "canopen.drive.node"
-_COUNTS: Final = AxisSettings(counts_per_unit=1.0)
 
 
 class _Node(NodeId):
@@ -61,37 +62,49 @@ def drive(ctx: click.Context, node_id: int) -> None:
     ctx.meta[_NODE] = node_id
 
 
-def _on_node(
-    settings: Settings, screen: Screen, procedure: Callable[[Node, Session], Procedure[T]], story: Story = lambda confirmed: []
+def _run(
+    settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
 ) -> T:
     """Run a procedure on the node that the command line names."""
     node_id: int = click.get_current_context().meta[_NODE]
 
-    def whole(session: Session) -> Procedure[T]:
-        node = session.node(node_id)
-        yield from awake(node)
-        return (yield from procedure(node, session))
-
     async def command() -> T:
         async with open_session(settings, screen) as session:
-            return await session.master.run(whole(session))
+            return await session.master.run(procedure(session, session.node(node_id)))
 
     return run(settings, screen, command, story=story)
 
 
-def _on_axis(settings: Settings, screen: Screen, procedure: Callable[[Axis], Procedure[T]]) -> T:
-    """Run a procedure on the drive that the command line names, in counts."""
-    return _on_node(settings, screen, lambda node, session: procedure(session.master.device(node, settings=_COUNTS).axis))
+def _read(settings: Settings, screen: Screen, procedure: Callable[[RemoteNode], Procedure[T]]) -> T:
+    """Run a procedure that only reads: another program may move the drive meanwhile."""
+    return _run(settings, screen, lambda session, node: procedure(node.remote))
 
 
-def _look_at(axis: Axis) -> Procedure[DriveView]:
-    view = yield from look_at(axis.node)
+def _command(
+    settings: Settings,
+    screen: Screen,
+    procedure: Callable[[Axis], Procedure[T]],
+    story: Story = lambda confirmed: [],
+    scale: Callable[[Node], Procedure[float]] | None = None,
+) -> T:
+    """Run a procedure that commands the drive. scale: reads the counts in one unit; by default the unit is the count."""
+
+    def whole(session: Session, node: Node) -> Procedure[T]:
+        yield from awake(node)
+        counts = 1.0 if scale is None else (yield from scale(node))
+        return (yield from procedure(session.master.device(node, settings=AxisSettings(counts_per_unit=counts)).axis))
+
+    return _run(settings, screen, whole, story)
+
+
+def _look_at(node: RemoteNode) -> Procedure[DriveView]:
+    view = yield from look_at(node)
     if view is None:
         raise Problem(
             ExitCode.SDO_ABORT,
             "CO408",
-            f"{node_text(axis.node.node_id)} is no drive by CiA 402: it has no statusword (0x6041)",
-            tries=(f"canopen info {axis.node.node_id}    what it is",),
+            f"{node_text(node.node_id)} is no drive by CiA 402: it has no statusword (0x6041)",
+            tries=(f"canopen info {node.node_id}    what it is",),
         )
     return view
 
@@ -102,9 +115,9 @@ def _do(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from step(axis)
-        return (yield from _look_at(axis))
+        return (yield from _look_at(axis.node))
 
-    _show(settings, screen, _on_axis(settings, screen, procedure))
+    _show(settings, screen, _command(settings, screen, procedure))
 
 
 @drive.command()
@@ -113,7 +126,7 @@ def _do(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
 def state(settings: Settings) -> None:
     """Show state, mode and position of a drive, and what keeps it from moving."""
     screen = settings.screen()
-    _show(settings, screen, _on_axis(settings, screen, _look_at))
+    _show(settings, screen, _read(settings, screen, _look_at))
 
 
 @drive.command("fault-reset")
@@ -138,7 +151,7 @@ def disable(settings: Settings) -> None:
 def units(settings: Settings) -> None:
     """Show what the numbers of a drive mean, and which of its objects say so (the factor group)."""
     screen = settings.screen()
-    found = _on_axis(settings, screen, lambda axis: read_units(axis.node))
+    found = _read(settings, screen, read_units)
     if settings.json:
         screen.json(_units_json(found))
         return
@@ -232,12 +245,9 @@ def mode(settings: Settings, name: str | None) -> None:
     A drive that is enabled is not changed: in some modes it would obey an old target at once.
     """
     screen = settings.screen()
-    number = None if name is None else _mode_of(name)
 
-    def procedure(axis: Axis) -> Procedure[DriveView]:
-        view = yield from _look_at(axis)
-        if number is None:
-            return view
+    def select(axis: Axis, number: int) -> Procedure[DriveView]:
+        view = yield from _look_at(axis.node)
         if view.state in POWERED:
             raise Problem(
                 ExitCode.DRIVE_FAULT,
@@ -246,9 +256,12 @@ def mode(settings: Settings, name: str | None) -> None:
                 tries=(f"canopen drive {axis.node.node_id} disable",),
             )
         yield from procedures.set_mode(axis, number)
-        return (yield from _look_at(axis))
+        return (yield from _look_at(axis.node))
 
-    view = _on_axis(settings, screen, procedure)
+    if name is None:
+        view = _read(settings, screen, _look_at)
+    else:
+        view = _command(settings, screen, partial(select, number=_mode_of(name)))
     modes = () if view.supported_modes is None else supported_modes(view.supported_modes)
     if settings.json:
         screen.json({"mode": view.mode, "wanted_mode": view.wanted_mode, "supported_modes": list(modes)})
@@ -289,9 +302,9 @@ def enable(settings: Settings, seconds: float | None) -> None:
             yield from procedures.shut_down(axis)
             raise
         yield from procedures.shut_down(axis)
-        return (yield from _look_at(axis))
+        return (yield from _look_at(axis.node))
 
-    _show(settings, screen, _on_axis(settings, screen, procedure))
+    _show(settings, screen, _command(settings, screen, procedure))
 
 
 @drive.command()
@@ -317,17 +330,16 @@ def move(settings: Settings, position: float, relative: bool, unit: str, limit: 
     """
     screen = settings.screen()
 
-    def procedure(node: Node, session: Session) -> Procedure[tuple[float, float, DriveView]]:
-        scale = 1.0 if unit == COUNTS else (yield from _scale(node, Unit(unit)))
-        axis = session.master.device(node, settings=AxisSettings(counts_per_unit=scale)).axis
+    def procedure(axis: Axis) -> Procedure[tuple[float, float, DriveView]]:
         yield from identify(axis)
         begin = yield from procedures.read_position(axis)
         yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
         end = yield from procedures.read_position(axis)
         yield from procedures.shut_down(axis)
-        return begin, end, (yield from _look_at(axis))
+        return begin, end, (yield from _look_at(axis.node))
 
-    begin, end, view = _on_node(settings, screen, procedure, story=_moved)
+    scale = None if unit == COUNTS else partial(_scale, unit=Unit(unit))
+    begin, end, view = _command(settings, screen, procedure, _moved, scale)
     if settings.json:
         screen.json({"from": begin, "to": end, "unit": unit, "state": str(view.state)})
         return

@@ -18,6 +18,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
+from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
 from tests.cli.cli_support import Alarm, Run, runner, stands, watched_fleets
 from tests.proto.devices import io_device
@@ -252,6 +253,29 @@ def test_what_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.status == ExitCode.SDO_ABORT
     assert "CO408" in outcome.err
     assert "canopen info 5" in outcome.err
+
+
+def test_who_only_looks_changes_nothing(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+    """Neither the NMT state of a drive, nor one that another program moves."""
+
+    async def stopped(fleet: Fleet) -> None:
+        fleet.drives[3].execute(NmtCommand.STOP, 0)
+
+    async def powered(fleet: Fleet) -> None:
+        for word in (0x06, 0x07, 0x0F):
+            fleet.drives[3].values.store[objects.CONTROLWORD] = word
+            fleet.drives[3].drive.written(0x6040, 0, 0)
+
+    for word in ("state", "units", "mode"):
+        alarm.task = powered
+        assert run("drive", "3", word, *DEMO).status == 0
+        assert fleets[-1].drives[3].drive.state is State.OPERATION_ENABLED
+        assert fleets[-1].drives[3].values[objects.CONTROLWORD] == 0x0F
+        alarm.task = stopped
+        outcome = run("drive", "3", word, *DEMO)
+        assert outcome.status == ExitCode.NO_ANSWER
+        assert "canopen nmt preop 3" in outcome.err
+        assert fleets[-1].drives[3].state is NmtState.STOPPED
 
 
 def test_wrong_words(run: Run) -> None:
