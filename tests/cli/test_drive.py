@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 import trio
 
 from canopen_cli import session
-from canopen_cli.fleet import Fleet
+from canopen_cli.fleet import Fleet, simulated_fleet
 from canopen_cli.problem import ExitCode
 from canopen_master.simulation import simulate
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import standard_object
@@ -43,6 +45,29 @@ def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
     return watched_fleets(monkeypatch, alarm)
 
 
+def prepare(monkeypatch: pytest.MonkeyPatch, change: Callable[[DriveNode], None]) -> list[DriveNode]:
+    """Let something happen to drive 3 before a command begins; return the drives of the commands to come."""
+    made: list[DriveNode] = []
+
+    @asynccontextmanager
+    async def prepared(*arguments: Any) -> AsyncIterator[Fleet]:
+        async with simulated_fleet(*arguments) as fleet:
+            await trio.sleep(0.1)
+            made.append(fleet.drives[3])
+            change(made[-1])
+            yield fleet
+
+    monkeypatch.setattr(session, "simulated_fleet", prepared)
+    return made
+
+
+def powered(drive: DriveNode) -> None:
+    """Another program has enabled it."""
+    for word in (0x06, 0x07, 0x0F):
+        drive.values.store[objects.CONTROLWORD] = word
+        drive.drive.written(0x6040, 0, 0)
+
+
 def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
     outcome = run("drive", "3", "state", *DEMO)
     assert outcome.status == 0
@@ -61,26 +86,19 @@ def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
     ]
 
 
-def test_a_fault_is_named_and_reset(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
-    async def fault(fleet: Fleet) -> None:
-        fleet.raise_fault(3, 0x2310)
-
-    alarm.task = fault
+def test_a_fault_is_named_and_reset(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    drives = prepare(monkeypatch, lambda drive: drive.raise_fault(0x2310, 0))
     document = run("drive", "3", "state", *DEMO, "--json").json
     assert document["state"] == "fault"
     assert [each["what"] for each in document["obstacles"]] == ["it is in fault: 0x2310 continuous over-current, output side"]
     outcome = run("drive", "3", "fault-reset", *DEMO)
     assert outcome.status == 0
     assert "state             switch on disabled" in outcome.out
-    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert drives[-1].drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_fault_that_stays(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
-    async def fault(fleet: Fleet) -> None:
-        drive = fleet.drives[3]
-        drive.drive.raise_fault(0x4310, 0, lasting=True)
-
-    alarm.task = fault
+def test_a_fault_that_stays(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare(monkeypatch, lambda drive: drive.raise_fault(0x4310, 0, lasting=True))
     outcome = run("drive", "3", "fault-reset", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "CO402" in outcome.err
@@ -159,14 +177,8 @@ def test_modes_and_one_is_selected(run: Run, fleets: list[Fleet]) -> None:
         assert run("drive", "3", "mode", word, *DEMO).status == ExitCode.USAGE
 
 
-def test_the_mode_of_a_drive_with_power_stays(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
-    async def powered(fleet: Fleet) -> None:
-        drive = fleet.drives[3]
-        for word in (0x06, 0x07, 0x0F):
-            drive.values.store[objects.CONTROLWORD] = word
-            drive.drive.written(0x6040, 0, 0)
-
-    alarm.task = powered
+def test_the_mode_of_a_drive_with_power_stays(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare(monkeypatch, powered)
     outcome = run("drive", "3", "mode", "pp", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "has power (operation enabled)" in outcome.err
@@ -255,27 +267,18 @@ def test_what_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "canopen info 5" in outcome.err
 
 
-def test_who_only_looks_changes_nothing(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+@pytest.mark.parametrize("word", ["state", "units", "mode"])
+def test_who_only_looks_changes_nothing(run: Run, monkeypatch: pytest.MonkeyPatch, word: str) -> None:
     """Neither the NMT state of a drive, nor one that another program moves."""
-
-    async def stopped(fleet: Fleet) -> None:
-        fleet.drives[3].execute(NmtCommand.STOP, 0)
-
-    async def powered(fleet: Fleet) -> None:
-        for word in (0x06, 0x07, 0x0F):
-            fleet.drives[3].values.store[objects.CONTROLWORD] = word
-            fleet.drives[3].drive.written(0x6040, 0, 0)
-
-    for word in ("state", "units", "mode"):
-        alarm.task = powered
-        assert run("drive", "3", word, *DEMO).status == 0
-        assert fleets[-1].drives[3].drive.state is State.OPERATION_ENABLED
-        assert fleets[-1].drives[3].values[objects.CONTROLWORD] == 0x0F
-        alarm.task = stopped
-        outcome = run("drive", "3", word, *DEMO)
-        assert outcome.status == ExitCode.NO_ANSWER
-        assert "canopen nmt preop 3" in outcome.err
-        assert fleets[-1].drives[3].state is NmtState.STOPPED
+    drives = prepare(monkeypatch, powered)
+    assert run("drive", "3", word, *DEMO).status == 0
+    assert drives[-1].drive.state is State.OPERATION_ENABLED
+    assert drives[-1].values[objects.CONTROLWORD] == 0x0F
+    drives = prepare(monkeypatch, lambda drive: drive.execute(NmtCommand.STOP, 0))
+    outcome = run("drive", "3", word, *DEMO)
+    assert outcome.status == ExitCode.NO_ANSWER
+    assert "canopen nmt preop 3" in outcome.err
+    assert drives[-1].state is NmtState.STOPPED
 
 
 def test_wrong_words(run: Run) -> None:
