@@ -43,7 +43,7 @@ class CoarseAlarm:
         self._deadline = math.inf
 
     def close(self) -> None:
-        """Do nothing: there is nothing to give back."""
+        """Do nothing: this alarm holds no file."""
 
 
 class _Interval(ctypes.Structure):
@@ -64,7 +64,7 @@ class FineAlarm:
         self._reference = ctypes.byref(self._interval)
 
     def set(self, deadline: float) -> None:
-        """As in `CoarseAlarm`."""
+        """Wake at this time; see `CoarseAlarm`."""
         if deadline >= self._deadline:
             return
         self._deadline = deadline
@@ -73,7 +73,7 @@ class FineAlarm:
         self._set_time(self._fd, 0, self._reference, None)
 
     async def wait(self) -> None:
-        """As in `CoarseAlarm`."""
+        """Sleep until the time that `set` gave; see `CoarseAlarm`."""
         await trio.lowlevel.wait_readable(self._fd)
         with suppress(BlockingIOError):  # it was set again just now
             os.read(self._fd, 8)
@@ -88,7 +88,7 @@ Alarm: TypeAlias = CoarseAlarm | FineAlarm
 
 
 def best_alarm() -> Alarm:
-    """The best alarm that this platform has for the clock of the present trio run."""
+    """Return the best alarm that this platform has for the clock of the present trio run."""
     if sys.platform == "linux" and _is_real_time():
         with suppress(OSError, AttributeError):
             return FineAlarm()
@@ -96,6 +96,6 @@ def best_alarm() -> Alarm:
 
 
 def _is_real_time() -> bool:
-    """Whether trio's clock runs in real time."""
+    """Return whether trio's clock runs in real time."""
     clock = trio.lowlevel.current_clock()
     return abs(clock.deadline_to_sleep_time(clock.current_time() + 1.0) - 1.0) < 0.1

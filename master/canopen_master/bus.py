@@ -173,7 +173,7 @@ class Bus:
         return len(first) + len(sdo) <= MAX_SEND_QUEUE
 
     def _send_at_once(self, frame: Frame) -> bool:
-        """Whether the frame is out, or cannot get out now and was dropped."""
+        """Try to send a frame. Return False if it has to wait; a frame that the bus cannot send now is dropped."""
         assert self._eager is not None
         try:
             if not self._eager.send_nowait(frame):
@@ -216,7 +216,7 @@ class Bus:
                 self.change(item.state, item.seen)
 
     def change(self, state: BusState, reason: str) -> None:
-        """The transport reports a change. Events: FramesNotSent, BusChanged."""
+        """Handle a change that the transport reports. Events: FramesNotSent, BusChanged."""
         self.state = state
         self.settle_not_sent()
         if state in (BusState.BUS_OFF, BusState.DOWN):
@@ -228,14 +228,15 @@ class Bus:
             self._start_sync_again()
 
     def _start_sync_again(self) -> None:
-        """An adapter that was plugged in again has forgotten it. Event: BusChanged, where it is gone again already."""
+        """Start the transport's SYNC again: an adapter that was unplugged has lost it. Event: BusChanged if the adapter is gone
+        again."""
         try:
             self.start_sync(self._period, 0)
         except TransportError as error:
             self.network.out.events.append(BusChanged(0, BusState.FAULT, f"SYNC is not sent: {error.failed} ({error.seen})"))
 
     def drop(self, reason: str) -> None:
-        """A frame could not be sent. Event: FramesNotSent, for the first of them."""
+        """Count a frame that could not be sent. Event: FramesNotSent, for the first of them."""
         if self._reason:
             self._not_sent += 1
         else:
@@ -243,7 +244,7 @@ class Bus:
             self.network.out.events.append(FramesNotSent(0, 1, self._reason))
 
     def settle_not_sent(self) -> None:
-        """The bus changed, or takes frames again. Event: FramesNotSent, where more than the first were dropped."""
+        """Stop counting: the bus changed, or takes frames again. Event: FramesNotSent if more than one frame was dropped."""
         if self._not_sent:
             self.network.out.events.append(FramesNotSent(0, self._not_sent, self._reason))
         self._not_sent, self._reason = 0, ""
@@ -293,7 +294,7 @@ class Bus:
             self._period = 0
 
     def sync_came(self, sync: SyncReceived, now: Time) -> Event:
-        """What a received SYNC is here: ours, where the transport sends them."""
+        """Return the event for a received SYNC: SyncSent if the transport sends our SYNC, else the SYNC as it came."""
         if not self.hears_own_sync:
             return sync
         skipped = 0
@@ -303,7 +304,7 @@ class Bus:
         return SyncSent(0, sync.counter, skipped)
 
     def _until_sync(self, now: Time) -> Time:
-        """ns until the next SYNC is due."""
+        """Return the time until the next SYNC is due, ns."""
         if self._period and self._last_sync is not None:
             return (self._last_sync + self._period - now) % self._period
         return self.sync.deadline - now if self.sync is not None else NEVER
@@ -326,7 +327,7 @@ class Bus:
             await self._sent.park()
 
     async def next_frame(self, now: Callable[[], Time]) -> Frame:
-        """The frame that is to be sent next."""
+        """Return the next frame to send."""
         self._is_sending = False
         if not self.pending:
             self._sent.unpark_all()

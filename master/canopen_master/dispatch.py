@@ -42,7 +42,7 @@ class Waiter:
         self._error: Exception | None = None
 
     def resolve(self, outcome: Outcome) -> None:
-        """The outcome is there."""
+        """Take the outcome, and wake the waiting task."""
         self._outcome = outcome
         self._end()
 
@@ -84,7 +84,7 @@ class Waiter:
         await self._parked.park()
 
     def result(self) -> Outcome:
-        """The outcome, once it is done; raises the reason why there is none."""
+        """Return the outcome. Raises the reason if there is none."""
         if self._error is not None:
             raise self._error
         assert self._outcome is not None

@@ -219,7 +219,9 @@ class ChainFault(ChainError):
 def sdo_error(
     network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time, *, size_unknown: bool = False
 ) -> SdoError:
-    """The exception for a transfer that ended with an abort. network: of the node. attempt: "reading", or "writing 5 to".
+    """Return the exception for a transfer that ended with an abort.
+
+    network: of the node. attempt: "reading", or "writing 5 to".
     size_unknown: it was a download whose size the server was not told."""
     place = f"{attempt} {_name_of(node, aborted.index, aborted.subindex)}"
     who = f"node {aborted.node_id}"

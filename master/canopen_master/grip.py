@@ -114,11 +114,11 @@ class Grips:
             LOGGER.warning("%s", clean(str(error)))
 
     def holds(self, node: Peer) -> bool:
-        """Whether the drive on a node was taken hold of, and is not known to have booted since."""
+        """Return whether the drive on a node is held: `hold` was called, and no boot of it was heard since."""
         return node in self._holds and self._holds[node].is_taken
 
     def drives_held(self) -> list[Peer]:
-        """The nodes with objects that are still to be restored."""
+        """Return the nodes with objects that are still to be restored."""
         return [node for node, hold in self._holds.items() if hold.before]
 
     def let_go(self, node: Peer) -> Procedure[None]:

@@ -86,7 +86,7 @@ class Owner(Protocol):
     """Drives the device: `simulation.Host`."""
 
     def now(self) -> Time:
-        """The devices' time."""
+        """Return the devices' time, ns."""
 
     def pump(self) -> None:
         """Send the frames and report the events of the devices."""
@@ -121,7 +121,7 @@ class Script:
         return names
 
     def describe(self, error: BaseException) -> tuple[str, str]:
-        """The place of an error in the script, and its text."""
+        """Return the place of an error in the script, and its text."""
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == self.path]
         return f"{self.path}:{lines[-1]}" if lines else self.path, f"{type(error).__name__}: {error}"
 
@@ -146,7 +146,7 @@ class Device:
 
     @property
     def node_id(self) -> int:
-        """1..127."""
+        """The node-ID, 1..127."""
         return self.node.node_id
 
     @property
@@ -160,7 +160,7 @@ class Device:
         return self.node.state is NmtState.OPERATIONAL
 
     def __getitem__(self, key: Key) -> Value:
-        """The present value of an object. Raises ObjectNotFound."""
+        """Return the present value of an object. Raises ObjectNotFound."""
         self.node.application.refresh(self._owner.now())
         return self.node.values.read(key)
 
@@ -335,7 +335,7 @@ class Hooks:
         self._owner.pump()
 
     def _bytes(self, access: ObjectAccessPending, name: str, result: object) -> bytes | AbortCode:
-        """The bytes to answer a read: the script's value, which is stored too, or the stored value."""
+        """Return the answer to a read: the script's value, which is stored too, or the stored value."""
         variable = self._node.dictionary.variable((access.index, access.subindex))
         try:
             if result is not None:
@@ -367,7 +367,7 @@ class Hooks:
 
 
 def _abort_code(code: int) -> AbortCode:
-    """The code as an AbortCode; CANNOT_TRANSFER if CiA 301 has no such code."""
+    """Return the code as an AbortCode; CANNOT_TRANSFER if CiA 301 has no such code."""
     try:
         return AbortCode(code)
     except ValueError:

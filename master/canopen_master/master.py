@@ -82,11 +82,11 @@ class Master(Participant):
         bus: str | None = None,
         pdos: bool | None = None,
     ) -> Node:
-        """The node with an ID on a bus; the same object each time.
+        """Return the node with this ID on a bus; the same object each time.
 
-        dictionary: describes the device: its EDS, DCF, XDD or XDC file, or a sample's name; or a dictionary; by default that of
-        the data files. pdos: exchange the node's PDOs, by default if `dictionary` is a file: the device is asked how it has set
-        them up, and PdoReceived follows; see `Node.start` and node_pdos.py. Otherwise nothing is sent.
+        dictionary: the path of the device's EDS, DCF, XDD or XDC file, or a sample's name, or a dictionary; None = that of the
+        data files. pdos: exchange the node's PDOs; None = if `dictionary` is a file. The device is asked for its PDO settings,
+        and PdoReceived follows; see `Node.start` and node_pdos.py. Without PDOs nothing is sent.
 
         Raises LocalProtocolError for an ID outside 1..127, for no bus name if there are several buses, and for another dictionary
         than the first time; DataError, DictionaryError for a file that cannot be read.
@@ -118,7 +118,7 @@ class Master(Participant):
 
     @enable_ki_protection
     def device(self, node: Node, name: str = "", settings: AxisSettings | None = None) -> Device:
-        """The drive on a node; the same object each time. If it is enabled when the master is left, it is halted.
+        """Return the drive on a node; the same object each time. If it is enabled when the master is left, it is halted.
 
         name: for people, by default "node 12". settings: units and habits of the drive; by default those of CiA 402, or those of
         Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError if the drive is in use with other
@@ -178,7 +178,8 @@ class Master(Participant):
 
     @enable_ki_protection
     def events(self, *kinds: type[E], node: Node | None = None, bus: str | None = None) -> Subscription[E]:
-        """All events of these kinds from now on, as an async iterator: `with master.events(HeartbeatLost) as events: ...`.
+        """Return an async iterator over all events of these kinds from now on: `with master.events(HeartbeatLost) as events:
+        ...`.
 
         node, bus: only events of this one. The queue is bounded: see Subscription. `Event` as a kind means all.
         """
@@ -200,7 +201,7 @@ class Master(Participant):
         await self.finish(scope, longest, in_a_hurry)
 
     def _halts_needed(self) -> Iterator[Halt]:
-        """The halts of all drives that move or that a command under way may yet enable, also of those enabled by hand."""
+        """Return the halts of all drives that move, or that a command under way may enable, even if enabled by hand."""
         for node in self._nodes.values():
             try:
                 device = self.device(node) if node.was_enabled else self.devices.get(node)

@@ -48,7 +48,7 @@ class ParameterKeeper:
             self._kept = _parse(path, path.read_bytes())
 
     def kept(self, node_id: int) -> dict[Mux, bytes] | None:
-        """The parameters that a device has stored, for `ParameterStorage.load`; None if it has stored none."""
+        """Return the parameters that a device has stored, for `ParameterStorage.load`; None if it has stored none."""
         return self._kept.get(node_id)
 
     def keep(self, node_id: int, parameters: Mapping[Mux, bytes]) -> None:

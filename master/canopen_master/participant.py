@@ -82,11 +82,11 @@ class Participant:
     # ---- time, buses, state ----
 
     def now(self) -> Time:
-        """The time of all machines: trio's clock, in ns."""
+        """Return the time of all machines: trio's clock, in ns."""
         return self._pump.now()
 
     def bus(self, name: str | None = None) -> Bus:
-        """A bus by its name; the only bus needs no name. Raises UnknownChain, LocalProtocolError."""
+        """Return a bus by its name; the only bus needs no name. Raises UnknownChain, LocalProtocolError."""
         names = ", ".join(self.buses)
         if name is None:
             if len(self._own_buses) > 1:
@@ -124,7 +124,7 @@ class Participant:
         await self._sent(buses)
 
     def nmt_master(self, bus: Bus) -> NmtMaster:
-        """The machine that sends the NMT commands of a bus, for procedures."""
+        """Return the machine that sends the NMT commands of a bus, for procedures."""
         return self._nmt[bus]
 
     async def nmt_start(self, node_id: int = 0, *, bus: str | None = None) -> None:
@@ -207,7 +207,7 @@ class Participant:
 
     @enable_ki_protection
     async def outcome_of(self, request_id: RequestId, waiter: Waiter) -> Any:
-        """The result of a procedure that was launched; see `run`. ProcedureTakenBack if somebody else has cancelled it."""
+        """Wait for the result of a launched procedure; see `run`. Raises ProcedureTakenBack if another task cancelled it."""
         try:
             await waiter.wait()
         except BaseException:
@@ -218,7 +218,7 @@ class Participant:
         return self.result_of(waiter)
 
     def result_of(self, waiter: Waiter) -> Any:
-        """The result of a procedure that has ended; raises what it raised, or ProcedureTakenBack."""
+        """Return the result of a procedure that has ended. Raises its exception, or ProcedureTakenBack."""
         match waiter.result():
             case ProcedureFinished(result=result):
                 return result
@@ -247,7 +247,7 @@ class Participant:
 
     @enable_ki_protection
     def subscribe(self, kinds: tuple[type[E], ...], bus: Bus | None = None, node_id: int = 0) -> Subscription[E]:
-        """All events of these kinds from now on, of one bus and one node, or of all (None, 0); see Subscription."""
+        """Return a Subscription to all events of these kinds from now on, of one bus and node, or of all (None, 0)."""
         self.check_open()
         if not kinds:
             raise LocalProtocolError("events of which kinds? Event means all")

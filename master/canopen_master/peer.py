@@ -56,15 +56,15 @@ class Peer:
         return self._bus.failed
 
     def now(self) -> Time:
-        """The time of its machines, ns."""
+        """Return the time of its machines, ns."""
         return self._participant.now()
 
     def events(self, *kinds: type[E]) -> Subscription[E]:
-        """As `Master.events`, of this node only."""
+        """Return the events of this node only; see `Master.events`."""
         return self._participant.subscribe(kinds, self._bus, self.node_id)
 
     def watch(self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None]) -> Watcher:
-        """As `Participant.watch`, of this node only."""
+        """Watch this node only; see `Participant.watch`."""
         return self._participant.watch(kinds, callback, self._bus, self.node_id)
 
     def begin(self, submit: Callable[[Time], RequestId]) -> OpenRequest:
@@ -81,5 +81,5 @@ class Peer:
         self._participant.nmt_master(self._bus).send(command, self.node_id, now)
 
     def error_of(self, aborted: SdoAborted, attempt: str, *, size_unknown: bool = False) -> SdoError:
-        """The exception for a transfer that ended with an abort; see `sdo_error`."""
+        """Return the exception for a transfer that ended with an abort; see `sdo_error`."""
         return sdo_error(self.network, self.remote, self.bus, aborted, attempt, self.now(), size_unknown=size_unknown)

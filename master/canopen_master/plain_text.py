@@ -21,25 +21,25 @@ _UNPRINTABLE: Final = re.compile(r"[\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\u
 
 
 def clean(text: str, limit: int = MAX_SHOWN) -> str:
-    """The text in one line, with control characters escaped, and cut after `limit` characters."""
+    """Return the text in one line, with control characters escaped, cut after `limit` characters."""
     cut = "" if len(text) <= limit else f" ... ({len(text)} characters)"
     text = text[:limit]
     return (text if text.isprintable() else "".join(map(_shown, text))) + cut
 
 
 def clean_lines(text: str) -> str:
-    """As `clean`, for a text of ours that has lines and contains foreign strings. Nothing is cut."""
+    """Return a text of several lines with control characters escaped. It is not cut."""
     return "\n".join(clean(line, len(line)) for line in text.split("\n"))
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """A JSON document that is safe to show. Values that JSON does not know become text, also NaN and infinities."""
+    """Return a JSON document that is safe to show. NaN, infinities and values unknown to JSON become text."""
     text = json.dumps(_finite(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _finite(value: Any) -> Any:
-    """The document, with numbers that are not finite as text."""
+    """Return the document with NaN and infinities as text."""
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     if isinstance(value, dict):

@@ -148,7 +148,7 @@ class Background:
 
 
 def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) -> tuple[Stream, ...]:
-    """All streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier."""
+    """Return all streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier."""
     streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle, cycle)]
     for joint in joints:
         for kind, pdos in (("RPDO", joint.rpdo), ("TPDO", joint.tpdo)):
@@ -175,7 +175,7 @@ def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) 
 
 
 def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder, errors: Time = NEVER) -> list[ResponseTime]:
-    """The worst-case response time of each stream. errors: the shortest time between two, ns."""
+    """Return the worst-case response time of each stream. errors: the shortest time between two, ns."""
     messages = [_message(stream, bitrate, order) for stream in streams]
     # A TPDO comes after its SYNC: as late as that, and later by the device's own time.
     late = response_times(messages, bitrate, error_interval=errors)[0].worst
@@ -275,5 +275,5 @@ def simulate(
 
 
 def milliseconds(time: Time) -> str:
-    """A time for people: "0.27 ms"."""
+    """Return a time for people: "0.27 ms"."""
     return "no bound" if time >= NEVER else f"{time / MILLISECOND:.2f} ms"

@@ -83,7 +83,7 @@ class _Reading:
                 self.error(place, f"there is no entry {key[:40]!r}{did_you_mean(key, keys)}")
 
     def take(self, place: str, table: Mapping[str, Any], key: str, fits: Callable[[Any], bool], expected: str) -> Any:
-        """The value of a key if it fits; else None, with an error if it is there."""
+        """Return the value of a key; None if it is missing, or if it does not fit, which adds an error."""
         if key not in table:
             return None
         value = table[key]
@@ -94,7 +94,7 @@ class _Reading:
 
 
 def parse_plant(text: str, source: str = "plant.toml") -> Plant:
-    """The plant of a text. Raises DictionaryError, which holds every error."""
+    """Return the plant that a text describes. Raises DictionaryError with every error in it."""
     tables = parse_toml(text, source)
     reading = _Reading(source)
     reading.known("plant", tables, ("bus", "state", "device"))

@@ -46,12 +46,12 @@ class OpenRequest:
         return self._waiter.result()
 
     async def news(self) -> SdoProgress | None:
-        """What is told of a stream next; None once its outcome is there. Cancelled, it goes on: `take_back`."""
+        """Wait for the next report of a stream; None once it has ended. A cancelled wait does not end the stream: `take_back`."""
         return await self._waiter.next_news()
 
     @contextmanager
     def while_open(self) -> Iterator[trio.CancelScope]:
-        """A scope that is cancelled when the outcome comes."""
+        """Return a scope that is cancelled when the outcome comes."""
         with trio.CancelScope() as scope:
             self._waiter.ends = scope
             if self._waiter.is_done:

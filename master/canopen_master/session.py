@@ -145,7 +145,7 @@ class MasterSession:
 
     @enable_ki_protection
     async def _halt(self) -> None:
-        """The way out: see this module's text."""
+        """End the session: see the text of this module."""
         try:
             begun = trio.current_time()
             with trio.CancelScope(shield=True, deadline=begun + SHUTDOWN_TIME) as scope:
@@ -154,7 +154,7 @@ class MasterSession:
             self._master.pump.stop()
 
     def _was_interrupted(self) -> bool:
-        """Whether a Ctrl-C came on the way out: it cancels the nursery whose end raises it."""
+        """Return whether a Ctrl-C came during the halt: trio then cancels the nursery, and raises at its end."""
         return self._nursery.cancel_scope.cancel_called
 
     async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
@@ -182,21 +182,21 @@ class MasterSession:
 
 
 def _is_only(error: BaseException, failure: Exception | None) -> bool:
-    """Whether an exception is the master's own failure, perhaps in a group that a nursery of the body made."""
+    """Return whether an exception is the master's own failure, perhaps in a group of a nursery in the body."""
     if failure is not None and isinstance(error, BaseExceptionGroup):
         return all(_is_only(each, failure) for each in error.exceptions)
     return error is failure
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether an exception is a Ctrl-C, or a group with one in it."""
+    """Return whether an exception is a Ctrl-C, or a group with one in it."""
     if isinstance(error, BaseExceptionGroup):
         return error.subgroup(KeyboardInterrupt) is not None
     return isinstance(error, KeyboardInterrupt)
 
 
 def _is_cancelled(error: BaseException) -> bool:
-    """Whether an exception is Cancelled, or a group of nothing else: it ends with the scope that was cancelled."""
+    """Return whether an exception is Cancelled, or a group of nothing else: the cancelled scope will catch it."""
     if isinstance(error, BaseExceptionGroup):
         return error.split(trio.Cancelled)[1] is None
     return isinstance(error, trio.Cancelled)

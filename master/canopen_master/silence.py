@@ -42,7 +42,7 @@ class Diagnosis(NamedTuple):
 
 
 def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
-    """Why a node did not answer an SDO request in time."""
+    """Return why a node did not answer an SDO request in time."""
     if network.outage:
         return _away(network)
     heard = network.heard(node.node_id)
@@ -80,7 +80,7 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
 
 
 def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool) -> Diagnosis:
-    """Why a node did not send the frame that was waited for: a PDO, or a boot-up or heartbeat.
+    """Return why a node did not send the frame that was waited for: a PDO, or a boot-up or heartbeat.
 
     cause, tries: for a node that is alive. For a boot-up or heartbeat they also hold for a silent node: a device without a
     heartbeat is silent until it is asked.
@@ -103,7 +103,7 @@ def _away(network: Network) -> Diagnosis:
 
 
 def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
-    """The state that it reported, or that we commanded since."""
+    """Return the state that the node reported, or that we commanded since."""
     return node.nmt_state if node.nmt_state is not None else heard.state
 
 

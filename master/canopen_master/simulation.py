@@ -130,7 +130,7 @@ class Host:
                 node.storage.load(kept)
 
     def now(self) -> int:
-        """The devices' time, in ns."""
+        """Return the devices' time, in ns."""
         return self._pump.now()
 
     def pump(self) -> None:

@@ -147,7 +147,7 @@ async def write_stream(node: Peer, index: int, subindex: int, pieces: Pieces, si
 
 
 def lacks_blocks_of(outcome: Outcome) -> bool:
-    """Whether a stream ended because the server has no block transfer."""
+    """Return whether a stream ended because the server has no block transfer."""
     return isinstance(outcome, SdoAborted) and lacks_blocks(outcome)
 
 
@@ -200,12 +200,13 @@ class Source:
             self._plain = iter(pieces)
 
     async def next_piece(self) -> Buffer | None:
-        """The next piece; None at the end."""
+        """Return the next piece; None at the end."""
         self.has_begun = True
         return next(self._plain, None) if self._async is None else await anext(self._async, None)
 
     async def whole(self) -> bytes:
-        """All pieces, joined. Raises LocalProtocolError for more than MAX_WHOLE bytes, or another size than announced."""
+        """Return all pieces, joined. Raises LocalProtocolError for more than MAX_WHOLE bytes, or a size that was not
+        announced."""
         found: list[Buffer] = []
         size = 0
         while (piece := await self.next_piece()) is not None:

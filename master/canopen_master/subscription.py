@@ -70,7 +70,7 @@ class Subscription(Generic[E]):
         return self._events.popleft()
 
     def take(self) -> list[E]:
-        """All events that are waiting, at once."""
+        """Return all waiting events at once."""
         taken = list(self._events)
         self._events.clear()
         self._in_a_row = 0

@@ -173,7 +173,7 @@ class Background(Generic[T]):
                 future.set_exception(self._reason())
 
     def _reason(self) -> BaseException:
-        """Why it takes no calls now."""
+        """Return why the thread takes no calls now."""
         self._was_told = True
         failure = self._failure(self._context) if self._entered.done() else None
         return failure or self._error or MasterClosed()

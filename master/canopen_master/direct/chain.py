@@ -61,10 +61,10 @@ class ChainCalls:
         return self._attempt(Chain.shut_down)
 
     def cycles(self) -> Iterator[Cycle]:
-        """The SYNC cycles from now on: `for cycle in chain.cycles(): chain.set_pos(...)`. Each `next` waits for one.
+        """Iterate over the SYNC cycles from now on: `for cycle in chain.cycles(): chain.set_pos(...)`. Each `next` waits for one.
 
-        If this thread is late, a path that is read at `cycle.time` takes longer, and never jumps. From the first cycle on a
-        set-point is due in each cycle: after 10 cycles in a row without one the chain is halted. Raises ChainFault, ChainHalted,
+        If this thread is late, a path that uses `cycle.time` takes longer, but never jumps. From the first cycle on, each cycle
+        needs a set-point: after 10 cycles in a row without one, the chain is halted. Raises ChainFault, ChainHalted,
         and ChainError for a chain that is not in IP mode.
         """
 
@@ -91,11 +91,11 @@ class ChainCalls:
         self._call(give)
 
     def get_current_pos(self) -> list[int]:
-        """The actual positions, as last heard."""
+        """Return the actual positions, as last heard."""
         return self._ask(lambda chain: [round(position) for position in chain.positions])
 
     def get_desired_pos(self) -> list[int]:
-        """The positions that the next PDOs command."""
+        """Return the positions that the next PDOs command."""
         return self._ask(lambda chain: [round(position) for position in chain.desired_positions])
 
     @property
@@ -109,7 +109,7 @@ class ChainCalls:
         return self._ask(lambda chain: chain.state)
 
     def describe(self) -> list[str]:
-        """A line for people about each joint: its state and statusword."""
+        """Return one line for each joint, with its state and statusword."""
         return self._ask(lambda chain: [f"{device.name}: {device.describe()}" for device in chain.devices])
 
     def _ask(self, question: Callable[[Chain], R]) -> R:

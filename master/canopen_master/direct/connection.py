@@ -122,7 +122,7 @@ class Connection:
         return background.call(function)
 
     def attempt(self, function: Callable[[Master], Awaitable[object]]) -> bool:
-        """As `call`: True if it succeeded, False if a bus or a device did not let it.
+        """Call as `call` does; return True for success, False if a bus or a device failed (`last_error`).
 
         A wrong call raises: no connection, a node-ID of 200, an unknown name, a value that does not fit.
         """
@@ -154,7 +154,7 @@ async def _master(
     grip: Grip | None,
     prepare: Callable[[Master], object],
 ) -> AsyncIterator[Master]:
-    """The master, and around it the simulated drives, which must outlive it: it halts them on its way out."""
+    """Open the master inside the simulated drives: they must outlive it, because it halts them at its end."""
     failure: Exception | None = None
     async with AsyncExitStack() as stack:
         if simulated:

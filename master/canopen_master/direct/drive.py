@@ -94,7 +94,7 @@ class DirectDrive:
         master.watch((SyncSent, SyncReceived), self._on_sync, bus)
 
     async def reset_fault(self) -> None:
-        """As canopen_proto.drive.reset_fault. The manual's programs begin with it: one that ended left the node stopped."""
+        """Reset a fault, as canopen_proto.drive.reset_fault does. Start the node first if a program has left it stopped."""
         if STATUSWORD in self.node.dictionary:
             await self._run(awake(self.node, STATUSWORD))
         await self._run(drive.reset_fault(self.axis))
@@ -240,7 +240,7 @@ class DirectDrive:
             self._master.launch(quietly(self._device, stop(self._device)))
 
     async def _why(self, lost: FollowingLost) -> Exception:
-        """The error to raise for it."""
+        """Return the error to raise."""
         if self._device.has_fault:
             return await self._master.run(drive.fault_of(self.axis, "while it followed set-points"))
         failed = f"drive {self.node.node_id} {lost.cause}"

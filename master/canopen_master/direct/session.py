@@ -117,7 +117,7 @@ class Session:
         self._connection.close()
 
     def last_error(self) -> Exception | None:
-        """Why the calling thread's last True-or-False call returned False; None after True. `str` of it is for people."""
+        """Return why the last call of this thread returned False; None after True. `str` of it is for people."""
         return self._connection.last_error
 
     def simulated(self, node_ids: Sequence[int], bus: str = "virtual") -> AbstractContextManager[None]:
