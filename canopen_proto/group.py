@@ -33,18 +33,21 @@ class Members:
     """The machines on one outbox: their routes and their deadlines.
 
     routes: by key, the machines that want its frames, in the order of their attachment. receivers: by key, what to hand these
-    frames to, see `Machine.receiver_of`. heap: the wakes that are held, the nearest first.
+    frames to, see `Machine.receiver_of`; near: the same for the lowest keys, as a list. heap: the wakes that are held, the
+    nearest first.
     """
 
-    __slots__ = ("_keys", "_out", "_sequence", "heap", "receivers", "routes")
+    __slots__ = ("_keys", "_out", "_sequence", "heap", "near", "receivers", "routes")
 
-    def __init__(self, out: Outbox) -> None:
+    def __init__(self, out: Outbox, near: int = 0) -> None:
+        """near: how many keys to have in a list, for a group that is handed every frame of a bus."""
         self._out = out
         self._keys: dict[Machine, tuple[RoutingKey, ...]] = {}
         self.heap: list[tuple[Time, int, Machine]] = []
         self._sequence = 0
         self.routes: dict[RoutingKey, tuple[Machine, ...]] = {}
         self.receivers: dict[RoutingKey, tuple[Machine, ...]] = {}
+        self.near: list[tuple[Machine, ...]] = [()] * near
 
     def __iter__(self) -> Iterator[Machine]:
         return iter(self._keys)
@@ -100,6 +103,8 @@ class Members:
             self.receivers[key] = tuple(machine.receiver_of(key) for machine in machines)
         else:
             del self.routes[key], self.receivers[key]
+        if key < len(self.near):
+            self.near[key] = self.receivers.get(key, ())
 
     def refresh(self) -> None:
         """Apply what the members announced: changed CAN-IDs and nearer deadlines."""
@@ -196,12 +201,13 @@ class Group(Machine):
         self._settle(mark, now)
 
     def receiver_of(self, key: RoutingKey) -> Machine:
-        """Return the entrance for a key, or the group itself: if several members share the key, or if its class has a `receive`
-        of its own, as LocalNode has."""
+        """Return the entrance for a key; the group itself if its class has a `receive` of its own, which may want every frame."""
+        return self._entrance(key) if type(self).receive is Group.receive else self
+
+    def _entrance(self, key: RoutingKey) -> Machine:
+        """Return the entrance for a key; the group itself if several members share the key."""
         machines = self._members.receivers.get(key, ())
-        if len(machines) != 1 or type(self).receive is not Group.receive:
-            return self
-        return _Entrance(self, machines[0])
+        return _Entrance(self, machines[0]) if len(machines) == 1 else self
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:

@@ -45,12 +45,12 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable
 from canopen_proto.emcy import EmcySent
-from canopen_proto.frame import REMOTE, Frame
+from canopen_proto.frame import KEY_REMOTE, REMOTE, Frame, RoutingKey
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.indices import COMMUNICATION_AREA
-from canopen_proto.machine import LocalProtocolError, Outbox, Time, check_node_id
+from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
 from canopen_proto.owner import Owner
@@ -333,6 +333,10 @@ class LocalNode(Group):
         if frame.flags & REMOTE:
             self._refresh(now)  # a TPDO may be asked for
         super().receive(frame, now)
+
+    def receiver_of(self, key: RoutingKey) -> Machine:
+        """Return the entrance for a data frame: this class's own `receive` wants remote frames only."""
+        return self if key & KEY_REMOTE or type(self).receive is not LocalNode.receive else self._entrance(key)
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:

@@ -56,15 +56,16 @@ class Network:
     """All machines of one participant on one bus."""
 
     __slots__ = (
-        "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_now", "_reactions", "_routes", "_settled",
-        "_tasks", "_times", "out", "runner",
+        "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_near", "_now", "_reactions", "_routes",
+        "_settled", "_tasks", "_times", "out", "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
-        self._members = Members(self.out)
-        self._routes, self._heap = self._members.receivers, self._members.heap  # as near as can be: looked at for each frame
+        self._members = Members(self.out, SLOTS)
+        # As near as can be: looked at for each frame
+        self._near, self._routes, self._heap = self._members.near, self._members.receivers, self._members.heap
         self._followers: dict[Machine, Follower] = {}
         self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
         self._dropped = 0
@@ -111,7 +112,7 @@ class Network:
         if timestamp is not None:
             out.root.timestamp = timestamp
         key = frame.key
-        for machine in self._routes.get(key, ()):
+        for machine in self._near[key] if key < SLOTS else self._routes.get(key, ()):
             machine.receive(frame, now)
         events, settled = out.events, self._settled
         while settled < len(events):  # as `_settle` does, without a call, which each frame would pay for
@@ -193,13 +194,15 @@ class Network:
             self._settle(now)
         if self._tasks:
             self._feed(now)
-        to_send: list[Frame] = []
+        to_send: list[Frame]
         if frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
-            to_send = frames[:]
+            to_send = frames.copy()
             frames.clear()
+        else:
+            to_send = []
         if not events:
             return to_send, []
-        to_deliver = events[:]
+        to_deliver = events.copy()
         events.clear()
         self._settled = 0
         if self._dropped:

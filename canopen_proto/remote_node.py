@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection
-from typing import Final
+from typing import Any, Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.compiling import mypyc_attr
@@ -445,8 +445,10 @@ class RemoteNode(Group):
             self._enter(report.state, now)
 
     def _heard(self, muxes: Collection[Mux], now: Time) -> None:
-        for each in muxes:
-            self.heard_at[each] = now
+        keys: Collection[Any] = muxes  # Any: compiled, a number would be put into a new object for each entry
+        time: Any = now
+        for each in keys:
+            self.heard_at[each] = time
         for listener in self._listeners:
             listener(muxes, now)
 

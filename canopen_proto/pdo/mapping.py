@@ -27,7 +27,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as ReadOnlyDict
-from typing import Final
+from typing import Any, Final
 
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import (
@@ -248,8 +248,9 @@ class Mapping:
         """Put the values into a store by mux, and return them. Errors are those of `unpack`; the store then stays as it was."""
         layout = self._layout
         values = self.unpack(data) if layout is None or len(data) < self.byte_length else layout.unpack_from(data)
+        muxes: tuple[Any, ...] = self.muxes  # Any: compiled, a number would be taken out of its object and put into a new one
         position = 0  # counted by hand in this hottest of paths: zip takes half as long again, and twice as long with strict=
-        for each in self.muxes:
+        for each in muxes:
             store[each] = values[position]
             position += 1  # noqa: SIM113
         return values

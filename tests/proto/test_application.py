@@ -104,6 +104,8 @@ def test_what_an_application_shows_is_up_to_date_wherever_it_is_read() -> None:
     assert bench.number(INPUT) == 7
     assert bench.tell(SYNC) == ["285#0700"]
     assert bench.wait(30) == ["30 185#1E00"]  # by the event timer
+    assert bench.wait(35) == ["60 185#3C00"]
+    assert bench.tell("185#R2") == ["185#4800"]  # 72 ms: asked for
 
 
 def test_an_application_hears_of_lost_connections_and_resets() -> None:

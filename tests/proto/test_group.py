@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import KEY_EXTENDED, KEY_REMOTE, Frame
 from canopen_proto.group import SPARE_WAKES, Members
+from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Outbox, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtState
 from tests.proto.machines import Alarm, Box, Heard, Rang
 
 
@@ -115,6 +119,24 @@ def test_a_group_may_have_a_receive_of_its_own() -> None:
     outer.receive(Frame(1, b"drop"), 0)
     outer.receive(Frame(1, b"take"), 0)
     assert outer.out.events == [Heard(0, "a", Frame(1, b"take"), None)]
+
+
+def test_a_local_node_may_have_a_receive_of_its_own_too() -> None:
+    """A LocalNode's `receive` is passed over for data frames, but not that of a class which inherits from it."""
+    taken: list[Frame] = []
+
+    class Recorder(LocalNode):
+        def receive(self, frame: Frame, now: Time) -> None:
+            taken.append(frame)
+            super().receive(frame, now)
+
+    network = Network()
+    node = Recorder(network.out, 5, ObjectDictionary([]))
+    network.attach(node)
+    node.boot(0)
+    start = Frame(0, b"\x01\x05")
+    network.receive(start, 1)
+    assert (taken, node.nmt.state) == ([start], NmtState.OPERATIONAL)
 
 
 # ---- attaching ----
