@@ -40,6 +40,7 @@ from canopen_transports import (
     EagerTransport,
     FilteringTransport,
     FrameNotSent,
+    PromptTransport,
     PushingTransport,
     Received,
     ReceiveOverrun,
@@ -137,6 +138,7 @@ class Bus:
         self._filter = transport if isinstance(transport, FilteringTransport) and transport.filtered else None
         self._eager = transport if isinstance(transport, EagerTransport) else None
         self._batch = transport if isinstance(transport, BatchTransport) else None
+        self._prompt = transport if isinstance(transport, PromptTransport) else None
         self._wanted: tuple[int, ...] | None = None
         self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
         self._period: Time = 0  # of the transport's SYNC
@@ -193,6 +195,10 @@ class Bus:
         if self._batch is not None:
             return await self._batch.receive_many(MAX_BATCH)
         return (await self.transport.receive(),)
+
+    def receive_nowait(self) -> Sequence[Received | Report] | None:
+        """Return what has come, MAX_BATCH at most; None if the transport cannot tell. Raises as `receive` does."""
+        return None if self._prompt is None else self._prompt.receive_nowait(MAX_BATCH)
 
     def push_to(self, receiver: Callable[[Frame, Time], None] | None) -> None:
         """Let a transport that can do so push the frames to `receiver`; None: end this."""

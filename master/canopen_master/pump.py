@@ -19,7 +19,8 @@ The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending 
 The tasks are shielded and survive the cancelling of the user's code: `Pump.run` ends by `Pump.stop` only. Without that a cancel
 would put nothing on the wire, and drives would run on. All of it is protected from a KeyboardInterrupt in the middle of a turn.
 
-**Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in: a process
+**Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
+the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
 that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
 An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
 The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
@@ -39,7 +40,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.alarm import Alarm, best_alarm
-from canopen_master.bus import Bus
+from canopen_master.bus import MAX_BATCH, Bus
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.sync import SyncReceived
@@ -234,8 +235,23 @@ class Pump:
                 self._wake = NEVER
                 late = self.now() - self._next_deadline()
                 if late >= 0:
-                    await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
+                    if late > _STALL or not all(self._take_what_has_come(bus) for bus in self.buses):
+                        await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
                     self._turn(self._handle_timeouts)
+
+    def _take_what_has_come(self, bus: Bus) -> bool:
+        """Take in what a bus has brought so far, without waiting for its receiver; False if that may not have been all."""
+        if bus.failed:
+            return True
+        try:
+            received = bus.receive_nowait()
+        except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+            self._fail(bus, error, "receive")
+            return True
+        if received:
+            self._received += len(received)
+            self._take_in(bus, received, self.now())
+        return received is not None and len(received) < MAX_BATCH
 
     async def _catch_up(self, ticks: int) -> None:
         """Let the receivers handle what is already there, until for so many rounds of the scheduler no frame has come."""

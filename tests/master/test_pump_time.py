@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import pytest
 import trio
 import trio.testing
 
-from canopen_master import open_master
+from canopen_master import BusError, open_master
 from canopen_proto.frame import Frame
-from canopen_proto.heartbeat import HeartbeatLost
-from canopen_transports import open_transport
-from tests.master.world import BUS
+from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived
+from canopen_transports import Received, Report, TransportError, open_transport
+from tests.master.world import BUS, virtual_time
 
 
 def test_a_heartbeat_that_came_while_the_process_was_stalled_counts() -> None:
@@ -34,3 +35,51 @@ def test_a_heartbeat_that_came_while_the_process_was_stalled_counts() -> None:
                 assert (await lost.receive()).node_id == 5
 
     trio.run(main, clock=clock)
+
+
+class Prompt:
+    """A transport whose frames reach no receiver: only `receive_nowait` has them. `came` is what it returns or raises."""
+
+    def __init__(self) -> None:
+        self.came: list[Received | Report] | TransportError = []
+
+    async def send(self, frame: Frame) -> None:
+        await trio.lowlevel.checkpoint()
+
+    async def receive(self) -> Received | Report:
+        await trio.sleep_forever()
+        raise AssertionError
+
+    def receive_nowait(self, limit: int) -> list[Received | Report]:
+        if isinstance(self.came, TransportError):
+            raise self.came
+        taken, self.came = self.came[:limit], self.came[limit:]
+        return taken
+
+    async def aclose(self) -> None:
+        await trio.lowlevel.checkpoint()
+
+
+@virtual_time
+async def test_a_transport_that_can_tell_is_asked_what_has_come_before_a_timeout_counts() -> None:
+    bus = Prompt()
+    async with open_master(bus) as master:
+        node = master.node(5)
+        node.supervise_heartbeat(0.5)
+        with master.events(HeartbeatReceived, HeartbeatLost) as told:
+            bus.came = [(Frame(0x705, b"\x05"), None)]
+            master.sync_start(0.1)  # at each of whose deadlines it is asked
+            assert isinstance(await told.receive(), HeartbeatReceived)
+            await trio.sleep(0.45)
+            bus.came = [(Frame(0x181), None)] * 30 + [(Frame(0x705, b"\x05"), None)]
+            assert isinstance(await told.receive(), HeartbeatReceived)
+
+
+@virtual_time
+async def test_a_bus_that_fails_when_it_is_asked_has_failed() -> None:
+    bus = Prompt()
+    with pytest.raises(BusError, match="broken"):
+        async with open_master(bus) as master:
+            bus.came = TransportError("CO111", "prompt", "broken")
+            master.sync_start(0.01)
+            await trio.sleep_forever()

@@ -222,6 +222,16 @@ class TakesThoughCancelled(Shown):  # type: ignore[misc]
         return taken
 
 
+class OvertakesPromptly(Shown):  # type: ignore[misc]
+    def receive_nowait(self, limit: int) -> Any:
+        return self.queue.take_many(limit)[::-1]
+
+
+class TakesTooMuchPromptly(Shown):  # type: ignore[misc]
+    def receive_nowait(self, limit: int) -> Any:
+        return self.queue.take_many(limit + 1)
+
+
 class PushesPastOthers(Shown):  # type: ignore[misc]
     receiver: Callable[[Frame, int], None] | None = None
 
@@ -298,6 +308,8 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (Overtakes, "eager_send", "from place"),
         (TakesTooMuch, "many_at_once", "receive_many\\(1\\) returned 2 items"),
         (TakesThoughCancelled, "many_at_once", "missing"),
+        (OvertakesPromptly, "what_has_come", "from place"),
+        (TakesTooMuchPromptly, "what_has_come", "receive_nowait\\(3\\) returned 4 items"),
         (PushesPastOthers, "pushed_frames", "pushed past others"),
         (FiltersByIdentifierOnly, "filters", "came instead of"),
         (GoesOnCyclically, "cyclic_frames", "after they were stopped"),

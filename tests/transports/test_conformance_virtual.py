@@ -95,7 +95,7 @@ APPLY = [
     for case in cases(
         site,
         hears_only=name == "replayed",
-        optional=("eager_send", "many_at_once", *(["pushed_frames"] if name.startswith("virtual") else [])),
+        optional=("eager_send", "many_at_once", *(["pushed_frames", "what_has_come"] if name.startswith("virtual") else [])),
     )
 ]
 

@@ -29,8 +29,8 @@ SITES = {
 
 
 OPTIONS = {
-    "native": ("eager_send", "many_at_once"),
-    "filtered": ("eager_send", "many_at_once", "filters", "cyclic_frames"),
+    "native": ("eager_send", "many_at_once", "what_has_come"),
+    "filtered": ("eager_send", "many_at_once", "what_has_come", "filters", "cyclic_frames"),
     "python-can": ("many_at_once",),
 }
 APPLY = [(name, case) for name, site in SITES.items() for case in cases(site, optional=OPTIONS[name])]

@@ -26,7 +26,7 @@ from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
 from canopen_transports.log_files import LogWriter
 from canopen_transports.record import Record
-from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, Received, Transport
+from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, PromptTransport, Received, Transport
 
 _trace: Final[ContextVar[Trace | None]] = ContextVar("trace", default=None)
 _for_devices: Final[ContextVar[bool]] = ContextVar("for devices", default=False)
@@ -124,6 +124,7 @@ class TracingTransport(trio.abc.AsyncResource):
         self.transport = transport
         self._eager = transport if isinstance(transport, EagerTransport) else None
         self._batch = transport if isinstance(transport, BatchTransport) else None
+        self._prompt = transport if isinstance(transport, PromptTransport) else None
         self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
         self.sends_sync = self._cyclic is not None
         self._trace = trace
@@ -170,6 +171,13 @@ class TracingTransport(trio.abc.AsyncResource):
             return [await self.receive()]
         taken = await self._batch.receive_many(limit)
         for item in taken:
+            self._note(item)
+        return taken
+
+    def receive_nowait(self, limit: int) -> list[Received | Report] | None:
+        """Receive as the transport below does; None if that one cannot."""
+        taken = None if self._prompt is None else self._prompt.receive_nowait(limit)
+        for item in taken or ():
             self._note(item)
         return taken
 

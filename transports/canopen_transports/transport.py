@@ -87,6 +87,17 @@ class BatchTransport(Protocol):
 
 
 @runtime_checkable
+class PromptTransport(Protocol):
+    """The additional method of a transport that can tell at once what has come."""
+
+    def receive_nowait(self, limit: int) -> list[Received | Report] | None:
+        """Return what has come and was not handed over yet, in order, `limit` items at most; an empty list if nothing has.
+
+        None: that is not known at present, `receive` must be waited for. Raises what `receive` raises.
+        """
+
+
+@runtime_checkable
 class PushingTransport(Protocol):
     """The additional method of a transport that can hand over a frame without waking a task."""
 

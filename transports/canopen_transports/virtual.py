@@ -106,6 +106,10 @@ class VirtualTransport(trio.abc.AsyncResource):
     async def receive_many(self, limit: int) -> list[Received | Report]:
         return await self._queue.get_many(limit)
 
+    def receive_nowait(self, limit: int) -> list[Received | Report]:
+        """Return what other members have sent."""
+        return self._queue.take_many(limit)
+
     async def aclose(self) -> None:
         """Leave the bus. The last member to leave ends it."""
         if not self._closed:

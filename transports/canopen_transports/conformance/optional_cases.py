@@ -1,5 +1,5 @@
-"""Features of some transports: see `EagerTransport`, `BatchTransport`, `PushingTransport`, `FilteringTransport` and
-`CyclicTransport`."""
+"""Features of some transports: see `EagerTransport`, `BatchTransport`, `PromptTransport`, `PushingTransport`,
+`FilteringTransport` and `CyclicTransport`."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from canopen_transports.transport import (
     CyclicTransport,
     EagerTransport,
     FilteringTransport,
+    PromptTransport,
     PushingTransport,
     Transport,
 )
@@ -77,6 +78,29 @@ async def many_at_once(bench: Bench) -> None:
     with suppress(trio.ClosedResourceError):
         await other.receive_many(1)
         raise Violation("receive_many on a closed transport returned, instead of raising trio.ClosedResourceError")
+
+
+@case
+async def what_has_come(bench: Bench) -> None:
+    """receive_nowait returns what has come, in order, never more than asked for, also in turn with receive."""
+    one, other = await bench.members(2)
+    if not isinstance(other, PromptTransport):
+        raise NotApplicable("it has no receive_nowait")
+    expect(not other.receive_nowait(1), "receive_nowait returned something before anything was sent")
+    heard: list[int] = []
+    for number in range(100):
+        await one.send(numbered(number))
+        while number % 10 == 9 and len(heard) <= number:
+            items = other.receive_nowait(3) or ()
+            expect(len(items) <= 3, f"receive_nowait(3) returned {len(items)} items")
+            heard += [number_of(item[0]) for item in items if isinstance(item, tuple)]
+            if not items:
+                heard += await bench.numbers(other, 1)
+    expect_numbers(heard, list(range(100)), "the frames that receive_nowait and receive returned")
+    await other.aclose()
+    with suppress(trio.ClosedResourceError):
+        other.receive_nowait(1)
+        raise Violation("receive_nowait on a closed transport returned, instead of raising trio.ClosedResourceError")
 
 
 @case
@@ -152,4 +176,4 @@ async def cyclic_frames(bench: Bench) -> None:
         await bench.numbers_until_end(one)
 
 
-CASES: Final[tuple[Case, ...]] = (eager_send, many_at_once, pushed_frames, filters, cyclic_frames)
+CASES: Final[tuple[Case, ...]] = (eager_send, many_at_once, what_has_come, pushed_frames, filters, cyclic_frames)

@@ -204,6 +204,16 @@ class SocketCanTransport(trio.abc.AsyncResource):
             await self._wait()
         return [items.popleft() for _ in range(min(limit, len(items)))]
 
+    def receive_nowait(self, limit: int) -> list[Received | Report] | None:
+        """Return what the kernel has received; None while frames come in bursts, and while the interface is down."""
+        if self._closed:
+            raise trio.ClosedResourceError(f"{self.locator} was closed")
+        if not self._items:
+            if self._is_burst or self.state is BusState.DOWN:
+                return None
+            self._read()
+        return [self._items.popleft() for _ in range(min(limit, len(self._items)))]
+
     async def _wait(self) -> None:
         """Wait until the socket is readable, then read one batch of frames."""
         if self._closed:
