@@ -1,4 +1,4 @@
-"""`Application`: the work of a device besides communicating, as its `LocalNode` calls it.
+"""`Application`: the work of a device apart from communication, as its `LocalNode` calls it.
 
 A `LocalNode` is complete without an application: then its objects are plain memory. An application, such as the simulated drive,
 shares them. It reads and writes the node's values. The node asks it before a client changes one of its objects, and calls it for
@@ -15,7 +15,7 @@ from canopen_proto.machine import Time
 
 
 class Application(Protocol):
-    """The work of a device besides communicating. It shares the node's values.
+    """The work of a device apart from communication. It shares the node's values.
 
     It must also be a Machine, made with the node's `inner` outbox, so that time drives it.
     """

@@ -1,7 +1,7 @@
 """The data types of CiA 301 and their Python values.
 
 Every object of a dictionary has one of the static data types of CiA 301 v4.2.0, 7.1. (Table 44 has their codes, which are also
-the indices of the dummy entries of a PDO mapping.) On the wire all are little-endian; in Python they are
+the indices of dummy entries in a PDO mapping.) On the wire all are little-endian. In Python they are
 
     BOOLEAN                            bool                  one byte by SDO, one bit in a PDO
     INTEGER8 .. 64, UNSIGNED8 .. 64    int                   with the 24-, 40-, 48- and 56-bit ones
@@ -12,13 +12,13 @@ the indices of the dummy entries of a PDO mapping.) On the wire all are little-e
     TIME_OF_DAY                        datetime (UTC)        milliseconds and days since 1984-01-01
     TIME_DIFFERENCE                    timedelta             milliseconds and days
 
-`decode` loses nothing: `encode` makes the same bytes of a decoded value (except the four unused bits of the two times, and the
-quiet bit of a REAL32 that is NaN). So a server may keep values instead of bytes. For this reason a VISIBLE_STRING is read and
-written as Latin-1, although the standard allows only 0x00 and 0x20..0x7E (devices do send degree signs), and NULs at its end
-stay: `text.rstrip("\\0")` removes them for people.
+`decode` loses nothing: `encode` returns the same bytes for a decoded value (except the four unused bits of the two times, and the
+quiet bit of a REAL32 that is NaN). So a server may keep values instead of bytes. For this reason a VISIBLE_STRING is Latin-1
+text, although the standard allows only 0x00 and 0x20..0x7E: devices do send degree signs. NULs at its end stay;
+`text.rstrip("\\0")` removes them for people.
 
-Left out: the bit-wise types of PDO mapping parameters (INTEGERn with n below 8), which no object has, and the records of
-7.1.6 (PDO parameters and the like), which are objects with subindices and are read as such.
+Left out: the bit-wise types of PDO mapping parameters (INTEGERn with n below 8), which no object has, and the records of 7.1.6,
+such as PDO parameters, which are objects with subindices.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ class DataType(IntEnum):
 
 @mypyc_attr(native_class=False)
 class ValueRangeError(LocalProtocolError, ValueError):
-    """A value does not fit its object: wrong kind, out of range, wrong length. The text names object, type and range."""
+    """A value does not fit its object: wrong kind, out of range, or wrong length. The text names object, type and range."""
 
 
 def encode(value: Value, data_type: DataType, name: object = "value") -> bytes:
     """Return the bytes of a value, as SDO carries them.
 
-    Integers take int (and bool); reals take float and int. REAL32 rounds to the nearest value that it can hold; times are cut to
-    whole milliseconds. name: the object's name in errors, by its `str`. Raises ValueRangeError. Source: CiA 301 v4.2.0, 7.1.
+    Integers take int and bool, reals float and int. REAL32 rounds to the nearest value that it can hold; times are cut to whole
+    milliseconds. name: the object's name in errors, by its `str`. Raises ValueRangeError. Source: CiA 301 v4.2.0, 7.1.
     """
     return _CODECS[data_type].encode(value, name)
 
@@ -97,12 +97,12 @@ def decode(data: bytes, data_type: DataType, name: object = "value") -> Value:
 
 
 def text_for_people(value: str, data_type: DataType) -> str:
-    """Return a text as people should see it. Devices send VISIBLE_STRINGs in UTF-8 as well as in Latin-1: bytes that are valid
-    UTF-8 are read as UTF-8. Use it only for showing: the value itself and its bytes stay as they are."""
+    """Return a text for people. Some devices send VISIBLE_STRINGs in UTF-8: bytes that are valid UTF-8 are shown as UTF-8, others
+    as Latin-1."""
     if data_type is DataType.VISIBLE_STRING:
         try:
             return value.encode("latin-1").decode("utf-8")
-        except UnicodeError:  # Latin-1, or not a device's text
+        except UnicodeError:  # Latin-1
             pass
     return value
 
@@ -152,7 +152,7 @@ def integer_type(size: int, *, signed: bool = False) -> DataType:
 
 
 def codec_of(data_type: DataType) -> Codec:
-    """Return the codec of a data type: for an object that is looked up once and then transferred often."""
+    """Return the codec of a data type, for code that encodes or decodes one object often."""
     return _CODECS[data_type]
 
 
@@ -268,7 +268,7 @@ class _VisibleString(Codec):
 
 
 class _UnicodeString(Codec):
-    """An array of UNSIGNED16; the standard says no more. Half of a surrogate pair is accepted, so that nothing is lost."""
+    """An array of UNSIGNED16, read as UTF-16. Half of a surrogate pair is accepted, so that no bytes are lost."""
 
     __slots__ = ()
 
@@ -322,7 +322,7 @@ class _Difference(Codec):
 
 
 class _TimeOfDay(_Difference):
-    """The same bits, counted from the epoch. The standard names no time zone; UTC is the same everywhere."""
+    """The bits of a TIME_DIFFERENCE, counted from the epoch. The standard names no time zone; this is UTC."""
 
     __slots__ = ()
 
@@ -340,7 +340,7 @@ class _TimeOfDay(_Difference):
 
 
 def _show(value: object) -> str:
-    """Return a value for an error text, cut to one line; CPython refuses to print integers of thousands of digits."""
+    """Return a value for an error text, cut to one line. (CPython refuses to print integers of thousands of digits.)"""
     if isinstance(value, int) and value.bit_length() > 128:
         return f"an integer of {value.bit_length()} bits"
     return reprlib.repr(value)

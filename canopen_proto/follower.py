@@ -1,4 +1,4 @@
-"""What a `Network` tells those of its machines that follow what its others send and hear."""
+"""`Follower`: a machine of a `Network` that follows the SYNC and NMT commands of the others."""
 
 from __future__ import annotations
 

@@ -5,9 +5,9 @@ node can be embedded alone just like a single client. A group
 
 - routes a frame by one look-up: a key (CAN-ID with flags) maps to a tuple of machines, in the order of their attachment;
 - keeps its members' deadlines in a lazy heap: a deadline that moved later waits for the early wake (measured five times cheaper
-  than pushing at each re-arm), one that moved nearer is announced by the member in `out.armed`;
-- turns one member's events into another's commands, by a table `event type -> reaction`, as soon as the input is handled and
-  before the next one is: a PDO right behind "NMT start" already finds the PDOs alive. No machine ever calls a sibling.
+  than pushing at each re-arm); a member announces an earlier deadline in `out.armed`;
+- turns one member's events into another's commands, by a table `event type -> reaction`, after each input and before the next
+  one: a PDO right after "NMT start" is already received. No machine ever calls a sibling.
 
 Nothing is copied from layer to layer: a nested outbox shares its frames and events with the outer one.
 """
@@ -148,14 +148,14 @@ class Members:
             if machine._wake == wake:  # else superseded by a nearer one, or detached
                 machine._wake = NEVER
                 due.append(machine)
-        # Only now, so that one that arms itself for a time that has passed already does not come up again in this turn.
+        # Only now, so that a machine that arms itself for a past time does not come up again in this turn.
         for machine in due:
             if machine not in self._keys:
                 continue  # detached by what another one did
             if machine.deadline <= now:
                 machine.handle_timeout(now)
             else:
-                machine._arm(machine.deadline)  # it had moved later meanwhile
+                machine._arm(machine.deadline)  # the deadline had moved later
 
 
 class Settling:
@@ -218,7 +218,7 @@ class Group(Machine):
         self._arm(self._members.next_deadline())  # even if it is the old one: the wake for that may just have been used up
 
     def _settling(self, now: Time) -> Settling:
-        """`with self._settling(now): ...` stands in every command of a group that makes members report something."""
+        """Use it as `with self._settling(now): ...` in every command of a group that makes members report something."""
         return Settling(self, now)
 
     def _settle(self, mark: int, now: Time) -> None:

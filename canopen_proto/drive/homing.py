@@ -1,9 +1,9 @@
 """Home a drive: by the standard's homing mode, or as Schunk's joints do.
 
-A homing begins with the rising edge of bit 4. The drive may show the edge late: for up to `reaction_time` it may still show the
-end of the homing before, and be about to move. So a bit that shows an end counts for this homing once it was seen 0 after the
-edge. A bit that was always 1 since then counts once the drive has shown that end, and so stands, for `reaction_time` without a
-break: the homing was done between two looks (methods 35 and 37), or the drive was at its reference.
+A homing begins with the rising edge of bit 4. For up to `reaction_time` after the edge, the drive may still show the end of the
+homing before. So a bit that shows an end counts for this homing once it was seen 0 after the edge. If it never was 0, it counts
+once it was 1 for `reaction_time` without a break: the homing was done between two looks (methods 35 and 37), or the drive was at
+its reference.
 
               homed                          failed            neither, and it stands
     standard  bits 13, 12, 10 = 0, 1, 1      bit 13 = 1        bits 13, 12, 10 = 0, 0, 1

@@ -1,23 +1,22 @@
-"""`Bus`: one participant's place on one bus: its Network, its transport, and what waits to be sent. The pump (pump.py) drives it.
+"""`Bus`: one bus of a participant: its Network, its transport, and the frames that wait to be sent. The pump (pump.py) drives it.
 
-**SYNC by the transport.** Where a transport wants to send the cyclic SYNC itself (`sends_sync`: socketcan's `?sync=bcm`, by which
-the kernel does), our SYNC producer rests, and each SYNC that comes is reported as `SyncSent`: what follows SYNC follows it still.
-Buses then keep the period, but not one phase.
+**SYNC by the transport.** A transport may send the cyclic SYNC itself (`sends_sync`; with socketcan's `?sync=bcm` the kernel
+does). Our SYNC producer then rests, and each SYNC that comes is reported as `SyncSent`, so that everything else follows it as
+before. The buses then have the same period, but not the same phase.
 
-**Sending.** Where the transport can (`send_nowait`), a frame goes to the kernel in the very turn that made it: one that waits
-for another task costs a round of the scheduler. Where it cannot, has no room, or others wait already, it is queued, and the
-sender task hands over one after the other.
+**Sending.** A frame goes to the kernel in the turn that made it, if the transport can do that (`send_nowait`): waiting for
+another task costs a round of the scheduler. A frame is queued if the transport cannot, has no room, or other frames wait already.
+The sender task then hands over one after the other.
 
-**What goes first.** Frames leave in the order in which the core made them, but for SDO: its frames wait until nothing else is to
-be sent, and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs behind it, then SDO in what
-is left.
+**Order.** Frames leave in the order in which the core made them, except SDO frames. These wait until nothing else is to be sent,
+and are held back shortly before a SYNC is due (SDO_GUARD). So a cycle is SYNC, then the PDOs after it, then SDO in the time left.
 
-**Filters.** Where a transport filters (`filtered`), it is told the CAN-IDs that our machines want, and again whenever these
-change; the Network is told that it no longer hears everything.
+**Filters.** A transport that filters (`filtered`) gets the CAN-IDs that our machines want, and gets them again when they change.
+The Network then knows that it does not hear everything.
 
-**When a bus is away** for a while and its transport says that it may come back (BusStateChanged: interface down, bus-off), frames
-that cannot be sent are dropped and counted in `FramesNotSent`. They are not kept: a set-point of some seconds ago, sent when the
-bus comes back, would make a drive jump. Requests meanwhile time out, and their errors say why (`Network.outage`).
+**When a bus is away** for a while, and its transport reports that it may come back (BusStateChanged: interface down, bus-off),
+frames that cannot be sent are dropped and counted in `FramesNotSent`. Keeping them would be dangerous: an old set-point, sent
+when the bus comes back, would make a drive jump. Requests time out, and their errors say why (`Network.outage`).
 """
 
 from __future__ import annotations
@@ -50,13 +49,13 @@ from canopen_transports import (
 )
 
 MAX_BATCH: Final = 64
-"""Frames that are taken in before others get their turn: 4 ms of a 1 Mbit/s bus that is full of 8-byte frames."""
+"""The most frames that are received in one turn: 4 ms of a 1 Mbit/s bus that is full of 8-byte frames."""
 
 MAX_SEND_QUEUE: Final = 4096
-"""Frames that wait to be sent on one bus: about one second at 500 kbit/s. A bus that is behind by more has failed."""
+"""The most frames that wait to be sent on one bus: about one second at 500 kbit/s. With more, the bus counts as failed."""
 
 SDO_GUARD: Final = 300 * MICROSECOND
-"""Before a SYNC no SDO frame is begun: the longest frame takes 270 us at 500 kbit/s, and a frame under way delays the SYNC."""
+"""No SDO frame is sent so shortly before a SYNC: the longest frame takes 270 us at 500 kbit/s, and would delay the SYNC."""
 
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
 _BUS_OFF: Final = BusState.BUS_OFF
@@ -93,10 +92,10 @@ class BusChanged(Event):
 
 
 class FramesNotSent(Event):
-    """Frames were dropped, as the bus is away for the time being. node_id is 0. One event for the first of them, at once; another
-    for the rest, when the bus changes or takes a frame again.
+    """Frames were dropped, because the bus is away for a while. node_id is 0. The first one is reported at once, the others
+    together when the bus changes or takes a frame again.
 
-    count: how many. reason: what was seen with the first, for people.
+    count: the number of frames. reason: for the first one, as text.
     """
 
     __slots__ = ("count", "reason")
@@ -109,10 +108,10 @@ class FramesNotSent(Event):
 
 
 class Bus:
-    """One participant's place on one bus: its Network, the transport, and what waits to be sent.
+    """One bus of a participant: its Network, its transport, and the frames that wait to be sent.
 
-    name: as this participant calls it. sync, consumer: the SYNC producer, if it has one, and what hears others' SYNC. state: what
-    the transport reported last.
+    name: the participant's name for it. sync, consumer: our SYNC producer, if there is one, and the consumer of the SYNC of
+    others. state: the last one that the transport reported.
     """
 
     def __init__(
@@ -152,9 +151,9 @@ class Bus:
         return len(self._first) + len(self._sdo) + self._is_sending
 
     def queue(self, frames: Sequence[Frame], now: Time) -> bool:
-        """Send frames at once, where the transport can and nothing waits before them, else queue them; False: they are too many.
+        """Send frames at once if the transport can and no frame waits, else queue them. Returns False if they are too many.
 
-        Raises what the transport does where sending at once fails.
+        Raises the transport's error if sending at once fails.
         """
         if self.failed:
             return True
@@ -188,9 +187,9 @@ class Bus:
         return True
 
     async def receive(self) -> Sequence[Received | Report]:
-        """Wait until something comes; return the frames and reports that are there, MAX_BATCH at most.
+        """Wait until something comes; return the frames and reports that are there, at most MAX_BATCH.
 
-        Raises what the transport raises: then it has failed.
+        Raises the transport's error: it has failed then.
         """
         if self._batch is not None:
             return await self._batch.receive_many(MAX_BATCH)
@@ -206,9 +205,9 @@ class Bus:
             self.transport.push_to(receiver)
 
     def take_in(self, received: Iterator[Received | Report], now: Time) -> None:
-        """Hand frames to the network, and tell reports. Events: FramesLost, BusChanged, FramesNotSent, and the network's.
+        """Hand frames to the network, and handle reports. Events: FramesLost, BusChanged, FramesNotSent, and the network's.
 
-        After an exception, a bug of the core, `received` still has what comes behind the item that has caused it.
+        After an exception (a bug of the core), `received` still has the items after the one that caused it.
         """
         network = self.network
         for item in received:
@@ -261,7 +260,7 @@ class Bus:
         return self._filter is not None
 
     def renew_filters(self) -> None:
-        """Tell a transport that filters what our machines want."""
+        """Give the CAN-IDs that our machines want to a transport that filters."""
         if self._filter is not None:
             wanted = self.network.can_ids()
             if wanted != self._wanted:
@@ -270,12 +269,12 @@ class Bus:
 
     @property
     def sync_period(self) -> Time:
-        """ns between two SYNCs that we send, or our transport; 0 for none."""
+        """The time between two SYNCs of ours or of our transport, ns; 0 = none."""
         return self._period or (self.sync.period if self.sync is not None else 0)
 
     @property
     def hears_own_sync(self) -> bool:
-        """Whether a SYNC that comes is ours: the transport sends them."""
+        """Whether a SYNC that comes is ours, because the transport sends it."""
         return bool(self._period)
 
     def start_sync(self, period: Time, now: Time) -> None:
@@ -328,7 +327,7 @@ class Bus:
         self._sent.unpark_all()
 
     async def flush(self) -> None:
-        """Wait until all frames queued so far and meanwhile have reached the transport, or the bus has failed."""
+        """Wait until the transport has all frames, also those queued during the wait, or the bus has failed."""
         while self.pending and not self.failed:
             await self._sent.park()
 

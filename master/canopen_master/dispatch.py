@@ -1,6 +1,6 @@
-"""Hand out what the machines report: outcomes to requests, events to subscriptions and chains.
+"""Hands the reports of the machines to those who wait: outcomes to requests, events to subscriptions and chains.
 
-All of this happens inside the pump's turn: nothing here blocks. A callback that raises keeps no other from its event.
+This happens inside the pump's turn, and nothing here blocks. If a callback raises, the others still get the event.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from canopen_proto.sdo.events import SdoProgress
 
 
 class ProcedureTakenBack(Exception):
-    """A procedure that a task waited for was cancelled by somebody else: a chain that was stopped, the end of the master."""
+    """A procedure that a task waits for was cancelled elsewhere: its chain was stopped, or the master ended."""
 
 
 class Canceller(Protocol):
@@ -47,7 +47,7 @@ class Waiter:
         self._end()
 
     def fail(self, error: Exception) -> None:
-        """There will be no outcome, for this reason."""
+        """End the wait: there will be no outcome, for this reason."""
         self._error = error
         self._end()
 
@@ -59,20 +59,20 @@ class Waiter:
             self.ends.cancel()
 
     def tell(self, report: SdoProgress) -> None:
-        """News of a stream."""
+        """Take a report of a stream."""
         self._news.append(report)
         if self._parked is not None:
             self._parked.unpark_all()
 
     async def wait(self) -> None:
-        """Wait until it is done; a checkpoint in any case."""
+        """Wait until it is done. Always a checkpoint."""
         if self.is_done:
             await trio.lowlevel.checkpoint()
         while not self.is_done:
             await self._park()
 
     async def next_news(self) -> SdoProgress | None:
-        """Wait for the next news; None when all has been told and it is done."""
+        """Wait for the next report of a stream; None once all were returned and it is done."""
         await trio.lowlevel.checkpoint_if_cancelled()
         while not self._news and not self.is_done:
             await self._park()
@@ -118,7 +118,7 @@ class Dispatcher:
         return waiter
 
     def forget(self, root: object, request_id: RequestId) -> bool:
-        """Wait no longer; False if the outcome has come already."""
+        """Stop waiting. Returns False if the outcome has come already."""
         return self._waiters.pop((root, request_id), None) is not None
 
     def give_up(self, error: Exception, now: Time) -> None:
@@ -144,7 +144,7 @@ class Dispatcher:
             self._by_kind.clear()
 
     def dispatch(self, bus: Bus, event: Event) -> None:
-        """Tell an event that came out of a bus's network. Raises what the first callback raised, once all were called."""
+        """Hand out an event of a bus's network. Calls all callbacks, then raises the first error of one."""
         kind = type(event)
         told = self._by_kind.get(kind)
         if told is None:

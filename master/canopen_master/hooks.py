@@ -93,7 +93,7 @@ class Owner(Protocol):
 
 
 class Script:
-    """A script's text. Each device runs it by itself, so that two devices of one script share nothing.
+    """A script's text. Each device runs it separately, so that two devices with the same script share nothing.
 
     path: for messages. Raises ScriptError if the text is not Python.
     """
@@ -165,7 +165,7 @@ class Device:
         return self.node.values.read(key)
 
     def __setitem__(self, key: Key, value: Value) -> None:
-        """Change an object from the device's side; the name of a constant stands for its value.
+        """Set an object as the device itself. The name of a constant stands for its value.
 
         Event-driven TPDOs that carry it are sent. Raises ObjectNotFound, or ValueRangeError if it cannot hold the value.
         """

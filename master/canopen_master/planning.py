@@ -1,21 +1,20 @@
-"""Does a network fit on its bus? Worst-case analysis and a run of the bus machine tell before it is bought.
+"""Plans the traffic of a bus before it is built: a worst-case analysis, and a run of the bus machine.
 
-One bus, one master, one device for each joint. Per cycle the master sends SYNC and right behind it one RPDO for each joint; each
-device answers the SYNC by its TPDO. Besides there are heartbeats, one SDO transfer in the background, and EMCYs. Each of these is
-a `Stream` with its identifier, size and period:
+There is one bus, one master, and one device for each joint. In each cycle the master sends SYNC and then one RPDO for each joint;
+each device answers the SYNC by its TPDO. There are also heartbeats, one SDO transfer in the background, and EMCYs. Each of these
+is a `Stream` with its identifier, size and period:
 
-- The SYNC's deadline is its period. The deadline of an RPDO is the next SYNC, where it acts; that of a TPDO too. A TPDO may be as
-  late as its SYNC was: that is its jitter, besides the time that the device takes.
-- A device's event-driven TPDO comes once per inhibit time at most, or once per event timer: that is its period and its deadline.
+- The deadline of SYNC is its period. The deadline of an RPDO and of a TPDO is the next SYNC. The jitter of a TPDO is the delay of
+  its SYNC; the device's own time is added.
+- A device sends an event-driven TPDO at most once per inhibit time, or once per event timer: its period and its deadline.
 - SDO: the client waits for each answer, so there is one request and one answer per `sdo` time, counted as those of the
   highest node-ID; the deadline of each is SDO_DEADLINE.
-- EMCY: a device may send one per EMCY_INTERVAL; at worst all devices do at once. The deadline is the period, as of a heartbeat.
+- EMCY: a device may send one per EMCY_INTERVAL, at worst all devices at once. The deadline is the period, as for heartbeats.
 
-`plan` bounds each stream's latency (canopen_transports.wire.response_time) with all stuff bits that there can be, and runs the
-bus machine for some cycles, with random phases of the streams that are not cyclic. The latencies of the machine are never above
-the bound, and show how far below it an ordinary day is. With `Background.errors` the bound has room for errors on the bus, each
-of which costs an error frame and a repeated frame; the machine has no errors. Latency is from the queue (of a TPDO: from the SYNC
-being queued) to the intermission's end.
+`plan` bounds each stream's latency (canopen_transports.wire.response_time) with the most stuff bits possible. It also runs the
+bus machine for some cycles, with random phases of the streams that are not cyclic. Its latencies are never above the bound, and
+show usual values. With `Background.errors` the bound has room for errors on the bus, each with an error frame and a repeated
+frame; the machine has no errors. A latency lasts from queueing the frame (for a TPDO, the SYNC) to the end of the intermission.
 
 Left out: NMT and TIME (rare), LSS, guarding, frames to devices that are not joints.
 """
@@ -54,10 +53,11 @@ STUFFING: Final = 0x3C
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A frame that is sent again and again. kind: "SYNC", "RPDO", "TPDO", "event" (a TPDO that no SYNC asks for), "heartbeat",
-    "EMCY" or "SDO". node_id: 0 for SYNC.
+    """A frame that is sent repeatedly. kind: "SYNC", "RPDO", "TPDO", "event" (an event-driven TPDO), "heartbeat", "EMCY" or
+    "SDO".
 
-    name: for people. size: bytes. period, deadline: ns. reaction: of a TPDO, what the device takes to answer SYNC.
+    node_id: 0 for SYNC. name: for people. size: bytes. period, deadline: ns. reaction: the time from SYNC to a TPDO in its
+    device.
     """
 
     kind: str
@@ -76,7 +76,7 @@ class Stream:
 
     @property
     def answers_sync(self) -> bool:
-        """Whether a SYNC makes its node send it."""
+        """Whether its node sends it at a SYNC."""
         return self.kind == "TPDO"
 
 
@@ -101,9 +101,9 @@ class StreamPlan:
 
 @dataclass(frozen=True, slots=True)
 class NetworkPlan:
-    """The plan of one bus. load: the share of it that is needed at worst; simulated_load: the share in the machine.
+    """The plan of one bus. load: the greatest share of the bus in use; simulated_load: the share in the machine.
 
-    shortest_cycle: the shortest one of CYCLES that fits; None if none does.
+    shortest_cycle: the shortest of CYCLES that fits; None if none does.
     """
 
     bus: str
@@ -177,7 +177,7 @@ def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) 
 def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder, errors: Time = NEVER) -> list[ResponseTime]:
     """Return the worst-case response time of each stream. errors: the shortest time between two, ns."""
     messages = [_message(stream, bitrate, order) for stream in streams]
-    # A TPDO comes after its SYNC: as late as that, and later by the device's own time.
+    # A TPDO is late by the delay of its SYNC and the device's own time.
     late = response_times(messages, bitrate, error_interval=errors)[0].worst
     if late >= NEVER:
         return [ResponseTime(message, NEVER, 0, 0, 0) for message in messages]
@@ -196,7 +196,7 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
 
 
 def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()) -> NetworkPlan:
-    """Plan a bus with these joints: whether all fits, and its latencies. cycle: ns. bitrate: bit/s."""
+    """Plan a bus with these joints: whether all streams fit, and their latencies. cycle: ns. bitrate: bit/s."""
     streams = streams_of(joints, cycle, background)
     found = bounds(streams, bitrate, background.order, background.errors)
     worst, load = simulate(streams, bitrate, background.order)
@@ -213,7 +213,7 @@ def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, backgr
 
 
 def _shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: Background) -> Time | None:
-    """Search by halves: streams that fit into a cycle fit into each longer one, in which none comes more often."""
+    """Search by halves: streams that fit into a cycle also fit into each longer one."""
     place = bisect_left(CYCLES, True, key=lambda cycle: _fits(joints, cycle, bitrate, background))
     return CYCLES[place] if place < len(CYCLES) else None
 

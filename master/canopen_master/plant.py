@@ -1,4 +1,4 @@
-"""Plant files: which simulated devices stand on a bus, in TOML, for `canopen sim plant.toml`.
+"""Plant files: the simulated devices on a bus, in TOML, for `canopen sim plant.toml`.
 
     bus = "udp_multicast"           # unless -b names one
     state = "state.json"            # stored parameters outlive the simulation
@@ -6,7 +6,7 @@
     [[device]]
     file = "drive.eds"              # EDS, DCF, XDD or XDC; paths are relative to this file
     id = 5                          # or [5, 6, 7]; by default the node-ID of a DCF
-    profile = "402"                 # a simulated drive behind it; "none": plain memory; by default as its device type says
+    profile = "402"                 # a simulated drive; "none": plain memory; by default the device type decides
     shape = "standard"              # of this drive, or "schunk"
     script = "animate.py"           # see hooks.py
     overlay = "units.toml"          # or several: units, names; see canopen_data/overlay.py
@@ -16,8 +16,8 @@
     1017 = 500
     "identity_object:serial_number" = 4711
 
-All errors of a file are found in one pass and named by their place ("device 2: id: ..."); a text that is no TOML has one, with
-its line and column.
+All errors of a file are found in one pass, each with its place ("device 2: id: ..."). A text that is no TOML has one error, with
+line and column.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ SHAPES: Final = ("standard", "schunk")
 
 @dataclass(frozen=True)
 class DeviceEntry:
-    """One device, or several of one file, as the plant file gives it. Paths are as written there.
+    """An entry of a plant file: one device, or several with the same file. Paths are as written in the plant file.
 
-    node_ids: empty for that of the file. shape: empty for the shape of the maker's drives. values: by key of the object.
-    encoding: of the file; empty to detect it.
+    node_ids: empty = that of the device's file. shape: empty = that of the maker's drives. values: by key of the object.
+    encoding: of the device's file; empty = detect it.
     """
 
     file: str

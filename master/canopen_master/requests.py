@@ -1,4 +1,4 @@
-"""`OpenRequest`: a command with an outcome, from when it is given until its outcome is there or it is taken back."""
+"""`OpenRequest`: a command with an outcome, until the outcome has come or the request is taken back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class OpenRequest:
-    """A request to a node. It is given when this is made; `outcome` waits for its end, `take_back` gives it up."""
+    """A request to a node, sent when this object is made. `outcome` waits for its end, `take_back` gives it up."""
 
     @enable_ki_protection
     def __init__(
@@ -37,7 +37,7 @@ class OpenRequest:
 
     @enable_ki_protection
     async def outcome(self) -> Outcome:
-        """Wait for it. Cancelled, the request is taken back. Raises the reason why there is none: BusError, MasterClosed."""
+        """Wait for the outcome. A cancelled wait takes the request back. Raises BusError or MasterClosed if there is none."""
         try:
             await self._waiter.wait()
         except BaseException:  # Cancelled or KeyboardInterrupt: the caller no longer wants the outcome
@@ -63,7 +63,7 @@ class OpenRequest:
 
     @enable_ki_protection
     def take_back(self) -> None:
-        """Give it up: a transfer under way is aborted on the wire. Does nothing if the outcome is there."""
+        """Give the request up: a transfer under way is aborted on the wire. Does nothing if the outcome has come."""
         if self._dispatcher.forget(self._root, self.request_id):
             self._remote.cancel(self.request_id, self._pump.now())
             self._pump.pump()

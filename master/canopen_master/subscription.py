@@ -1,7 +1,7 @@
-"""Events as an async iterator: what `master.events(HeartbeatLost, EmcyReceived)` gives.
+"""Events as an async iterator, which `master.events(HeartbeatLost, EmcyReceived)` returns.
 
-A subscription is live from the call, so that nothing is missed between a command and the wait for what follows from it. Its queue
-is bounded: a reader that is too slow loses the oldest events, counted in `dropped`, and holds up nobody else.
+A subscription collects events from the call on, so that no event between a command and the wait for its effect is missed. Its
+queue is bounded: a slow reader loses the oldest events, which `dropped` counts, and delays no other task.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from canopen_proto.machine import Event
 E = TypeVar("E", bound=Event)
 
 QUEUE_SIZE: Final = 4096
-"""Events that wait for a slow reader: four seconds of six drives with one PDO a cycle of 10 ms, and more."""
+"""The most events that wait for a slow reader: more than four seconds of six drives with one PDO each 10 ms."""
 
 HANDED_OVER: Final = 64
-"""Events that a reader takes in a row before other tasks get their turn."""
+"""The most events that a reader takes before other tasks get their turn."""
 
 
 class Subscription(Generic[E]):
-    """Iterate over it: `async for event in subscription`. Made by `Master.events`; `with` or `async with` ends it.
+    """An async iterator over events: `async for event in subscription`. Made by `Master.events`; `with` or `async with` ends it.
 
-    dropped: how many events were lost because nobody took them.
+    dropped: the number of events that were lost because the reader was too slow.
     """
 
     def __init__(self, close: Callable[[Subscription[E]], None], size: int = QUEUE_SIZE) -> None:
@@ -35,7 +35,7 @@ class Subscription(Generic[E]):
         self._size = size
         self._events: deque[E] = deque()
         self._waiting = trio.lowlevel.ParkingLot()
-        self._in_a_row = 0  # so many may be taken before the next checkpoint; never more than there are
+        self._in_a_row = 0  # the events to take before the next checkpoint; never more than there are
         self._end: BaseException | None = None
 
     def put(self, event: E) -> None:
@@ -48,15 +48,14 @@ class Subscription(Generic[E]):
             self._waiting.unpark()
 
     def end(self, reason: BaseException) -> None:
-        """Nothing more will come: what is queued can still be taken, then `reason` is raised."""
+        """End the subscription: after the queued events, `reason` is raised."""
         self._end = reason
         self._waiting.unpark_all()
 
     async def receive(self) -> E:
-        """Wait for the next event and return it. Cancelled, it took none. Events that wait are handed over in a row, HANDED_OVER
-        at most; then other tasks run first.
+        """Wait for the next event and return it. A cancelled wait takes no event.
 
-        Raises BusError or MasterClosed when no more can come.
+        After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosed at the end.
         """
         if self._in_a_row:
             await trio.lowlevel.checkpoint_if_cancelled()
