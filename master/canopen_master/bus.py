@@ -298,10 +298,8 @@ class Bus:
             self._cyclic.stop_cyclic()
             self._period = 0
 
-    def sync_came(self, sync: SyncReceived, now: Time) -> Event:
-        """Return the event for a received SYNC: SyncSent if the transport sends our SYNC, else the SYNC as it came."""
-        if not self.hears_own_sync:
-            return sync
+    def sync_came(self, sync: SyncReceived, now: Time) -> SyncSent:
+        """Return the event for a received SYNC that the transport has sent for us (`hears_own_sync`)."""
         skipped = 0
         if self._last_sync is not None:
             skipped = max(0, round((now - self._last_sync) / self._period) - 1)

@@ -142,9 +142,11 @@ class Pump:
                 raise TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen)
         except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
             self._fail(bus, error, "send")
+        if bus.hears_own_sync:
+            events = [bus.sync_came(each, now) if isinstance(each, SyncReceived) else each for each in events]
         for each in events:
             try:
-                self._on_event(bus, bus.sync_came(each, now) if isinstance(each, SyncReceived) else each)
+                self._on_event(bus, each)
             except Exception as error:  # noqa: BLE001 - it must reach the user, but the other events be told before
                 self._on_failure(None, error)
 
