@@ -15,7 +15,7 @@ import pytest
 from canopen_cli.app import CLOSED_PIPE
 from canopen_cli.demonstration import MAX_LATE_SHARE
 from canopen_cli.failures import problem_of
-from canopen_cli.problem import KINDS, ExitCode
+from canopen_cli.problem import ExitCode
 from canopen_master import errors
 from canopen_master.direct.connection import AlreadyConnected, NotConnected
 from canopen_proto.abort import AbortCode, AbortOrigin
@@ -108,7 +108,7 @@ def test_the_statuses_of_each_code_are_those_of_the_command_line(rows: list[list
 
 def test_the_exit_statuses_are_all_there(page: str) -> None:
     shown = {int(status): kind for status, kind in re.findall(r"^\| ([0-9]+) \| (?:`(\w+)`)? ?\|", page, re.MULTILINE)}
-    expected = {int(status): KINDS.get(status, "other") for status in ExitCode}
+    expected = {int(status): status.kind for status in ExitCode}
     assert shown == expected | {ExitCode.OK: "", CLOSED_PIPE: ""}
 
 

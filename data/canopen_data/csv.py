@@ -19,7 +19,7 @@ come from lint.py and are returned.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import groupby
 from typing import Final, TypeVar
@@ -41,36 +41,9 @@ from canopen_proto.dictionary.model import Constant, Filler, Object, ObjectDicti
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.multiplexer import Mux
 
-__all__ = ["DictionaryError", "load_csv", "parse_constants", "parse_indices", "parse_pdos"]
-
 MAX_PDO_BITS: Final = 64
 
 _R = TypeVar("_R", IndexRow, ConstantRow, PdoRow)
-
-
-def parse_indices(text: str, source: str = "indices.csv") -> list[IndexRow]:
-    """Return the rows of indices.csv. Raises DictionaryError with all malformed rows and all aliases that occur twice."""
-    findings: list[Finding] = []
-    rows = _once(read_indices(text, source, findings), findings)
-    _raise_errors(findings)
-    return rows
-
-
-def parse_constants(text: str, source: str = "constants.csv") -> list[ConstantRow]:
-    """Return the rows of constants.csv. Raises DictionaryError with all malformed rows and all names given twice to one
-    object."""
-    findings: list[Finding] = []
-    rows = _once(read_constants(text, source, findings), findings)
-    _raise_errors(findings)
-    return rows
-
-
-def parse_pdos(text: str, source: str = "PDOs.csv") -> list[PdoRow]:
-    """Return the rows of PDOs.csv. Raises DictionaryError with all malformed rows and all aliases that occur twice."""
-    findings: list[Finding] = []
-    rows = _once(read_pdos(text, source, findings), findings)
-    _raise_errors(findings)
-    return rows
 
 
 def load_csv(
@@ -96,7 +69,8 @@ def load_csv(
     by_mux = _constants(constant_rows, names, findings)
     descriptions = [_pdo(row, names, findings) for row in pdo_rows]
     findings.sort(key=lambda each: (sources.index(each.source), each.line, each.column))
-    _raise_errors(findings)
+    if findings:
+        raise DictionaryError(findings)
 
     if not index_rows:
         findings.append(Finding(Severity.WARNING, "empty", "there is no object in this file", sources[0]))
@@ -126,11 +100,6 @@ class _Names:
             near = did_you_mean(cell.text, self.entries) if len(findings) < MAX_SHOWN else ""
             findings.append(cell.error("unknown-alias", f"there is no object {cell.shown} in {self.source}{near}"))
         return found
-
-
-def _raise_errors(findings: Sequence[Finding]) -> None:
-    if findings:
-        raise DictionaryError(findings)
 
 
 def _once(rows: Iterable[_R], findings: list[Finding]) -> list[_R]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from canopen_cli import eds_text
 from canopen_cli.eds_text import PdoText
 from canopen_cli.values import place_text
+from canopen_data.checks.structure import field_name
 from canopen_data.description import DeviceDescription
 from canopen_proto.dictionary.model import Object, Variable
 
@@ -79,7 +80,7 @@ def _rows(each: Object) -> Iterator[Row]:
         return
     yield Row(f"o{each.index:04X}", f"{each.index:04X}", each.name, eds_text.kind_text(each), "", "", "", "", "", "")
     for variable in each.variables.values():
-        yield _row(variable, anchor_of(variable), f":{variable.subindex:02X}", eds_text.own_name(each, variable), is_part=True)
+        yield _row(variable, anchor_of(variable), f":{variable.subindex:02X}", field_name(each, variable.name), is_part=True)
 
 
 def anchor_of(variable: Variable) -> str:
@@ -110,5 +111,5 @@ def _names(description: DeviceDescription) -> Iterator[tuple[str, str, str]]:
             yield each.name, f"{each.index:04X}", f"o{each.index:04X}"
         if not eds_text.is_one(each):
             for variable in each.variables.values():
-                if variable.subindex and (name := eds_text.own_name(each, variable)):
+                if variable.subindex and (name := field_name(each, variable.name)):
                     yield name, place_text(variable), anchor_of(variable)

@@ -12,6 +12,7 @@ from canopen_cli.eds_files import finding_as_json, open_description, tell_faults
 from canopen_cli.options import Settings, common
 from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.values import as_json, object_json, place_text
+from canopen_data.checks.structure import field_name
 from canopen_data.description import DeviceDescription
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFound, Variable
@@ -78,7 +79,7 @@ def _find(dictionary: ObjectDictionary, key: str) -> Iterator[Chosen]:
             (each, variable)
             for each in dictionary.objects.values()
             for variable in each.variables.values()
-            if eds_text.own_name(each, variable).casefold() == folded
+            if field_name(each, variable.name).casefold() == folded
         ]
         if not inside:
             raise
@@ -98,7 +99,7 @@ def _rows(each: Object, variables: list[Variable]) -> Iterator[tuple[str, ...]]:
         yield (f"{each.index:04X}", each.name, eds_text.kind_text(each), "", "", "", "", "")
     for variable in variables:
         yield (
-            _row(variable, f"  :{variable.subindex:02X}", f"  {eds_text.own_name(each, variable)}")
+            _row(variable, f"  :{variable.subindex:02X}", f"  {field_name(each, variable.name)}")
             if len(variables) == len(each.variables)
             else _row(variable, place_text(variable), variable.name)
         )

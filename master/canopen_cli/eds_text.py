@@ -142,14 +142,9 @@ def is_one(each: Object) -> bool:
     return list(each.variables) == [0] and each.object_type not in (ObjectType.ARRAY, ObjectType.RECORD)
 
 
-def own_name(each: Object, variable: Variable) -> str:
-    """Return the name of a sub-object, to be shown below its object's name."""
-    return field_name(each, variable.name)
-
-
 def full_name(each: Object, variable: Variable) -> str:
     """Return the name of a sub-object with its object's name before it: "channel 1" alone is not clear."""
-    own = own_name(each, variable)
+    own = field_name(each, variable.name)
     return own if is_one(each) or own == each.name else f"{each.name}: {own}"
 
 

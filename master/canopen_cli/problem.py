@@ -36,24 +36,14 @@ class ExitCode(IntEnum):
     VERIFY_MISMATCH = 13
     INTERRUPTED = 130
 
+    @property
+    def kind(self) -> str:
+        """The kind of a failure, for --json."""
+        return "other" if self in (ExitCode.OK, ExitCode.DIFFERENT) else self.name.lower()
+
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a file system that cannot take more data."""
-
-KINDS = {
-    ExitCode.USAGE: "usage",
-    ExitCode.CANNOT_OPEN: "cannot_open",
-    ExitCode.BUS_FAULT: "bus_fault",
-    ExitCode.NO_ANSWER: "no_answer",
-    ExitCode.BAD_FILE: "bad_file",
-    ExitCode.PARTIAL: "partial",
-    ExitCode.PERMISSION: "permission",
-    ExitCode.INTERNAL: "internal",
-    ExitCode.SDO_ABORT: "sdo_abort",
-    ExitCode.DRIVE_FAULT: "drive_fault",
-    ExitCode.VERIFY_MISMATCH: "verify_mismatch",
-    ExitCode.INTERRUPTED: "interrupted",
-}
 
 
 class Problem(Explained, Exception):
@@ -91,7 +81,7 @@ class Problem(Explained, Exception):
         """Return the error for --json."""
         return {
             "code": self.code,
-            "kind": KINDS.get(self.exit_code, "other"),
+            "kind": self.exit_code.kind,
             "node": self.node,
             "index": self.index,
             "sub": self.subindex,

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_data.csv import DictionaryError, load_csv, parse_constants, parse_indices, parse_pdos
-from canopen_data.findings import MAX_SHOWN, Finding, Severity
+from canopen_data.csv import load_csv
+from canopen_data.findings import MAX_SHOWN, DictionaryError, Finding, Severity
+from canopen_data.rows import read_constants, read_indices, read_pdos
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Filler, ObjectDictionary
 from canopen_proto.machine import LocalProtocolError
@@ -260,12 +261,14 @@ def test_nothing_at_all_is_a_dictionary_with_a_warning() -> None:
 
 
 def test_each_file_can_be_parsed_alone() -> None:
-    assert [row.alias.text for row in parse_indices(INDICES)][:3] == ["notused16", "notused64", "NMT"]
-    assert [row.value for row in parse_constants(CONSTANTS)][:3] == [1, 6, 0x1F]
-    assert [row.cob_base for row in parse_pdos(PDOS)] == [0x200, 0x180, 0x480]
-    for parse, text in ((parse_indices, "a 1 1 1 rw\na 1 1 1 rw"), (parse_constants, "a"), (parse_pdos, "a 1")):
-        with pytest.raises(DictionaryError, match=r"mine\.csv:\d:"):
-            parse(text, "mine.csv")
+    findings: list[Finding] = []
+    assert [row.alias.text for row in read_indices(INDICES, "mine.csv", findings)][:3] == ["notused16", "notused64", "NMT"]
+    assert [row.value for row in read_constants(CONSTANTS, "mine.csv", findings)][:3] == [1, 6, 0x1F]
+    assert [row.cob_base for row in read_pdos(PDOS, "mine.csv", findings)] == [0x200, 0x180, 0x480]
+    assert not findings
+    for read in (read_indices, read_constants, read_pdos):
+        assert not list(read("a 1", "mine.csv", findings))
+    assert [(each.source, each.line) for each in findings] == [("mine.csv", 1)] * 3
 
 
 WORD = st.sampled_from(
@@ -293,11 +296,10 @@ def test_any_text_gives_a_dictionary_or_a_dictionary_error(indices: str, constan
 @given(LINES)
 def test_what_was_loaded_can_be_found(indices: str) -> None:
     try:
-        rows = parse_indices(indices)
         dictionary, _ = load_csv(indices)
     except DictionaryError:
         return
-    for row in rows:
+    for row in read_indices(indices, "indices.csv", []):
         if row.index == 0xFFFF:
             assert row.alias.text in dictionary.fillers
         else:

@@ -54,7 +54,12 @@ def check_lists(subject: Subject) -> Iterator[Finding]:
     if not subject.has_lists:
         return
     seen: dict[int, str] = {}
-    for section, listed in _lists(subject):
+    description = subject.description
+    for section, listed in (
+        ("MandatoryObjects", description.mandatory),
+        ("OptionalObjects", description.optional),
+        ("ManufacturerObjects", description.manufacturer),
+    ):
         for number, index in enumerate(listed, 1):
             where = f"0x{index:04X}"
             if index in seen:
@@ -69,15 +74,6 @@ def check_lists(subject: Subject) -> Iterator[Finding]:
     for index in objects:
         if index not in seen and index in OBJECT_AREA:
             yield subject.of_object("list-missing", index, f"it is not in [{_list_of(index)}], nor in another list")
-
-
-def _lists(subject: Subject) -> tuple[tuple[str, Sequence[int]], ...]:
-    description = subject.description
-    return (
-        ("MandatoryObjects", description.mandatory),
-        ("OptionalObjects", description.optional),
-        ("ManufacturerObjects", description.manufacturer),
-    )
 
 
 def _list_of(index: int) -> str:

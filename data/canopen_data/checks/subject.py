@@ -23,8 +23,6 @@ ERROR: Final = Severity.ERROR
 WARNING: Final = Severity.WARNING
 NOTICE: Final = Severity.NOTICE
 
-"""Standardized device profile area (CiA 301 v4.2.0, table 41)."""
-
 
 class Rule(NamedTuple):
     """One thing that may be wrong. code: its name for programs. text: its meaning, for people."""
