@@ -18,8 +18,10 @@ from typing import Final, NamedTuple
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name, supported
 from canopen_proto.cia402.states import FAULT_STATES, ControlBit, State, StatusBit, state_of
+from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.units import read_number
 from canopen_proto.error_codes import error_text
+from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
@@ -35,8 +37,11 @@ _SHOWN: Final = {
 }
 """What `look_at` reads besides the statusword: fields of `DriveView`."""
 _SIGNED: Final = (objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY, objects.POSITION_ACTUAL_VALUE)
-_SHUTDOWN: Final = ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP
-"""The bits of the command that leads out of Switch on disabled. Bit 2 is 0 for a quick stop."""
+_ASKED: Final = {
+    State.SWITCH_ON_DISABLED: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP,
+    State.READY_TO_SWITCH_ON: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP | ControlBit.SWITCH_ON,
+}
+"""The bits of the command that leads out of a state to one with voltage. Bit 2 is 0 for a quick stop."""
 _SWITCHES: Final = ("negative limit switch", "positive limit switch")
 _FOLLOWING: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _OBEYS: Final = (
@@ -65,10 +70,36 @@ class DriveView:
 
 
 class Reason(NamedTuple):
-    """An obstacle, and what to do about it; both in words."""
+    """An obstacle, and what to do about it; both in words. is_command: a command removes it; else something outside has to."""
 
     what: str
     remedy: str
+    is_command: bool = False
+
+
+def seen_of(axis: Axis) -> DriveView:
+    """Return what was last heard from a drive, and commanded to it; nothing is read."""
+
+    def heard(key: Mux) -> int | None:
+        value = axis.node.values.store.get(key) if key in axis.node.heard_at else None
+        return value if isinstance(value, int) else None
+
+    return DriveView(
+        axis.statusword,
+        axis.controlword,
+        axis.mode,
+        supported_modes=heard(objects.SUPPORTED_DRIVE_MODES),
+        error_code=axis.error_code,
+        inputs=heard(objects.DIGITAL_INPUTS),
+    )
+
+
+def outer_reason(axis: Axis) -> str:
+    """Return the end of a message: the first obstacle that no command removes, and what to do about it; "" if there is none."""
+    if objects.STATUSWORD not in axis.node.heard_at:
+        return ""
+    found = next((each for each in reasons(seen_of(axis)) if not each.is_command), None)
+    return "" if found is None else f"; {found.what}. Try: {found.remedy}"
 
 
 def look_at(node: RemoteNode) -> Procedure[DriveView | None]:
@@ -98,11 +129,11 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
     if not view.statusword & StatusBit.REMOTE:
         found.append(Reason("it is under local control (bit 9, remote, is 0)", "give the fieldbus control, at the drive"))
     if view.state is State.QUICK_STOP_ACTIVE:
-        found.append(Reason("a quick stop is active", "enable it again, or disable it first if it does not leave this state"))
+        found.append(Reason("a quick stop is active", "enable it again; if it does not leave this state, disable it first", True))
     elif view.state is not State.OPERATION_ENABLED:
         found.extend(_not_enabled(view))
     if view.controlword is not None and view.controlword & ControlBit.HALT:
-        found.append(Reason("its controlword commands a halt (bit 8)", "a command without bit 8"))
+        found.append(Reason("its controlword commands a halt (bit 8)", "a command without bit 8", True))
     found.extend(_mode(view))
     found.extend(_limits(view))
     return tuple(found)
@@ -117,13 +148,13 @@ def _fault(view: DriveView) -> Reason:
 
 def _not_enabled(view: DriveView) -> list[Reason]:
     found = []
-    # Most drives show no voltage before a master has asked for it
-    is_asked = view.state is not State.SWITCH_ON_DISABLED or (view.controlword or 0) & _SHUTDOWN == _SHUTDOWN
-    if is_asked and not view.statusword & StatusBit.VOLTAGE_ENABLED:
+    # Most drives show no voltage before they are told to switch on
+    asked = _ASKED.get(view.state, 0)
+    if (view.controlword or 0) & asked == asked and not view.statusword & StatusBit.VOLTAGE_ENABLED:
         found.append(Reason("its power stage has no voltage (bit 4 is 0)", "look at the motor supply, and at safe torque off"))
     if view.state is State.NOT_READY_TO_SWITCH_ON:
-        return [*found, Reason("it is not ready to switch on: it still starts up", "wait")]
-    return [*found, Reason(f"it is not enabled: {view.state}", "enable it")]
+        return [*found, Reason("it is not ready to switch on: it still starts up", "wait", True)]
+    return [*found, Reason(f"it is not enabled: {view.state}", "enable it", True)]
 
 
 def _mode(view: DriveView) -> list[Reason]:
@@ -135,9 +166,9 @@ def _mode(view: DriveView) -> list[Reason]:
         what = f"{mode_name(wanted)} was selected, but it shows {mode_name(shown)} (0x6060, 0x6061)"
         found.append(Reason(what, "wait; some drives change their mode only while they stand, or are not enabled"))
     elif shown == Mode.NO_MODE:
-        found.append(Reason("no mode of operation is selected (0x6061 is 0)", "select one (0x6060)"))
+        found.append(Reason("no mode of operation is selected (0x6061 is 0)", "select one (0x6060)", True))
     if view.state is State.OPERATION_ENABLED and shown in _OBEYS and not view.statusword & ModeStatus.FOLLOWS_COMMAND:
-        found.append(Reason("it does not follow its set-points (bit 12 is 0)", "send set-points in each cycle, with SYNC"))
+        found.append(Reason("it does not follow its set-points (bit 12 is 0)", "send set-points in each cycle, with SYNC", True))
     return found
 
 

@@ -21,6 +21,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
+from canopen_proto.drive.reasons import outer_reason
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import PdoReceived
@@ -126,7 +127,7 @@ class Watch(Generic[T]):
                 if result is not None:
                     return result
                 if now >= deadline and self.heard(objects.STATUSWORD) is not None:
-                    seen = axis.describe()
+                    seen = axis.describe() + outer_reason(axis)
                     raise StepTimeout(f"{name_of(axis)} did not reach {self.goal} within {timeout / SECOND:g} s: {seen}")
                 self._ask(now)
                 wake = min(time for time in (deadline, *self._due.values(), NEVER) if time > now)

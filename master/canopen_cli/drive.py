@@ -223,7 +223,7 @@ def _show(settings: Settings, screen: Screen, view: DriveView) -> None:
         screen.fact("position", f"{view.position} counts")
     if not found:
         screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
-    for number, (what, remedy) in enumerate(found):
+    for number, (what, remedy, _) in enumerate(found):
         screen.fact("" if number else "it does not move", f"{what}. Try: {remedy}")
 
 

@@ -9,12 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto import drive
 from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
-from canopen_proto.drive.reasons import DriveView, Reason, look_at, reasons
+from canopen_proto.drive.reasons import DriveView, Reason, look_at, outer_reason, reasons
+from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoFailed, StepTimeout
 from tests.proto.object_answers import run_against
+from tests.proto.rig import Rig
 
 MOVES = DriveView(0x1637, 0x001F, Mode.INTERPOLATED_POSITION, Mode.INTERPOLATED_POSITION, 0x43, 0, 0, 0, NmtState.OPERATIONAL)
 CASES: dict[str, tuple[DriveView, tuple[str, ...]]] = {
@@ -40,8 +44,12 @@ CASES: dict[str, tuple[DriveView, tuple[str, ...]]] = {
         ("it is not enabled: switch on disabled",),
     ),
     "no voltage further on": (
-        replace(MOVES, statusword=0x0221, controlword=None),
+        replace(MOVES, statusword=0x0221, controlword=0x0007),
         ("its power stage has no voltage (bit 4", "it is not enabled: ready to switch on"),
+    ),
+    "a drive that is only ready needs none yet": (
+        replace(MOVES, statusword=0x0221, controlword=0x0006),
+        ("it is not enabled: ready to switch on",),
     ),
     "not ready": (replace(MOVES, statusword=0x0210), ("it is not ready to switch on",)),
     "halt": (replace(MOVES, controlword=0x011F), ("its controlword commands a halt (bit 8)",)),
@@ -108,6 +116,17 @@ def test_the_order_is_that_of_removal() -> None:
     found = [each.what for each in reasons(view)]
     places = [next(place for place, what in enumerate(found) if word in what) for word in order]
     assert all(earlier < later for earlier, later in itertools.pairwise(places))
+
+
+def test_what_does_not_come_in_time_names_the_obstacle() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=10 * SECOND))
+    with pytest.raises(StepTimeout, match=r"within 3 s: .*; its power stage has no voltage .*\. Try: look at the motor supply"):
+        rig.run(drive.enable(rig.axis))
+    rig = Rig(Shape.STANDARD, pdos=False)
+    assert outer_reason(rig.axis) == ""  # nothing was heard yet
+    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.enable(rig.axis))
+    assert outer_reason(rig.axis) == ""
 
 
 def test_it_is_read_from_the_drive() -> None:
