@@ -24,9 +24,8 @@ from canopen_cli.problem import ExitCode
 from canopen_cli.recording import Recording
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_proto.cia402.objects import PROFILE_DECELERATION
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
-from canopen_proto.drive import axis
 from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, runner, stands, watched_fleets
 from tests.cli.test_demo_eds import written
 
@@ -162,7 +161,7 @@ def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: lis
 
     async def wear_out_the_brakes(fleet: Fleet) -> None:
         for node_id in (4, 7):
-            fleet.drives[node_id].values.store[PROFILE_DECELERATION] = 1
+            fleet.drives[node_id].values.store[objects.PROFILE_DECELERATION] = 1
 
     alarm.task = wear_out_the_brakes
     alarm.set((1.3, signal.SIGINT), (0.005, signal.SIGINT))
@@ -332,7 +331,7 @@ def test_a_bus_that_is_not_there(run: Run) -> None:
 
 
 def test_a_real_drive_whose_unit_nobody_said_is_not_moved(run: Run, bus: list[Fleet], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(axis, "SCHUNK_VENDOR_ID", 0x1234)
+    monkeypatch.setattr(objects, "SCHUNK_VENDOR_ID", 0x1234)
     outcome = run("demo", *TWO, "-b", "virtual:real")
     assert outcome.status == ExitCode.USAGE
     assert "joint1 (node 3 on virtual:real): the scale of the drive is not known" in outcome.err
