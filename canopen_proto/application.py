@@ -21,13 +21,13 @@ class Application(Protocol):
     """
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Return None if it accepts this value, else an abort code. Changes nothing. Type and limits were checked before."""
+        """Return None to accept a value, else an abort code. Changes nothing. Type and limits were checked before."""
 
     def written(self, index: int, subindex: int, now: Time) -> None:
         """Act on a value that was stored, by SDO or PDO (perhaps the same as before)."""
 
     def refresh(self, now: Time) -> None:
-        """Bring its values up to date: they are about to be read."""
+        """Update the values: they are about to be read."""
 
     def on_sync(self, now: Time) -> None:
         """Act on a SYNC; the synchronous RPDOs were taken before."""

@@ -51,7 +51,7 @@ class CommunicationErrors:
         self._emcy.raise_error(EMCY_CONNECTION_LOST, COMMUNICATION_ERROR_BIT, bytes((node_id,)), now, node_id)
 
     def node_back(self, node_id: int, now: Time) -> None:
-        """Clear that error: the heartbeat is back, or no longer monitored."""
+        """Clear the error of a lost node: its heartbeat is back, or no longer monitored."""
         self.lost_nodes.discard(node_id)
         self._emcy.clear(EMCY_CONNECTION_LOST, now, node_id)
 
@@ -60,7 +60,7 @@ class CommunicationErrors:
         self._emcy.raise_error(EMCY_CONNECTION_LOST, COMMUNICATION_ERROR_BIT, b"", now, _OUR_MASTER)
 
     def life_guarding_back(self, now: Time) -> None:
-        """Clear that error: the master guards the node again, or guarding is no longer used."""
+        """Clear the error of life guarding: the master guards the node again, or guarding is no longer used."""
         self._emcy.clear(EMCY_CONNECTION_LOST, now, _OUR_MASTER)
 
     def rpdo_failed(self, number: int, emcy_code: int, now: Time) -> None:
@@ -82,7 +82,7 @@ class CommunicationErrors:
         self._emcy.raise_error(EMCY_SYNC_LENGTH, COMMUNICATION_ERROR_BIT, b"", now)
 
     def sync_good(self, now: Time) -> None:
-        """Clear that error: a SYNC had the right length."""
+        """Clear the error of SYNC: it had the right length again."""
         self.sync_length = False
         self._emcy.clear(EMCY_SYNC_LENGTH, now)
 

@@ -81,7 +81,7 @@ EMCY_BUS_OFF_RECOVERED: Final = 0x8140
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class LocalNode(Group):
-    """A device on the bus; see the text of this module. It sends nothing before `boot`."""
+    """A device on the bus; see this module's text. It sends nothing before `boot`."""
 
     __slots__ = (
         "_errors",
@@ -270,7 +270,7 @@ class LocalNode(Group):
         return AbortCode.DEVICE_STATE if self.channels.host_takes(index, subindex) else PENDING  # the pieces of two would mix
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Check the value, store it and let it take effect; see the text of this module."""
+        """Check the value, store it and let it take effect; see this module's text."""
         variable = self._store.writable(index, subindex)
         if isinstance(variable, AbortCode):
             return variable

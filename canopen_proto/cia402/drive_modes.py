@@ -74,7 +74,7 @@ class OperationMode:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether it needs ticks although nothing moves."""
+        """Whether the mode needs ticks although nothing moves."""
         return False
 
     @property

@@ -127,7 +127,7 @@ def download_order(
     *,
     standing: Mapping[Mux, Value] | None = None,
 ) -> DownloadOrder:
-    """Return the writes that set a device to these values, as the text of this module describes.
+    """Return the writes that set a device to these values, as this module's text describes.
 
     values: by mux. standing: the device's present values, as far as they are known; strict devices want the CAN-ID unchanged in
     the write that destroys a PDO. Raises ObjectNotFound for a mux that the dictionary does not have, and ValueRangeError if an

@@ -1,4 +1,4 @@
-"""What a dictionary is made of: an `Object` at each index, a `Variable` at each of its subindices.
+"""The parts of a dictionary: an `Object` at each index, a `Variable` at each of its subindices.
 
 A variable is what SDO and PDO transfer. It has a place, a name, a type, access rights and an initial value. The first fields are
 those of CiA 301 (v4.2.0, 7.4). The last ones come from an EDS or DCF (CiA 306-1); only configuration tools use them. Neither
@@ -20,8 +20,7 @@ from canopen_proto.multiplexer import Mux, mux
 
 
 class Access(StrEnum):
-    """What SDO may do with an object (CiA 301 v4.2.0, 7.4.8.3). RWR is RW that a TPDO may carry, RWW that an RPDO may (CiA
-    306)."""
+    """The access to an object by SDO (CiA 301 v4.2.0, 7.4.8.3). RWR: RW, and a TPDO may carry it; RWW: an RPDO may (CiA 306)."""
 
     RO = "ro"
     WO = "wo"
@@ -110,7 +109,7 @@ class Variable:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All its names."""
+        """The name and the aliases."""
         return (self.name, *self.aliases)
 
     def initial_of(self, node_id: int) -> Value:

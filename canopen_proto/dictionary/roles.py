@@ -112,8 +112,7 @@ def profile_in(values: Mapping[Mux, Value]) -> int | None:
 
 
 def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
-    """Return the muxes that the valid RPDOs of a device carry. values: of the device. An RPDO without a COB-ID counts as
-    valid."""
+    """Return the muxes that the valid RPDOs carry, from the values of a device. An RPDO without a COB-ID counts as valid."""
     found: set[Mux] = set()
     for number in range(len(indices.RPDO_MAPPINGS)):
         count = values.get(mux(indices.RPDO_MAPPINGS.start + number))
@@ -123,7 +122,8 @@ def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
         for subindex in range(1, min(count, 64) + 1):
             entry = values.get(mux(indices.RPDO_MAPPINGS.start + number, subindex))
             if isinstance(entry, int):
-                found.add(mux(*mapped(entry)[:2]))
+                index, mapped_subindex, _ = mapped(entry)
+                found.add(mux(index, mapped_subindex))
     return frozenset(found)
 
 

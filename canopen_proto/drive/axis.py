@@ -264,7 +264,7 @@ class Axis:
 
     @property
     def is_homed(self) -> bool:
-        """Whether this master homed it since it was switched on; `drive.home` sets it."""
+        """Whether this master homed the drive since it was switched on; `drive.home` sets it."""
         return self._is_homed
 
     @is_homed.setter
@@ -274,7 +274,7 @@ class Axis:
 
     @property
     def has_lost_reference(self) -> bool:
-        """Whether this master homed it, and its reference is lost: it was reset, or a later homing failed."""
+        """Whether this master homed the drive, and the reference is lost: a reset, or a later homing that failed."""
         return self._was_homed and not self._is_homed and not self.settings.keeps_reference
 
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:

@@ -134,7 +134,7 @@ class PdoOverdue(Event):
 
 
 class PdoConsumer(Machine):
-    """Receives one PDO into a store; see the text of this module. Disabled until `set_enabled`.
+    """Receives one PDO into a store; see this module's text. Disabled until `set_enabled`.
 
     node_id: 1..127, the device itself, or the node whose TPDO the master receives. number: 1..512, or 0. key: the routing key of
     the frames; None while the PDO is not valid. store: mux -> value, written without a check of limits. event_time: ns; 0 = not

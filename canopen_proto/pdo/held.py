@@ -19,7 +19,7 @@ SYNC_TRANSIT: Final = 100 * MILLISECOND
 
 
 class HeldRpdos:
-    """The RPDOs that one device may hold; see the text of this module."""
+    """The RPDOs that one device may hold; see this module's text."""
 
     __slots__ = ("_by_hand", "_since")
 

@@ -169,7 +169,7 @@ def listed(values: Values, lists: range) -> Iterator[int]:
 
 
 class MpdoConsumer(Machine):
-    """Receives a device's RPDOs that are MPDOs; see the text of this module. enabled: the node is Operational (read-only)."""
+    """Receives a device's RPDOs that are MPDOs; see this module's text. enabled: the node is Operational (read-only)."""
 
     __slots__ = ("_dispatch", "_pdos", "_routes", "_values", "enabled", "node_id")
 
@@ -254,7 +254,7 @@ class MpdoConsumer(Machine):
 
 
 class MpdoProducer(Machine):
-    """Sends a device's TPDOs that are MPDOs; see the text of this module. enabled: the node is Operational (read-only)."""
+    """Sends a device's TPDOs that are MPDOs; see this module's text. enabled: the node is Operational (read-only)."""
 
     __slots__ = (
         "_destinations",

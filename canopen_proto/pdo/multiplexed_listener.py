@@ -19,7 +19,7 @@ from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoReceived, 
 
 
 class MpdoListener(Machine):
-    """Receives the TPDOs of one node that are MPDOs in source address mode; see the text of this module."""
+    """Receives the TPDOs of one node that are MPDOs in source address mode; see this module's text."""
 
     __slots__ = ("_keys", "_values", "node_id")
 

@@ -55,7 +55,7 @@ _MODES: Final = {int(mode): mode for mode in MpdoMode}
 
 
 class DevicePdos(Owner):
-    """All PDOs of one device; see the text of this module.
+    """All PDOs of one device; see this module's text.
 
     values: the device's memory, which the PDOs read and write. consumers, producers: by PDO number, 1..512. No machine is added
     or removed later. faults: the error in a parameter, by its index. sends_on_start: send each event-driven TPDO once on entering

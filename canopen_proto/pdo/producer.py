@@ -74,7 +74,7 @@ class PdoNotSent(Event):
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class PdoProducer(Machine):
-    """Sends one PDO from a store; see the text of this module. Disabled until `set_enabled`.
+    """Sends one PDO from a store; see this module's text. Disabled until `set_enabled`.
 
     node_id: 1..127, the device itself, or the node that the master sends to. number: 1..512, or 0. key: the routing key of the
     frames; None while the PDO is not valid. store: mux -> value; a missing value is sent as zero. inhibit_time, event_time: ns;
@@ -211,7 +211,7 @@ class PdoProducer(Machine):
         )
 
     def receive(self, frame: Frame, now: Time) -> None:
-        """Answer a remote request; see the text of this module. Event: PdoNotSent, as in `trigger`. CiA 301 v4.2.0, 7.2.2.5.2"""
+        """Answer a remote request; see this module's text. Event: PdoNotSent, as in `trigger`. CiA 301 v4.2.0, 7.2.2.5.2"""
         if not self.enabled or self.key is None:
             return
         if self.is_event_driven:

@@ -108,7 +108,7 @@ class _Task:
 
     @property
     def must_throw(self) -> bool:
-        """Whether it is cancelled, and Cancelled is still to be thrown into it."""
+        """Whether the task is cancelled, and Cancelled is still to be thrown into it."""
         return self.state is _State.CANCELLING and not self.thrown
 
 
@@ -253,7 +253,7 @@ class Runner(Machine):
         self._end(task, result, failure, now)
 
     def _take(self, task: _Task, step: Step, now: Time) -> object:
-        """Begin a step. Sets task.step if it must be waited for, else returns its result."""
+        """Begin a step. Returns its result, or sets task.step if the task has to wait for it."""
         match step:
             case Act():
                 return step.function(now)

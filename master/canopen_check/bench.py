@@ -152,8 +152,8 @@ class Bench:
     def content_of(self, variable: Variable) -> bytes | None:
         """Return the bytes that an object holds after a reset; None if the dictionary does not tell.
 
-        It does not tell if the value does not fit the object's type. Nor if a DCF gives another value than the default to an
-        object that no master can write: that value was once read from a device.
+        The dictionary does not tell if the value does not fit the object's type, or if a DCF gives an object that no master can
+        write another value than the default: that value was once read from a device.
         """
         value = variable.default if variable.configured is None else variable.configured
         if value is None or (not variable.access.writable and value != variable.default):

@@ -98,7 +98,7 @@ def expect_data(bench: Bench, pdo: Pdo, heard: list[FrameHeard]) -> None:
 
 
 def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[str | None]:
-    """Lead the device to a state, check the TPDO, and in any case lead it back to a state where the TPDO can be set up."""
+    """Lead the device to a state, check the TPDO, and always lead it back to a state in which the TPDO can be set up."""
     yield from bench.command(_COMMANDS[state])
     bench.probe.listen_also(key_of(bench, pdo))
     try:

@@ -40,12 +40,12 @@ class Pdo(NamedTuple):
 
     @property
     def communication(self) -> int:
-        """The index of its communication parameter."""
+        """The index of the PDO's communication parameter."""
         return communication_index(self.direction, self.number)
 
     @property
     def mapping(self) -> int:
-        """The index of its mapping parameter."""
+        """The index of the PDO's mapping parameter."""
         return mapping_index(self.direction, self.number)
 
     def __str__(self) -> str:

@@ -44,7 +44,7 @@ _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 
 
 def expect_sdo(bench: Bench, lives: bool) -> Procedure[None]:
-    """Check that the device answers SDO requests, or (lives is False) does not answer at all."""
+    """Check that the device answers SDO requests, or, if `lives` is False, that it does not."""
     bench.probe.forget(bench.response_key)
     yield from bench.send(bench.request_key, initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0))
     if lives:
@@ -83,7 +83,7 @@ def _those_of(bench: Bench, direction: Direction) -> list[Pdo]:
 
 
 def expect_tpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
-    """Check that a TPDO comes by its event timer, or (lives is False) not at all."""
+    """Check that a TPDO comes by its event timer, or, if `lives` is False, that it does not."""
     if pdo is not None:
         heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
         expect(bool(heard) is lives, f"{pdo} came {len(heard)} times")

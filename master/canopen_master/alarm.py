@@ -1,9 +1,8 @@
-"""How the timekeeper sleeps until a deadline.
+"""Alarms, by which the timekeeper sleeps until a deadline.
 
 trio hands its deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median. That is too
-much for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd): they are exact to a microsecond, and trio can wait for
-one as for any other file. So a real clock on Linux gets `FineAlarm`. All else gets `CoarseAlarm`: other systems, and tests in
-virtual time, whose clock no file knows.
+much for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd). They are exact to a microsecond, and trio can wait for
+one as for any other file. So a real clock on Linux gets `FineAlarm`. Other systems, and tests in virtual time, get `CoarseAlarm`.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class CoarseAlarm:
         self._scope: trio.CancelScope | None = None
 
     def set(self, deadline: float) -> None:
-        """Wake at this time (seconds of trio's clock) unless an earlier one is set: an early wake does no harm."""
+        """Wake at this time (seconds of trio's clock), or earlier if an earlier one is set: an early wake does no harm."""
         if deadline < self._deadline:
             self._deadline = deadline
             if self._scope is not None:

@@ -147,7 +147,7 @@ class Bus:
 
     @property
     def pending(self) -> int:
-        """Frames that have not reached the transport yet."""
+        """The number of frames that have not reached the transport yet."""
         return len(self._first) + len(self._sdo) + self._is_sending
 
     def queue(self, frames: Sequence[Frame], now: Time) -> bool:
@@ -200,7 +200,7 @@ class Bus:
         return None if self._prompt is None else self._prompt.receive_nowait(MAX_BATCH)
 
     def push_to(self, receiver: Callable[[Frame, Time], None] | None) -> None:
-        """Let a transport that can do so push the frames to `receiver`; None: end this."""
+        """Let the transport push frames to `receiver`, if it can; None = stop."""
         if isinstance(self.transport, PushingTransport):
             self.transport.push_to(receiver)
 

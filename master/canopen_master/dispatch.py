@@ -24,7 +24,7 @@ class Canceller(Protocol):
     """An object that can take a request back: a RemoteNode, a Runner."""
 
     def cancel(self, request_id: RequestId, now: Time) -> object:
-        """Take it back; its outcome follows."""
+        """Take the request back; its outcome follows."""
 
 
 class Waiter:
@@ -65,14 +65,14 @@ class Waiter:
             self._parked.unpark_all()
 
     async def wait(self) -> None:
-        """Wait until it is done. Always a checkpoint."""
+        """Wait until the request is done. Always a checkpoint."""
         if self.is_done:
             await trio.lowlevel.checkpoint()
         while not self.is_done:
             await self._park()
 
     async def next_news(self) -> SdoProgress | None:
-        """Wait for the next report of a stream; None once all were returned and it is done."""
+        """Wait for the next report of a stream; None once all were returned and the stream has ended."""
         await trio.lowlevel.checkpoint_if_cancelled()
         while not self._news and not self.is_done:
             await self._park()
@@ -138,7 +138,7 @@ class Dispatcher:
         return watcher
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Stop calling its callback; does nothing if it was stopped before."""
+        """Stop calling a callback; does nothing if it was stopped before."""
         if watcher in self._watchers:
             self._watchers.remove(watcher)
             self._by_kind.clear()

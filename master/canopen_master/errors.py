@@ -85,7 +85,7 @@ class NodeError(MasterError):
 
 
 class NodeSilent(NodeError, TimeoutError):
-    """A node did not boot in time, or did not send in time the frame that was waited for."""
+    """A node did not boot in time, or did not send an expected frame in time."""
 
 
 class SdoError(NodeError):
@@ -109,7 +109,7 @@ class SdoRefused(SdoError):
 
 
 class SdoGivenUp(SdoError):
-    """We ended the transfer: the node was reset or lost meanwhile, or its answer made no sense."""
+    """We ended the transfer: the node was reset or lost during it, or its answer was not valid."""
 
 
 class SdoNotConfirmed(SdoTimeout, SdoGivenUp):
@@ -153,7 +153,7 @@ class SetPointRefused(MasterError, ValueError):
 
 
 class ChainError(MasterError):
-    """A chain could not do what it was asked for. chain: its name; joint: the one that it failed for, "" for all."""
+    """A chain could not carry out a command. chain: its name. joint: the joint that failed, "" for all."""
 
     def __init__(
         self,
@@ -178,8 +178,8 @@ class ChainHalted(ChainError):
 class ChainFault(ChainError):
     """A joint failed, and with it its whole chain was stopped.
 
-    node_id, bus: of the joint. state, statusword: of its drive when that was noticed. error_code: 0x603F, 0 where it is not
-    known. emcy: the last emergency of that node, or None. reason: one line.
+    node_id, bus: of the joint. state, statusword: of its drive at that time. error_code: 0x603F; 0 if it is not known. emcy: the
+    last emergency of the node, or None. reason: one line.
     """
 
     def __init__(

@@ -151,7 +151,7 @@ class Device:
 
     @property
     def dictionary(self) -> ObjectDictionary:
-        """Its objects."""
+        """The device's objects."""
         return self.node.dictionary
 
     @property

@@ -197,8 +197,8 @@ class Participant:
     async def run(self, procedure: Procedure[T]) -> T:
         """Run a procedure of `canopen_proto.procedures`, or your own, to its end, and return its result.
 
-        If the task is cancelled, the procedure is cancelled, and its clean-up is waited for (CLEAN_UP_TIME, 1 s, at most, or
-        longer for a drive that still slows down). Raises what the procedure raised: a ProcedureError.
+        If the task is cancelled, the procedure is cancelled, and the task waits for its clean-up (at most CLEAN_UP_TIME, 1 s, or
+        longer for a drive that still slows down). Raises the procedure's own error: a ProcedureError.
         """
         self.check_open()
         request_id, waiter = self.launch(procedure)

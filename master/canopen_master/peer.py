@@ -37,12 +37,12 @@ class Peer:
 
     @property
     def bus(self) -> str:
-        """The name of its bus."""
+        """The name of the node's bus."""
         return self._bus.name
 
     @property
     def network(self) -> Network:
-        """What runs on its bus."""
+        """The core's Network on the node's bus."""
         return self._bus.network
 
     @property

@@ -53,11 +53,10 @@ STUFFING: Final = 0x3C
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A frame that is sent repeatedly. kind: "SYNC", "RPDO", "TPDO", "event" (an event-driven TPDO), "heartbeat", "EMCY" or
-    "SDO".
+    """A frame that is sent repeatedly.
 
-    node_id: 0 for SYNC. name: for people. size: bytes. period, deadline: ns. reaction: the time from SYNC to a TPDO in its
-    device.
+    kind: "SYNC", "RPDO", "TPDO", "event" (an event-driven TPDO), "heartbeat", "EMCY" or "SDO". node_id: 0 for SYNC. name: for
+    people. size: bytes. period, deadline: ns. reaction: the time that the device takes from SYNC to its TPDO, ns.
     """
 
     kind: str
@@ -90,12 +89,12 @@ class StreamPlan:
 
     @property
     def fits(self) -> bool:
-        """Whether it always meets its deadline."""
+        """Whether the stream always meets its deadline."""
         return self.worst <= self.stream.deadline
 
     @property
     def margin(self) -> Time:
-        """ns left until its deadline; below 0 if it does not fit."""
+        """The time left until the deadline, ns; below 0 if the stream does not fit."""
         return self.stream.deadline - self.worst
 
 

@@ -145,7 +145,7 @@ class MasterSession:
 
     @enable_ki_protection
     async def _halt(self) -> None:
-        """End the session: see the text of this module."""
+        """End the session: see this module's text."""
         try:
             begun = trio.current_time()
             with trio.CancelScope(shield=True, deadline=begun + SHUTDOWN_TIME) as scope:

@@ -1,4 +1,4 @@
-"""Why did no node answer? The frames heard on the bus point to the likely cause, and to what to try next.
+"""The likely cause if a node does not answer, from the frames heard on the bus, and what to try next.
 
 A `Diagnosis` is made when a request of ours, or a wait, has ended without an answer. It gives what the core remembers of the node
 and of the bus, then the best guess, then the next step. The core goes by the predefined connection set
@@ -80,7 +80,7 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
 
 
 def missing_frame(network: Network, node: RemoteNode, now: Time, cause: str, tries: Sequence[str], *, pdo: bool) -> Diagnosis:
-    """Return why a node did not send the frame that was waited for: a PDO, or a boot-up or heartbeat.
+    """Return why a node did not send an expected frame: a PDO, or a boot-up or heartbeat.
 
     cause, tries: for a node that is alive. For a boot-up or heartbeat they also hold for a silent node: a device without a
     heartbeat is silent until it is asked.
@@ -108,7 +108,7 @@ def _state(heard: NodeHeard, node: RemoteNode) -> NmtState | None:
 
 
 def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time | None, str]:
-    """When the node was last heard, and a line about it; None if it was never heard."""
+    """Return when the node was last heard, and a line about it; None if it was never heard."""
     # Its PDOs count too, if they are known to be its own: those that the RemoteNode decodes.
     value_time = max(node.heard_at.values(), default=None)
     if heard.time is None and value_time is None:
@@ -138,7 +138,7 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
 
 
 def _other_clients(network: Network, heard: NodeHeard, now: Time) -> tuple[str, str]:
-    """Signs that another client asks this node, and what they mean; "" if there are none."""
+    """Return the signs that another client asks this node, and their meaning; "" if there are none."""
     node_id, request, answer = heard.node_id, heard.foreign_request, heard.unasked_answer
     if request is not None and now - request.time <= RECENT:
         seen = f"; another client asked it {_ago(now - request.time)} (0x{SDO_CLIENT_TO_SERVER + node_id:X})"

@@ -51,7 +51,7 @@ CAN_FATES = (Fate.DELIVERED, Fate.LOST, Fate.COPIED)
 
 
 class Bus:
-    """See the text of this module."""
+    """See this module's text."""
 
     def __init__(
         self,

@@ -14,7 +14,7 @@ from tests.proto.machines import Alarm, Answered, Clerk
 
 
 class Desk:
-    """See the text of this module. sent: frames as text; outcomes: of procedures, by id."""
+    """See this module's text. sent: frames as text; outcomes: of procedures, by id."""
 
     def __init__(self) -> None:
         self.now: Time = 0

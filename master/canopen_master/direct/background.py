@@ -71,7 +71,7 @@ class Background(Generic[T]):
 
     @property
     def is_running(self) -> bool:
-        """Whether it takes calls."""
+        """Whether the thread takes calls."""
         return self._nursery is not None
 
     def start(self) -> T:

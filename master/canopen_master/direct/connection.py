@@ -59,7 +59,7 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether it takes commands."""
+        """Whether the connection takes commands."""
         return self._background is not None and self._background.is_running
 
     @property
