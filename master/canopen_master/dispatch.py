@@ -157,7 +157,7 @@ class Dispatcher:
             return
         failure: Exception | None = None
         for watcher in watchers:
-            if (watcher.bus is None or watcher.bus is bus) and watcher.node_id in (0, event.node_id):
+            if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
                 try:
                     watcher.callback(event)
                 except Exception as error:  # noqa: BLE001 - raised below, when all have been told

@@ -40,12 +40,13 @@ class Subscription(Generic[E]):
 
     def put(self, event: E) -> None:
         """Add an event (the pump does)."""
-        if len(self._events) == self._size:
-            self._events.popleft()
+        events = self._events
+        if not events:
+            self._waiting.unpark_all()  # a reader waits only while there is no event
+        elif len(events) == self._size:
+            events.popleft()
             self.dropped += 1
-        self._events.append(event)
-        if self._waiting:
-            self._waiting.unpark()
+        events.append(event)
 
     def end(self, reason: BaseException) -> None:
         """End the subscription: after the queued events, `reason` is raised."""

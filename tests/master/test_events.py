@@ -71,6 +71,25 @@ async def test_waiting_for_events_can_be_cancelled() -> None:
 
 
 @virtual_time
+async def test_each_of_two_tasks_that_share_a_subscription_gets_an_event() -> None:
+    async with open_master(BUS) as master, VirtualTransport("test") as device, trio.open_nursery() as nursery:
+        heard: list[int] = []
+
+        async def listen() -> None:
+            heard.append((await events.receive()).node_id)
+
+        with master.events(HeartbeatReceived) as events:
+            for node_id in (3, 4):
+                master.node(node_id)
+                nursery.start_soon(listen)
+            await trio.testing.wait_all_tasks_blocked()
+            for node_id in (3, 4):  # both before one of the tasks has run
+                device.send_nowait(Frame(0x700 + node_id, b"\x05"))
+            await trio.testing.wait_all_tasks_blocked()
+            assert sorted(heard) == [3, 4]
+
+
+@virtual_time
 async def test_subscriptions_end_with_the_master() -> None:
     async with open_master(BUS) as master:
         events = master.events(SyncSent, bus=BUS)
