@@ -47,7 +47,7 @@ def cases(site: Site, *, hears_only: bool = False, optional: tuple[str, ...] = (
     return [
         case
         for case in (HEARING if hears_only else CASES)
-        if (case not in optional_cases.CASES or case.name in optional) and (site.unopenable or case is not UNOPENABLE)
+        if (case not in vars(optional_cases).values() or case.name in optional) and (site.unopenable or case is not UNOPENABLE)
     ]
 
 

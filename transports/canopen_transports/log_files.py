@@ -48,7 +48,7 @@ LOSSES: Final = {
 """What a kind of file cannot hold, in words for people. The keys are the kinds."""
 
 _READING_ERRORS: Final = (
-    ValueError,  # numbers that are none, dates
+    ValueError,  # invalid numbers and dates
     LookupError,
     TypeError,
     ArithmeticError,

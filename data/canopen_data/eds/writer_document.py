@@ -34,14 +34,14 @@ def changed_text(document: EdsDocument, before: Sections, after: Sections) -> st
     editor = _Editor(document)
     changed = {name for name in {**before, **after} if before.get(name) != after.get(name)}
     rewritten = {_object_of(fold(name)) for name in changed if name in before and fold(name) not in editor.places} - {""}
-    anew = rewritten - {_object_of(name) for name in editor.places}
-    rewritten -= anew
+    appended = rewritten - {_object_of(name) for name in editor.places}
+    rewritten -= appended
     for index in sorted(rewritten):
         editor.rewrite(index, after)
     previous = ""
     for name, entries in after.items():
         owner = _object_of(fold(name))
-        if owner not in rewritten and fold(name) not in editor.places and (owner in anew or name in changed):
+        if owner not in rewritten and fold(name) not in editor.places and (owner in appended or name in changed):
             editor.add_section(name, entries, previous)
         elif owner not in rewritten and name in changed:
             editor.change(name, before.get(name, {}), entries)

@@ -10,7 +10,7 @@ import trio
 import trio.testing
 
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.case import case
 from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, number_of, numbered
 
@@ -113,6 +113,3 @@ async def storm_on_send(bench: Bench) -> None:
         of_one = [number for number in heard if number in set(expected)]
         expect_numbers(of_one, expected, f"frames of task {task}, against its sends that returned")
     expect_numbers(sorted(heard), sorted(itertools.chain(*sent)), "frames of all tasks, against the sends that returned")
-
-
-CASES: Final[tuple[Case, ...]] = (cancelled_receive, cancelled_send, storm_on_receive, storm_on_send)

@@ -8,7 +8,7 @@ import trio
 
 from canopen_proto.frame import Frame
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.case import case
 from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, EVERY_KIND, IMPOSSIBLE, number_of, numbered
 from canopen_transports.transport import Transport
@@ -167,17 +167,3 @@ async def time_stamps(bench: Bench) -> None:
         return
     least, most = 0.9 * PAUSE * 1e9, MUCH_LATER * 1e9
     expect(least <= second - first <= most, f"two frames {PAUSE:g} s apart have stamps {second - first} ns apart")
-
-
-CASES: Final[tuple[Case, ...]] = (
-    every_kind_of_frame,
-    impossible_frames,
-    order,
-    order_of_each_task,
-    no_echo,
-    three_members,
-    one_member_alone,
-    who_leaves,
-    who_comes_and_goes,
-    time_stamps,
-)

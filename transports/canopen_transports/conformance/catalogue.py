@@ -17,14 +17,9 @@ from canopen_transports.conformance import (
 from canopen_transports.conformance.bench import Site
 from canopen_transports.conformance.case import Case
 
-CASES: Final[tuple[Case, ...]] = (
-    *opening_cases.CASES,
-    *carrying_cases.CASES,
-    *flooding_cases.CASES,
-    *cancelling_cases.CASES,
-    *closing_cases.CASES,
-    *optional_cases.CASES,
-)
+CHAPTERS: Final = (opening_cases, carrying_cases, flooding_cases, cancelling_cases, closing_cases, optional_cases)
+CASES: Final = tuple(each for chapter in CHAPTERS for each in vars(chapter).values() if isinstance(each, Case))
+"""All cases: each chapter's in the order in which they are written."""
 
 
 def run_all(site: Site) -> Iterator[tuple[Case, Verdict]]:

@@ -10,7 +10,7 @@ import trio
 import trio.testing
 
 from canopen_transports.conformance.bench import Bench, turns
-from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.case import case
 from canopen_transports.conformance.expectations import Violation, expect_numbers
 from canopen_transports.conformance.frames import END, numbered
 from canopen_transports.transport import Transport
@@ -134,14 +134,3 @@ async def opened_again(bench: Bench) -> None:
     await one.send(numbered(7))
     await one.send(END)
     expect_numbers(await bench.numbers_until_end(other), [7], "the frames after a member came back")
-
-
-CASES: Final[tuple[Case, ...]] = (
-    closing_wakes_the_receiver,
-    closing_wakes_the_senders,
-    closing_amid_traffic,
-    what_is_closed_stays_closed,
-    closing_by_two_tasks,
-    cancelled_close,
-    opened_again,
-)

@@ -8,7 +8,7 @@ from typing import Final
 import trio
 
 from canopen_transports.conformance.bench import Bench, turns
-from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.case import case
 from canopen_transports.conformance.expectations import expect, expect_numbers
 from canopen_transports.conformance.frames import END, number_of, numbered
 
@@ -98,6 +98,3 @@ async def two_receivers(bench: Bench) -> None:
         nursery.start_soon(hear)
         nursery.start_soon(hear)
     expect_numbers(sorted(heard), list(range(count)), "the frames that the two receivers took")
-
-
-CASES: Final[tuple[Case, ...]] = (burst_that_nobody_takes, stream, time_stamps_in_a_stream, others_run, two_receivers)

@@ -9,7 +9,7 @@ import trio
 
 from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import Bench
-from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.case import case
 from canopen_transports.conformance.expectations import NotApplicable, expect
 from canopen_transports.conformance.frames import numbered
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
@@ -57,6 +57,3 @@ async def opening_can_be_cancelled(bench: Bench) -> None:
     one, other = await bench.members(2)
     await one.send(numbered(1))
     expect(await bench.numbers(other, 1) == [1], "another frame than the one that was sent")
-
-
-CASES: Final[tuple[Case, ...]] = (what_cannot_be_opened_says_what_to_do, opening_can_be_cancelled)

@@ -12,7 +12,7 @@ import trio
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import MILLISECOND
 from canopen_transports.conformance.bench import HEAR_TIME, Bench
-from canopen_transports.conformance.case import Case, case
+from canopen_transports.conformance.case import case
 from canopen_transports.conformance.expectations import NotApplicable, Violation, expect, expect_numbers
 from canopen_transports.conformance.frames import END, IMPOSSIBLE, number_of, numbered
 from canopen_transports.transport import (
@@ -174,6 +174,3 @@ async def cyclic_frames(bench: Bench) -> None:
         expect_numbers(await bench.numbers_until_end(other), [], "cyclic frames after they were stopped")
         await other.send(END)
         await bench.numbers_until_end(one)
-
-
-CASES: Final[tuple[Case, ...]] = (eager_send, many_at_once, what_has_come, pushed_frames, filters, cyclic_frames)
