@@ -33,6 +33,13 @@ DRIVER_ERRORS: Final = (Exception,)
 driver's library is a NameError, a descriptor too high for `select` a ValueError, half a frame on a serial line a TypeError. Where
 this is caught, only python-can's code runs, and the code that reads its answers."""
 
+ROOM_TIME: Final = 1.0
+"""Seconds that a sender waits for room. The ten frames of a usual network queue take 0.13 s even at 10 kbit/s."""
+ROOM_POLL: Final = 0.001
+"""Seconds between two tries: four frames at 500k. (No file descriptor shows when a network queue has room again.)"""
+QUIET_TIME: Final = 1.0
+"""Seconds before the same fault on the wire is reported again: some come with each frame."""
+
 SAMPLE_BITRATE: Final = 500_000
 """Bit/s, for suggested commands where we do not know the bus's bit rate."""
 

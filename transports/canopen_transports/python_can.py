@@ -32,6 +32,7 @@ import trio
 
 from canopen_proto.frame import Frame
 from canopen_transports import diagnosis, peak
+from canopen_transports.diagnosis import QUIET_TIME, ROOM_POLL, ROOM_TIME
 from canopen_transports.driver_calls import call
 from canopen_transports.errors import (
     NOT_ACKNOWLEDGED,
@@ -62,14 +63,8 @@ from canopen_transports.transport import Received, check_frame
 REOPEN_PAUSE: Final = 0.5
 """Seconds before each try to open a bus again. Long enough that a node which disturbs a bus until it is bus-off leaves the bus to
 the others nearly all of the time."""
-ROOM_TIME: Final = 1.0
-"""Seconds that a sender waits for room. The ten frames of a usual network queue take 0.13 s even at 10 kbit/s."""
-ROOM_POLL: Final = 0.001
-"""Seconds between two tries: four frames at 500k. (No file descriptor shows when a network queue has room again.)"""
 IDLE_PAUSE: Final = 0.001
 """Seconds that a reader thread rests after its backend failed, or returned nothing without waiting."""
-QUIET_TIME: Final = 1.0
-"""Seconds before an error on the wire is reported again: errors may come with each frame."""
 MAX_NONSENSE: Final = 100
 """After so many invalid frames in a row, this is not such an adapter (or `select` refuses its descriptor each time)."""
 

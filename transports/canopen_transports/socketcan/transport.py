@@ -38,6 +38,7 @@ import trio
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame, RoutingKey
 from canopen_transports import diagnosis
+from canopen_transports.diagnosis import QUIET_TIME, ROOM_POLL, ROOM_TIME
 from canopen_transports.errors import (
     BUS_LOST,
     BusState,
@@ -53,10 +54,6 @@ from canopen_transports.socketcan.broadcast import Broadcast, check_cyclic
 from canopen_transports.socketcan.error_frames import ErrorReport
 from canopen_transports.transport import MAX_LENGTH, MAX_STANDARD_ID, Received, check_frame
 
-ROOM_TIME: Final = 1.0
-"""Seconds that a sender waits for room. The ten frames of a usual network queue take 0.13 s even at 10 kbit/s."""
-ROOM_POLL: Final = 0.001
-"""Seconds between two tries after ENOBUFS: four frames at 500k."""
 UP_POLL: Final = 0.05
 """Seconds between two looks at an interface that is down."""
 SEND_BUFFER: Final = 1
@@ -66,8 +63,6 @@ RECEIVE_BUFFER: Final = 4 << 20
 """Bytes for received frames. The kernel doubles it: 10 000 frames fit. Without root's rights it gives at most rmem_max."""
 CROWD: Final = 16
 """After so many frames at once we look whether the kernel dropped more: fewer fill no receive buffer."""
-QUIET_TIME: Final = 1.0
-"""Seconds before the same kind of fault is reported again: some come with each frame."""
 MAX_BACKLOG: Final = 256
 """The most batches that are read when the interface goes down: more than the receive buffer holds."""
 
