@@ -173,8 +173,8 @@ class Axis:
     """
 
     __slots__ = (
-        "_direction", "_given", "_greatest", "_heard_at", "_is_homed", "_least", "_offset", "_scale", "_set_points", "_settings",
-        "_shown", "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state",
+        "_direction", "_given", "_greatest", "_heard_at", "_is_homed", "_least", "_offset", "_scale", "_set_point", "_set_points",
+        "_settings", "_shown", "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
@@ -192,6 +192,7 @@ class Axis:
         self.started_at: Time = OBEYED
         found = (node.dictionary.get(*split_mux(mux)) for mux in (objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION))
         self._set_points = [variable for variable in found if variable is not None]
+        self._set_point = self._set_points[0].mux if self._set_points else objects.TARGET_POSITION  # the one that is shown
         ranges = [range_of(variable.data_type) or _NO_RANGE for variable in self._set_points]
         self._least, self._greatest = max((low for low, _ in ranges), default=0), min((high for _, high in ranges), default=0)
         node.commanded |= {objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION}
@@ -332,8 +333,7 @@ class Axis:
     @property
     def set_point_counts(self) -> int:
         """The position that the next RPDO commands, in counts."""
-        has_own = objects.INTERPOLATION_SET_POINT in self._store
-        return self._int(objects.INTERPOLATION_SET_POINT if has_own else objects.TARGET_POSITION)
+        return self._int(self._set_point)
 
     def set_position(self, position: float) -> None:
         """Set the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
