@@ -13,8 +13,6 @@ from collections.abc import Iterable
 import click
 
 from canopen_cli.problem import NO_ROOM, ExitCode, Problem, usage
-from canopen_data import DataError
-from canopen_data.findings import DictionaryError
 from canopen_master import errors
 from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
@@ -27,7 +25,6 @@ from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
-from canopen_transports.log_files import LogFileError
 
 
 def problem_of(error: BaseException) -> Problem:
@@ -69,7 +66,7 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
-        case errors.ChainFileError() | DataError() | DictionaryError() | LogFileError():
+        case errors.ChainFileError():
             return _spoken(error, ExitCode.BAD_FILE)
         case errors.UnknownChain() | errors.SetPointRefused():
             return _spoken(error, ExitCode.USAGE)
@@ -77,6 +74,8 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.SDO_ABORT)
         case errors.MasterError():
             return _of_chain(error)
+        case Explained():  # of a file: DataError, DictionaryError, LogFileError, ScriptError, StateFileError
+            return _spoken(error, ExitCode.BAD_FILE)
         case SdoFailed():
             return _of_sdo(error)
         case ProcedureError():

@@ -13,12 +13,10 @@ import trio
 
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
 from canopen_cli.options import DEMO, NodeIds, Settings, common
-from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.running import first_of, run_until_interrupted
+from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
-from canopen_cli.sim_devices import SHAPES, models, script_problem, wanted
-from canopen_master.hooks import ScriptError
-from canopen_master.parameter_keeper import ParameterKeeper, StateFileError
+from canopen_cli.sim_devices import SHAPES, models, wanted
+from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry
 from canopen_proto.cia402.drive_events import DriveFault, DriveStateChanged
 from canopen_proto.error_codes import error_text
@@ -103,15 +101,10 @@ def sim(
         screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
         if locator.startswith("virtual:"):
             screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
-        try:
-            async with fleet as served:
-                if settings.json:
-                    screen.json({"bus": locator, "nodes": served.node_ids})
-                await trio.sleep(math.inf if seconds is None else seconds)
-        except* ScriptError as errors:
-            error = first_of(errors)
-            assert isinstance(error, ScriptError)
-            raise script_problem(error) from None
+        async with fleet as served:
+            if settings.json:
+                screen.json({"bus": locator, "nodes": served.node_ids})
+            await trio.sleep(math.inf if seconds is None else seconds)
 
     run_until_interrupted(settings, screen, serve, devices=True)
 
@@ -132,8 +125,4 @@ def _teller(screen: Screen) -> Callable[[Event], None]:
 
 
 def _keeper(path: str) -> ParameterKeeper:
-    try:
-        return ParameterKeeper(Path(path) if path else None)
-    except StateFileError as error:
-        tries = ("another --state; a new one is written when a device stores",)
-        raise Problem(ExitCode.BAD_FILE, "CO333", f"{error.path} is not a state file", seen=error.seen, tries=tries) from None
+    return ParameterKeeper(Path(path) if path else None)

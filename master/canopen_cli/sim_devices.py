@@ -18,7 +18,7 @@ from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
 from canopen_data.device_notices import notices_of
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
-from canopen_master.hooks import Script, ScriptError
+from canopen_master.hooks import Script
 from canopen_master.plant import DeviceEntry, Plant, parse_plant
 from canopen_master.simulation import DeviceModel
 from canopen_proto.cia402.names import is_drive, with_drive_names
@@ -110,17 +110,7 @@ def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> Device
 
 
 def _script(path: str) -> Script | None:
-    if not path:
-        return None
-    try:
-        return Script(read_text(Path(path)), path)
-    except ScriptError as error:
-        raise script_problem(error) from None
-
-
-def script_problem(error: ScriptError) -> Problem:
-    """Return the Problem for a script that cannot be used."""
-    return Problem(ExitCode.BAD_FILE, "CO331", f"{error.place}: {error.message}", cause="a mistake in the script")
+    return Script(read_text(Path(path)), path) if path else None
 
 
 def _node_ids(entry: DeviceEntry, description: DeviceDescription) -> tuple[int, ...]:

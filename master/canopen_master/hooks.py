@@ -46,6 +46,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, NotInDictionary, ObjectDictionary
 from canopen_proto.error_codes import register_bits_of
+from canopen_proto.explained import Explained
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Time
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState
@@ -65,13 +66,11 @@ FUNCTIONS: Final = {"setup": 1, "run": 1, "step": 2, "on_read": 3, "on_write": 4
 """The functions that a script may have, and how many arguments each takes."""
 
 
-class ScriptError(Exception):
+class ScriptError(Explained, Exception):
     """A script cannot be used. place: file and line."""
 
     def __init__(self, place: str, message: str) -> None:
-        super().__init__(f"{place}: {message}")
-        self.place = place
-        self.message = message
+        super().__init__("CO331", f"{place}: {message}", cause="a mistake in the script")
 
 
 class HookAbort(Exception):

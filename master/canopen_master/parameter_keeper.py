@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from canopen_master.whole_file import whole_file
+from canopen_proto.explained import Explained
 from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 
 FORMAT: Final = "canopen-sim-state 1"
@@ -26,13 +27,12 @@ MAX_FILE_SIZE: Final = 16 * 1024 * 1024
 _OBJECT: Final = re.compile("([0-9A-Fa-f]{4}):([0-9A-Fa-f]{2})")
 
 
-class StateFileError(Exception):
-    """The file cannot be used. seen: what is wrong with it."""
+class StateFileError(Explained, Exception):
+    """The file is not one of stored parameters. For the fields see Explained."""
 
     def __init__(self, path: Path, seen: str) -> None:
-        super().__init__(f"{path}: {seen}")
-        self.path = path
-        self.seen = seen
+        tries = ("name another file: a new one is written when a device stores",)
+        super().__init__("CO333", f"{path} is not a state file", seen=seen, tries=tries)
 
 
 class ParameterKeeper:
@@ -81,7 +81,7 @@ def _parse(path: Path, content: bytes) -> dict[int, dict[Mux, bytes]]:
     try:
         return {int(node_id): dict(map(_parameter, entries.items())) for node_id, entries in devices.items()}  # type: ignore[union-attr]
     except (AttributeError, TypeError, ValueError) as error:
-        raise StateFileError(path, f"its devices make no sense: {error}") from None
+        raise StateFileError(path, f"its devices are not valid: {error}") from None
 
 
 def _parameter(entry: tuple[str, str]) -> tuple[Mux, bytes]:

@@ -25,6 +25,8 @@ from canopen_cli.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_master import errors
+from canopen_master.hooks import ScriptError
+from canopen_master.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
@@ -71,6 +73,8 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (ModeUnsupported("drive 5 does not support it: x"), ExitCode.DRIVE_FAULT, "CO405"),
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
+        (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
+        (StateFileError(Path("state.json"), "it is not JSON"), ExitCode.BAD_FILE, "CO333"),
         (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),
         (LocalProtocolError("not like this"), ExitCode.USAGE, "CO120"),
         (PermissionError("no"), ExitCode.PERMISSION, "CO109"),

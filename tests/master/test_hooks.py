@@ -357,7 +357,7 @@ def test_scripts_that_cannot_be_used(text: str, message: str) -> None:
         async with transport:
             with pytest.raises(ScriptError) as caught:
                 Host(transport, [DeviceModel(DICTIONARY, 5, script=Script(text, "anim.py"))])
-            assert str(caught.value) == message
+            assert caught.value.failed == message
 
     run()
 
