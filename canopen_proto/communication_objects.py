@@ -53,7 +53,7 @@ from canopen_proto.sync import MAX_COUNTER, SyncConsumer, SyncProducer
 from canopen_proto.time_stamp import TimeConsumer, TimeProducer
 
 MIN_SYNC_PERIOD_US: Final = 100
-"""The shortest communication cycle period that a client may set: two empty frames at 1 Mbit/s. Less would only flood the bus."""
+"""The shortest communication cycle period that a client may set: two empty frames at 1 Mbit/s. A shorter one floods the bus."""
 
 SYNC_PRODUCER_BIT: Final = 1 << 30
 TIME_PRODUCER_BIT: Final = 1 << 30

@@ -10,7 +10,7 @@ from canopen_proto.nmt import NmtCommand
 
 @runtime_checkable
 class Follower(Protocol):
-    """A machine (a RemoteNode) that is told what the network's other machines sent or heard."""
+    """A machine (a RemoteNode) to which the Network reports what the other machines sent or received."""
 
     node_id: int
 

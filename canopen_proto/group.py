@@ -26,7 +26,7 @@ from canopen_proto.machine import NEVER, Event, LocalProtocolError, Machine, Out
 Reaction: TypeAlias = Callable[[Any, Time], None]
 
 SPARE_WAKES: Final = 64
-"""Superseded entries that the heap may hold besides two for each member, before it is built again (bounded memory)."""
+"""The heap is built again if it has more than this many entries over two for each member: its memory stays bounded."""
 
 
 class Members:

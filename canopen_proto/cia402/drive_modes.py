@@ -94,7 +94,7 @@ class OperationMode:
 
 
 class _SetPoint(NamedTuple):
-    """A set-point as it was when it was given."""
+    """A set-point, with the values of its objects at the time when it was given."""
 
     target: float  # on the track
     velocity: float
