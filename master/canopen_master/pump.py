@@ -8,7 +8,7 @@ The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending 
 - one task per bus receives frames, one per bus sends them, and one for all buses keeps the time. Delivery needs no task: events
   go into bounded queues and wake tasks, which neither blocks nor calls anybody's code;
 - a bus inside this process pushes its frames (`PushingTransport`): they are taken in within the turn of the participant that
-  sends them, and no task is woken. A read of a simulated device so costs one round of the scheduler: the caller's own;
+  sends them, and no task is woken. So a read of a simulated device costs one round of the scheduler: the caller's own;
 - whatever mutates a machine (a frame, a deadline, a command of any task) is followed by `pump`, at once and without a checkpoint
   between: it drains all networks until none has anything more to say. A task that is cancelled can so never leave the core ahead
   of the wire, nor the wire ahead of the core;
