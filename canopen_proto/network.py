@@ -115,16 +115,17 @@ class Network:
         for machine in self._near[key] if key < SLOTS else self._routes.get(key, ()):
             machine.receive(frame, now)
         events, settled = out.events, self._settled
-        while settled < len(events):  # as `_settle` does, without a call, which each frame would pay for
-            reaction = self._reactions.get(type(events[settled]))
-            if reaction is not None:
-                reaction(events[settled], now)
-            settled += 1
-        self._settled = settled
+        if settled < len(events):  # a segment of a transfer reports nothing
+            while settled < len(events):  # as `_settle` does, without a call
+                reaction = self._reactions.get(type(events[settled]))
+                if reaction is not None:
+                    reaction(events[settled], now)
+                settled += 1
+            self._settled = settled
+            if settled > MAX_UNDRAINED_EVENTS:
+                self._shed()
         if timestamp is not None:
             out.root.timestamp = None
-        if settled > MAX_UNDRAINED_EVENTS:
-            self._shed()
         if key < SLOTS:
             self._times[key] = now
             self._frames[key] = frame
