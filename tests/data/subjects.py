@@ -115,7 +115,7 @@ class Subject:
         """What must hold at any time."""
         memory = held(self.network._knowledge)  # of what was heard: as large as its slots from the beginning
         assert memory <= MOST_REMEMBERED, f"it remembers {memory}"
-        amount = held(self.network) - memory
+        amount = held(self.network) - memory - len(self.network._near)  # a list of routes, as long from the beginning
         assert amount <= MOST_HELD, f"it holds {amount}"
         assert self.network.next_deadline() <= NEVER
 

@@ -10,6 +10,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Outcome, Time
 from canopen_proto.network import Network
@@ -69,13 +70,21 @@ CHANGES: dict[int, Value] = {
 
 
 class Strict(LocalNode):
-    """A device that can be told how to take each write, by its count from 1 on, and notes in which NMT state it was written."""
+    """A device that can be told which frames reach it (`takes`), and how to take each write, by its count from 1 on.
+
+    It notes in which NMT state it was written.
+    """
 
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary) -> None:
         super().__init__(out, node_id, dictionary)
         self.refuse: Callable[[int], AbortCode | None] = lambda count: None
         self.is_silent: Callable[[int], bool] = lambda count: False
         self.writes: list[tuple[int, int, NmtState]] = []
+        self.takes: Callable[[Frame], bool] = lambda frame: True
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if self.takes(frame):
+            super().receive(frame, now)
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
         self.writes.append((index, subindex, self.state))
