@@ -35,7 +35,7 @@ _SHOWN: Final = {
     "position": objects.POSITION_ACTUAL_VALUE,
     "inputs": objects.DIGITAL_INPUTS,
 }
-"""What `look_at` reads besides the statusword: fields of `DriveView`."""
+"""The fields of `DriveView` that `look_at` reads besides the statusword."""
 _SIGNED: Final = (objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY, objects.POSITION_ACTUAL_VALUE)
 _ASKED: Final = {
     State.SWITCH_ON_DISABLED: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP,
@@ -51,7 +51,7 @@ _OBEYS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class DriveView:
-    """What a drive shows: the values of objects of CiA 402, None where it lacks one; nmt_state: None if it was never heard."""
+    """The values of a drive's objects of CiA 402; None: it lacks the object. nmt_state: None: it was never heard."""
 
     statusword: int
     controlword: int | None = None

@@ -63,7 +63,7 @@ class Unit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DriveUnits:
-    """What a drive tells of its units; None: it does not tell.
+    """The units of a drive, as it tells them; None: it does not tell.
 
     per_turn: counts for a turn of the shaft. per_motor_turn: counts for a turn of the motor. per_metre: counts, of a drive that
     positions a length. per_velocity: counts per second in one velocity unit. rated_torque: N·m.

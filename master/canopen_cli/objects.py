@@ -42,7 +42,7 @@ _BLOCK = click.option(
 
 @dataclass(frozen=True)
 class Request:
-    """What the arguments choose. type_name, block: see --type and --block; None if not given."""
+    """The choices of the command line. type_name, block: see --type and --block; None if not given."""
 
     node_id: int
     type_name: str | None

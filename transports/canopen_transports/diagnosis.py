@@ -29,9 +29,9 @@ from canopen_transports.locator import Locator, bitrate_text, nearest
 from canopen_transports.peak import attached
 
 DRIVER_ERRORS: Final = (Exception,)
-"""What a call into python-can may raise: anything. Adapters' packages have exceptions of all kinds; a function missing in the
-driver's library is a NameError, a descriptor too high for `select` a ValueError, half a frame on a serial line a TypeError. Where
-this is caught, only python-can's code runs, and the code that reads its answers."""
+"""A call into python-can may raise anything. Adapters' packages have exceptions of all kinds: a function missing in the driver's
+library is a NameError, a descriptor too high for `select` a ValueError, half a frame on a serial line a TypeError. Where this is
+caught, only python-can's code runs, and the code that reads its answers."""
 
 ROOM_TIME: Final = 1.0
 """Seconds that a sender waits for room. The ten frames of a usual network queue take 0.13 s even at 10 kbit/s."""

@@ -45,7 +45,7 @@ LOSSES: Final = {
     "frames earlier than the first one get its time",
     ".trc": "remote frames are left out; names of buses become numbers",
 }
-"""What a kind of file cannot hold, in words for people. The keys are the kinds."""
+"""By the ending of a file, in words for people: what such a file cannot hold."""
 
 _READING_ERRORS: Final = (
     ValueError,  # invalid numbers and dates
@@ -205,7 +205,7 @@ class LogReader:
             self._skip(str(reason))
             return None
         channel = "" if message.channel is None else str(message.channel)
-        time = round(message.timestamp * 10**6) * 1000  # a float of today's date is no more exact
+        time = round(message.timestamp * 10**6) * 1000  # a float of today's date is not more exact
         return Record(time, f"can{channel}" if channel.isdecimal() else channel, frame, not message.is_rx)
 
 

@@ -49,7 +49,7 @@ def timestamp_of(message: can.Message) -> int | None:
     stamp = message.timestamp
     if not (isinstance(stamp, int | float) and 0 < stamp < MAX_TIMESTAMP):
         return None
-    # A float of today's seconds is exact to 0.2 us. Whole seconds are converted apart, to lose no more.
+    # A float of today's seconds is exact to 0.2 us. Whole seconds are converted apart, so that no more is lost.
     seconds, fraction = divmod(stamp, 1.0)
     return int(seconds) * 1_000_000_000 + round(fraction * 1e9)
 

@@ -1,4 +1,4 @@
-"""What python-can's pcan backend leaves out: PCAN-Basic's status codes, and the channels that exist.
+"""PCAN-Basic's status codes and the channels that exist, which python-can's pcan backend leaves out.
 
 PCAN-Basic answers each call with a status: a set of bits (its `PCAN_ERROR_...`). Three kinds matter:
 

@@ -71,7 +71,7 @@ MAX_NONSENSE: Final = 100
 # Backends whose send only puts the frame into a queue.
 _SEND_DOES_NOT_BLOCK: Final = ("can.interfaces.virtual", "can.interfaces.pcan")
 _NONSENSE: Final = (ValueError, LookupError, TypeError, struct.error)
-"""What python-can's parsers of serial lines raise for an invalid frame."""
+"""The exceptions of python-can's parsers of serial lines for an invalid frame."""
 _GARBLED: Final = "the serial line's speed (tty_baudrate) is wrong, or this is another kind of adapter"
 _AWAY: Final = (BusState.DOWN, BusState.BUS_OFF)
 

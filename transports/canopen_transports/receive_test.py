@@ -33,7 +33,7 @@ NO_WIRE: Final = ("virtual", "udp_multicast", "tcp")
 
 @dataclass
 class Heard:
-    """What was heard on a bus.
+    """The frames that were heard on a bus, counted.
 
     locator: as it was opened. listen_only: whether the adapter only listened. frames: how many came. ids: how often each 11-bit
     CAN-ID came. first: the first frame. states: the bus's reports, in order. faults: how many error frames. lost: how many

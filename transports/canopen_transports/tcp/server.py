@@ -58,7 +58,7 @@ class _Member:
         self.work.unpark_all()
 
     def cut_off(self, reason: str) -> None:
-        """Send the reason and nothing else, and read no more from the member."""
+        """Send the reason and nothing else, and do not read from the member any longer."""
         if not self.reason:
             self.reason = reason
             self.out.end(reason)
