@@ -1,7 +1,5 @@
 """Block transfer: the frames, and what both of its sides share.
 
-Theory of operation
--------------------
 In a block transfer up to 127 segments of seven bytes go one behind the other, a *sub-block*, before the receiver acknowledges
 them all with one frame, in which it also says how long the next sub-block may be. So 1 MiB takes 149 797 segments and 1180
 acknowledgements; a segmented transfer takes twice as many frames, each waiting for the one before.

@@ -1,7 +1,5 @@
 """The SDO channels of a device: the servers of 0x1200 to 0x127F, and the clients of 0x1280 to 0x12FF.
 
-Theory of operation
--------------------
 A record holds a channel: sub 1 the COB-ID from client to server, sub 2 the one from server to client, sub 3 the node-ID at the
 other end. It exists while both COB-IDs are valid. A COB-ID is not valid while its bit 31 is set, or if it is 0, as in an empty
 description. The first server (0x1200) has the predefined CAN-IDs and always exists.

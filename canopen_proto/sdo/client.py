@@ -1,7 +1,5 @@
 """SDO client: reads (uploads) and writes (downloads) the objects of one server. CiA 301 v4.2.0, 7.2.4.
 
-Theory of operation
--------------------
 A client and a server share one channel, a pair of COB-IDs, and at most one transfer is under way on it. Requests queue up (first
 in, first out; urgent ones before all others) and each ends in exactly one outcome: SdoUploaded, SdoDownloaded or SdoAborted.
 

@@ -1,7 +1,5 @@
 """SDO server: lets a client read (upload) and write (download) the objects of a device. CiA 301 v4.2.0, 7.2.4.
 
-Theory of operation
--------------------
 A server has one channel, a pair of COB-IDs, and at most one transfer under way on it: a `Transfer` (transfer.py) of
 segmented_server.py, block_server.py or host.py, which gets the client's frames first. SdoServer begins and ends transfers.
 

@@ -1,7 +1,5 @@
 """The usual store of an SDO server: a dictionary and its values, by the rules that stand in the dictionary.
 
-Theory of operation
--------------------
 `ValuesStore` is an ObjectStore that answers each access by the description (existence, access right, type, length, limits) and
 keeps what is written in `Values`, which PDOs share. Its abort codes are those of CiA 301 v4.2.0, 7.2.4.3.17, table 22.
 

@@ -1,7 +1,5 @@
 """One SDO transfer, in a client or in a server: its states, its inputs, and the end of the channel that it uses.
 
-Theory of operation
--------------------
 A `ChannelEnd` is one end of a channel: an SdoClient or an SdoServer. It knows the COB-IDs and the limits, and sends frames. A
 `Transfer` is one transfer, as that end sees it; there is a class for each kind, direction and role:
 

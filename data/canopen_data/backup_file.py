@@ -1,7 +1,5 @@
 """A backup as a DCF.
 
-Theory of operation
--------------------
 The file holds exactly what was read. An object without a value in the backup has none in the file, even if the description (an
 old backup, say) configures one. Its section says why (`_NotRead`, see `Variable.not_read`).
 

@@ -1,7 +1,5 @@
 """The product's CSV files: from three texts to one dictionary.
 
-Theory of operation
--------------------
 indices.csv names objects, constants.csv names values of them, PDOs.csv names what PDOs carry; rows.py has the formats. A user
 adds an object, a constant or a PDO by adding a line. This module takes texts; the caller reads the files.
 

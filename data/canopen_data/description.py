@@ -1,7 +1,5 @@
 """The content of a device's file: its objects, and the device as a whole.
 
-Theory of operation
--------------------
 An EDS describes a type of device, a DCF one device of that type with its node-ID and its settings (CiA 306-1 v1.4.0); an XDD and
 an XDC are the same in XML (CiA 311). All four are read into a `DeviceDescription`. Its `ObjectDictionary` is all that the
 protocol needs; the other fields are for tools: the file's author, the device's features, its commissioning.

@@ -1,7 +1,5 @@
 """Tell which parts of a device's description do not work in its `LocalNode`, and why: for a user with somebody else's file.
 
-Theory of operation
--------------------
 Any dictionary makes a device that boots and answers. A fault in it disables just the service that it concerns. The bus shows
 nothing of this, since a peer could not help; `notices_of` reports it. It looks at the description and at the present values
 (before `boot`: those at power-on), and names

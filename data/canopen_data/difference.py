@@ -1,7 +1,5 @@
 """Compare two descriptions by meaning: two files that say the same in another form do not differ.
 
-Theory of operation
--------------------
 `compare` goes through the objects of both by index, then through their variables by subindex, then field by field. It also
 compares the facts about the device as a whole. A `Difference` is plain data: the place, the field, and both values as they are in
 the description (numbers as numbers). A value of None means that the file does not have it.

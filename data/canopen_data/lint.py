@@ -1,7 +1,5 @@
 """Warn of things in the CSV files that are legal but dangerous.
 
-Theory of operation
--------------------
 Each rule is a function over the rows of one file that yields findings; `lint` runs them all. A row that may be right for some
 device gets a warning here, not an error in csv.py. The code of each finding is the rule's name for programs.
 

@@ -1,7 +1,5 @@
 """Side files in TOML: units, factors, names of values and bits, and aliases, which no EDS has.
 
-Theory of operation
--------------------
 An EDS says that 0x6064 is an INTEGER32; only the manual says that it counts thousandths of a degree. A side file says it too, and
 is laid over the dictionary of any file. Its one table, `objects`, has a table for each object by index, index and subindex, or
 name:

@@ -1,7 +1,5 @@
 """Read a device description from the bytes of an EDS, DCF, XDD or XDC.
 
-Theory of operation
--------------------
 The content decides the kind of file, not its name. XML begins with `<`, after any byte order mark and white space; a text of
 sections never does. The readers tell an EDS from a DCF, and an XDD from an XDC: a DCF or XDC commissions a device or sets values.
 This module takes bytes; `canopen_data.descriptions` reads files.

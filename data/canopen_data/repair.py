@@ -1,7 +1,5 @@
 """Repair the faults of an EDS or DCF that can be repaired without guessing.
 
-Theory of operation
--------------------
 The lenient reader takes a faulty file in its most likely meaning, and says so. `repair` writes that meaning down: after it, a
 strict reader understands the file as ours does already. Faults whose remedy is unknown (a missing default, a wrong limit, a
 mapping of a missing object) stay; `checks` reports them.

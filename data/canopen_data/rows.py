@@ -1,7 +1,5 @@
 """Read the rows of the product's three CSV files, and check each by itself.
 
-Theory of operation
--------------------
 The files are tables of the manual (indices.csv, constants.csv, PDOs.csv). Each line is a row; any white space separates columns;
 a column that begins with `#` begins a comment; blank lines are skipped. Numbers are always hexadecimal, with or without 0x, as
 the manual warns; only the length of an object is decimal.

@@ -1,8 +1,6 @@
 """The pump: it drives the Networks of one participant, on one or several buses, with trio. A master has one, a simulated device
 has one.
 
-Theory of operation
--------------------
 The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending and of what a bus reports: bus.py)
 
 - one task per bus receives frames, one per bus sends them, and one for all buses keeps the time. Delivery needs no task: events

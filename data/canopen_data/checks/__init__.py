@@ -1,7 +1,5 @@
 """The linter of device descriptions: it finds what contradicts the standards, the file itself, or common sense.
 
-Theory of operation
--------------------
 The readers report what they could not read. `check` judges what was read: it takes a `DeviceDescription` from any kind of file
 (EDS, DCF, XDD, XDC) and reports the faults of the device that it describes. Each rule has a code, a severity and a line of text
 (`RULES`):

@@ -1,7 +1,5 @@
 """Make the objects that an EDS abbreviates: arrays in compact form, and the PDO parameters of a device that has many.
 
-Theory of operation
--------------------
 CompactSubObj=n in the section of an object stands for subindex 0, which holds n, and for subindices 1 to n, which are all like
 the object's own section. [1234Name], [1234Value] and [1234Denotation] give single ones a name, a configured value (in a DCF) and
 a denotation. A sub-object with a section of its own is read from that. An entry without a name has the object's name with its

@@ -1,7 +1,5 @@
 """Decode the bytes of a file, and find out their encoding.
 
-Theory of operation
--------------------
 CiA 306 names no encoding. Bytes become text as UTF-8 (with or without a byte order mark), or UTF-16 with its mark. Any other file
 is in one of the old encodings of Windows, and does not name it. GBK (Chinese) or cp932 (Japanese) is guessed if the bytes are
 plausible for it and for no western text: two or more of its common characters side by side. Western texts have single ones, among

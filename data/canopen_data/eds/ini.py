@@ -1,7 +1,5 @@
 """Parse the form of an EDS or DCF: sections, keys, lines and columns. Any text is accepted.
 
-Theory of operation
--------------------
 An EDS is an INI file of Windows (CiA 306-1 v1.4.0, 4.2): `[section]`, `key=value`, and comments, which are lines that begin with
 a semicolon. That format has no standard; the reading function of Windows is its only authority. So here, too:
 

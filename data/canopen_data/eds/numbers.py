@@ -1,7 +1,5 @@
 """Read numbers and values as an EDS writes them.
 
-Theory of operation
--------------------
 CiA 306-1 v1.4.0, 4.2: a number is decimal, hexadecimal with 0x, or octal with a leading 0. A value may depend on the node-ID:
 `$NODEID+0x180`, or the other way round. Text is written as it is, octets as pairs of hexadecimal digits.
 

@@ -1,7 +1,5 @@
 """Read EDS and DCF: CANopen device descriptions as sections, keys and values (CiA 306-1).
 
-Theory of operation
--------------------
 An EDS describes a type of device, a DCF one device of it, with its node-ID and the values to set in its objects (ParameterValue).
 Both are read into a `DeviceDescription`, from the sections that ini.py gives: the objects here, in variables.py and compact.py,
 the rest in device.py.

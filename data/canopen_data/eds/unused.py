@@ -1,7 +1,5 @@
 """Report each section that was not read, since an object may be lost in one.
 
-Theory of operation
--------------------
 The name of a section tells its purpose. The index of an object in another spelling (`[0x2002]`, `[2002h]`), and a name much like
 one of the standard (`[OptionalObject]`, `[DeviceInfos]`), are errors: the section was meant, but is left out. Sections of CiA 306
 that we do not read (tools, object links) give no finding. All others are a maker's own: a notice.

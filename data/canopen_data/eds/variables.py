@@ -1,7 +1,5 @@
 """Make a variable from the section that describes it: its type, access, values and limits.
 
-Theory of operation
--------------------
 The section of a VAR, of a sub-object, and of an array in compact form have the same keys (CiA 306-1 v1.4.0, 4.6). A key that is
 missing or makes no sense is replaced, with a finding:
 

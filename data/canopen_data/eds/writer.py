@@ -1,7 +1,5 @@
 """Write an EDS or DCF from a description (CiA 306-1).
 
-Theory of operation
--------------------
 `write_eds` writes every fact that CiA 306 has a place for. If the description came from an EDS or DCF, the new text is the old
 one with only the changed facts replaced (writer_document.py); an unchanged description gives its own text back. Without such a
 document (CSV, XDD, a dictionary made by hand) it writes in the order and the forms of the standard (writer_sections.py).

@@ -1,7 +1,5 @@
 """Write changes into an existing file: order, spelling, number forms, comments and blank lines stay.
 
-Theory of operation
--------------------
 `before` and `after` are the old and the new content of the file, as sections (writer_sections.py). If both have the same text for
 a key, the file's line stays exactly as it is, faults included. Else
 

@@ -1,7 +1,5 @@
 """Turn a description into the sections, keys and texts of an EDS or DCF, for writing and for comparing descriptions.
 
-Theory of operation
--------------------
 `sections_of` gives every fact of a description that CiA 306 has a place for, in the standard's order of sections and in its
 spelling ("DeviceComissioning" has one m there, and some tools read nothing else). Each fact has exactly one text, whatever form
 its file had. So two descriptions say the same if their sections are equal, and a writer that keeps a file's form

@@ -1,7 +1,5 @@
 """Write values as texts of an EDS: the inverse of numbers.py.
 
-Theory of operation
--------------------
 Numbers have the form of the standard's examples: 0x and all digits where single bits or digits have a meaning (device type,
 identity, COB-IDs, mapping entries: the UNSIGNED32 of the communication profile area, except for times), decimal elsewhere. Octets
 (OCTET_STRING, DOMAIN) are pairs of hexadecimal digits. A line cannot hold line breaks, nor blanks at the ends of a text:

@@ -1,7 +1,5 @@
 """Read the facts about the device as a whole from an XDD: the file, identity, bit rates, features, dummies, commissioning.
 
-Theory of operation
--------------------
 Each function takes the bodies of the profiles (ISO 15745-1 ProfileBody: one of the device, one of its communication) and returns
 one part of a `DeviceDescription`. A fact that cannot be read is a warning and is left out: no object depends on it.
 

@@ -1,7 +1,5 @@
 """Parse XML from untrusted bytes into a small tree that knows its lines and columns.
 
-Theory of operation
--------------------
 `parse` runs the standard library's expat over the whole file and keeps each element with its attributes, its text and its place.
 Namespace prefixes are removed: files in the field declare the same namespace as q1, q2, as the default one, or not at all, and no
 name means two things in CiA 311.

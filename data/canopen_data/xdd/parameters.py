@@ -1,7 +1,5 @@
 """Read the application process of an XDD: parameters and their types, which objects refer to.
 
-Theory of operation
--------------------
 CiA 311 has two ways to describe an object. Its CANopenObject says everything itself, in the terms of CiA 306; or it names a
 parameter of the device profile (uniqueIDRef), which has type, access, default value, limits, unit and texts in the terms of ISO
 15745-1 and IEC 61131-3. Newer editors write the second form only. An attribute of the CANopenObject itself takes precedence over

@@ -1,7 +1,5 @@
 """Read XDD and XDC: CANopen device descriptions in XML (CiA 311, after ISO 15745-1 and -4).
 
-Theory of operation
--------------------
 An XDD describes a type of device, as an EDS does; an XDC, as a DCF, describes one device of it, with actual values and
 commissioning. Both are read into the same `DeviceDescription`.
 

@@ -6,8 +6,6 @@
     async for cycle in arm.cycles():
         arm.set_positions([...])
 
-Theory of operation
--------------------
 **One command at a time**: initialise, home, enable_interpolated_position, recover and shut_down run one procedure per joint, side
 by side. If one fails, the others are cancelled, which halts what they moved, and the error names the joint.
 
