@@ -17,8 +17,8 @@ from canopen_transports.transport import Transport
 
 TRAFFIC: Final = 50
 """Frames; once so many have come, traffic flows."""
-ENDLESS: Final = 20_000
-"""Frames; many more than can be sent before a transport is closed."""
+MANY: Final = 20_000
+"""Frames; many more than can be sent while a transport closes."""
 
 
 async def _expect_closed(call: Callable[[], Awaitable[object]], what: str) -> None:
@@ -36,10 +36,20 @@ async def _hear_on(member: Transport, on_frame: Callable[[], None]) -> None:
             on_frame()
 
 
-async def _send_on(member: Transport, task: int = 0) -> None:
-    """Send frames of one identifier per task: on a real bus, two nodes must not send one identifier at the same time."""
-    for _ in range(ENDLESS):
+async def _send_on(member: Transport, closes: trio.Event, task: int = 0) -> None:
+    """Send frames, and at most MANY from the time on when the member closes.
+
+    All have one identifier for each task: on a real bus, two nodes must not send one identifier at the same time.
+    """
+    left = MANY
+    while left:
         await member.send(numbered(task))
+        left -= closes.is_set()
+
+
+async def _close(member: Transport, closes: trio.Event) -> None:
+    closes.set()
+    await member.aclose()
 
 
 @case
@@ -55,19 +65,19 @@ async def closing_wakes_the_receiver(bench: Bench) -> None:
 @case
 async def closing_wakes_the_senders(bench: Bench) -> None:
     """Closing a transport ends its sends with ClosedResourceError: those under way, and those that wait for room."""
-    one = await bench.join(0)
+    one, closes = await bench.join(0), trio.Event()
     async with trio.open_nursery() as nursery:
         for _ in range(3):
-            nursery.start_soon(_expect_closed, functools.partial(_send_on, one), "send, while it was closed,")
+            nursery.start_soon(_expect_closed, functools.partial(_send_on, one, closes), "send, while it was closed,")
         await turns(200)
-        await one.aclose()
+        await _close(one, closes)
 
 
 @case
 async def closing_amid_traffic(bench: Bench) -> None:
     """Closing amid traffic wakes reader and sender, and the others continue."""
     one, other, third = await bench.members(3)
-    flows = trio.Event()
+    flows, closes = trio.Event(), [trio.Event() for _ in range(3)]
     count = 0
 
     def on_frame() -> None:
@@ -80,14 +90,15 @@ async def closing_amid_traffic(bench: Bench) -> None:
         nursery.start_soon(_expect_closed, functools.partial(_hear_on, third, lambda: None), "receive, while it was closed,")
         for task, member in ((1, one), (2, other)):
             nursery.start_soon(_expect_closed, functools.partial(_hear_on, member, on_frame), "receive, while it was closed,")
-            nursery.start_soon(_expect_closed, functools.partial(_send_on, member, task), "send, while it was closed,")
+            sending = functools.partial(_send_on, member, closes[task], task)
+            nursery.start_soon(_expect_closed, sending, "send, while it was closed,")
         await flows.wait()
-        await one.aclose()
+        await _close(one, closes[1])
         count, flows = 0, trio.Event()
-        nursery.start_soon(_expect_closed, functools.partial(_send_on, third, 0), "send, while it was closed,")
+        nursery.start_soon(_expect_closed, functools.partial(_send_on, third, closes[0]), "send, while it was closed,")
         await flows.wait()  # `other` hears only `third` now
-        await other.aclose()
-        await third.aclose()
+        await _close(other, closes[2])
+        await _close(third, closes[0])
 
 
 @case
