@@ -20,25 +20,10 @@ from canopen_proto.cia402.objects import PROFILE_VELOCITY
 from canopen_proto.datatypes import Value
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
-from tests.cli.cli_support import Alarm, Run, runner, stands, watched_fleets
+from tests.cli.cli_support import Alarm, Run, stands
 from tests.proto.devices import io_device
 
 DEMO = ("-b", "demo")
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
-
-
-@pytest.fixture
-def alarm() -> Alarm:
-    return Alarm()
-
-
-@pytest.fixture
-def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
-    return watched_fleets(monkeypatch, alarm)
 
 
 class Typed(io.StringIO):

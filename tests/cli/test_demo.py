@@ -26,23 +26,8 @@ from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
-from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, runner, stands, watched_fleets
+from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, stands
 from tests.cli.test_demo_eds import written
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
-
-
-@pytest.fixture
-def alarm() -> Alarm:
-    return Alarm()
-
-
-@pytest.fixture
-def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
-    return watched_fleets(monkeypatch, alarm)
 
 
 def assert_all_stand(fleets: list[Fleet]) -> None:

@@ -22,27 +22,12 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
-from tests.cli.cli_support import Alarm, Run, runner, stands, watched_fleets
+from tests.cli.cli_support import Alarm, Run, stands
 from tests.proto.devices import io_device
 
 DEMO = ("-b", "demo")
 WINDOW = 10
 """Counts: 0x6067 of the simulated drive, within which it is at its target."""
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
-
-
-@pytest.fixture
-def alarm() -> Alarm:
-    return Alarm()
-
-
-@pytest.fixture
-def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
-    return watched_fleets(monkeypatch, alarm)
 
 
 def prepare(monkeypatch: pytest.MonkeyPatch, change: Callable[[DriveNode], None]) -> list[DriveNode]:

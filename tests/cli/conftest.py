@@ -1,0 +1,23 @@
+"""Fixtures of the tests that run commands with simulated drives, in virtual time: see cli_support.py."""
+
+from __future__ import annotations
+
+import pytest
+
+from canopen_cli.fleet import Fleet
+from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
+
+
+@pytest.fixture
+def alarm() -> Alarm:
+    return Alarm()
+
+
+@pytest.fixture
+def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+    return watched_fleets(monkeypatch, alarm)
