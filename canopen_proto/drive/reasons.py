@@ -2,7 +2,7 @@
 
 A drive moves if its node is not stopped, it is in Operation enabled, no halt is commanded, it shows a mode of operation, and its
 target lies elsewhere. The obstacles are looked for in the order in which they have to be removed: a drive in fault cannot be
-enabled, whatever else is wrong with it. What a PDO would have to carry is not judged: a command may come by SDO too.
+enabled, whatever else is wrong with it. PDOs are not judged: a command may come by SDO too.
 
 Digital inputs 0x60FD: bit 0 is the negative limit switch, bit 1 the positive one. Bit 3, the interlock, is left out: makers do
 not agree on which level means "safe torque off".

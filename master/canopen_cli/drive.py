@@ -292,9 +292,9 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from identify(axis)
         yield from procedures.select_standing_mode(axis)
-        yield from procedures.enable(axis)
-        screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
         try:
+            yield from procedures.enable(axis)
+            screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
             end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
             watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
             yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
@@ -323,7 +323,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
 @common
 @click.pass_obj
 def move(settings: Settings, position: float, relative: bool, unit: str, limit: Time) -> None:
-    """Move a drive to POSITION by its own profile (profile position). IT MOVES. Ctrl-C halts it; then it has no power.
+    """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 
     The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
     than counts need a drive that tells its scale: `canopen drive NODE units`.

@@ -109,8 +109,8 @@ class Participant:
     async def nmt(self, command: NmtCommand, node_id: int = 0, *, bus: str | None = None) -> None:
         """Send an NMT command to one node, or to all (0; on all buses, unless one is named); return when it is on its way.
 
-        Only the nodes' heartbeats confirm it. What is known of the nodes' states follows the command. A command's number will do.
-        Raises LocalProtocolError for a number that is no command, and for another node-ID.
+        Only the nodes' heartbeats confirm it. The states that this master knows of the nodes follow the command.
+        command: also as its number. Raises LocalProtocolError for a number that is no command, and for another node-ID.
         """
         self.check_open()
         try:

@@ -59,7 +59,7 @@ QUIET_TICKS: Final = 3
 
 
 OnEvent: TypeAlias = Callable[[Bus, Event], None]
-"""An event came out of a bus's network. May mutate machines; must not block. What it raises goes to `OnFailure`."""
+"""An event came out of a bus's network. May mutate machines; must not block. `OnFailure` is told of its exceptions."""
 
 OnFailure: TypeAlias = Callable[[Bus | None, Exception], None]
 """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""

@@ -20,7 +20,7 @@ NEAR = 300
 """Millidegrees that an axis may still have to go at the end. In real time: behind a late SYNC it comes back from its ramp."""
 
 LATE = re.compile("no longer follows its set-points|is silent: no PDO")
-"""What a demo says, and halts, where this computer was too busy for SYNC or an answer in time: it is then tried again."""
+"""The message of a demo that halts because this computer was too busy for SYNC or an answer in time. It is then tried again."""
 TRIES = 5
 
 RUNS = {

@@ -97,7 +97,7 @@ def test_disable(run: Run, fleets: list[Fleet]) -> None:
 
 
 def device(monkeypatch: pytest.MonkeyPatch, values: dict[int, int]) -> None:
-    """What answers on the bus of the demonstration: an I/O device with objects of CiA 402 beside its own."""
+    """Put an I/O device, with objects of CiA 402 beside its own, on the bus of the demonstration."""
     indices = dict.fromkeys(key >> 8 for key in values)
     highest = {index: max(key & 0xFF for key in values if key >> 8 == index) for index in indices}
     dictionary = io_device(5).with_objects([standard_object(index, highest=highest[index] or None) for index in indices])
@@ -220,8 +220,9 @@ def test_enable_holds_the_power_for_a_time(run: Run, fleets: list[Fleet], alarm:
     assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_ctrl_c_disables(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
-    alarm.set((1.0, signal.SIGINT))
+@pytest.mark.parametrize("at", [0.02, 0.05, 0.1, 1.0])
+def test_ctrl_c_disables(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
+    alarm.set((at, signal.SIGINT))
     outcome = run("drive", "3", "enable", *DEMO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED

@@ -79,7 +79,7 @@ class Devices:
         self._listener.send(can.Message(arbitration_id=can_id, data=bytes.fromhex(data), is_extended_id=False))
 
     def frames(self, quiet: float = 0.03, *, last: str = "") -> list[str]:
-        """What was on the bus since the last look, as candump writes it; until it is quiet. last: and what must come first."""
+        """Return the frames since the last look, as candump writes them, once the bus is quiet and `last` has come."""
         frames: list[str] = []
         deadline = time.monotonic() + LIMIT
         while True:

@@ -1,4 +1,4 @@
-"""What the numbers of a drive mean: each object of the factor group, and drives as their makers deliver them."""
+"""The units of a drive: each object of the factor group, and drives as their makers deliver them."""
 
 from __future__ import annotations
 
