@@ -10,9 +10,6 @@ import time
 
 from copper import Copper
 
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.network import Network
@@ -21,6 +18,9 @@ from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 
 HEARTBEAT = 250 * MILLISECOND
 SETTINGS = DriveSettings(shape=Shape.SCHUNK_POWERBALL)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from canopen_proto.abort import AbortCode as AbortCode
-    from canopen_proto.cia402.drive_node import powerball as powerball
     from canopen_proto.dictionary.model import NotInDictionary as NotInDictionary
     from canopen_proto.dictionary.model import ObjectDictionary as ObjectDictionary
     from canopen_proto.drive.axis import Axis as Axis
@@ -54,6 +53,7 @@ if TYPE_CHECKING:
     from canopen_proto.sdo.events import SdoAborted as SdoAborted
     from canopen_proto.sdo.events import SdoDownloaded as SdoDownloaded
     from canopen_proto.sdo.events import SdoUploaded as SdoUploaded
+    from canopen_proto.simulated_drive.node import powerball as powerball
 else:
     from canopen_proto.lazy_names import lazy_names
 
@@ -61,7 +61,7 @@ else:
         globals(),
         {
             "canopen_proto.abort": "AbortCode",
-            "canopen_proto.cia402.drive_node": "powerball",
+            "canopen_proto.simulated_drive.node": "powerball",
             "canopen_proto.dictionary.model": "NotInDictionary ObjectDictionary",
             "canopen_proto.drive.axis": "Axis AxisSettings",
             "canopen_proto.emcy": "EmcyReceived",

@@ -14,8 +14,8 @@
 A procedure that moves the drive halts it if the procedure is cancelled or fails. Bit 4 is cleared before each homing and each
 start of interpolation: both begin on its rising edge.
 
-watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops, homing.py and motion.py move,
-failures.py has the errors.
+watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py
+and synchronous.py move; failures.py has the errors.
 
 A wait ends as soon as its goal is reached or out of reach: DriveFault, StateLost (a quick stop or disable that was not ours),
 ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
@@ -36,10 +36,7 @@ from canopen_proto.drive.failures import fault_of as fault_of
 from canopen_proto.drive.halting import halt as halt
 from canopen_proto.drive.halting import halt_after as halt_after
 from canopen_proto.drive.homing import home as home
-from canopen_proto.drive.motion import move_to as move_to
-from canopen_proto.drive.motion import read_position as read_position
-from canopen_proto.drive.motion import start_cyclic_position as start_cyclic_position
-from canopen_proto.drive.motion import start_interpolation as start_interpolation
+from canopen_proto.drive.profile_position import move_to as move_to
 from canopen_proto.drive.state import change_state as change_state
 from canopen_proto.drive.state import enable as enable
 from canopen_proto.drive.state import engage_brake as engage_brake
@@ -48,5 +45,8 @@ from canopen_proto.drive.state import reset_fault as reset_fault
 from canopen_proto.drive.state import select_standing_mode as select_standing_mode
 from canopen_proto.drive.state import set_mode as set_mode
 from canopen_proto.drive.state import shut_down as shut_down
+from canopen_proto.drive.synchronous import start_cyclic_position as start_cyclic_position
+from canopen_proto.drive.synchronous import start_interpolation as start_interpolation
+from canopen_proto.drive.watching import read_position as read_position
 from canopen_proto.drive.watching import read_statusword as read_statusword
 from canopen_proto.drive.watching import wait_for_statusword as wait_for_statusword

@@ -98,3 +98,12 @@ def node_lost(axis: Axis, report: Event, goal: str) -> NodeLost:
         case _:
             seen = "it was stopped (NMT)"
     return NodeLost(f"{name_of(axis)} was lost while waiting for {goal}: {seen}. Try: look at the drive, its power and its cable")
+
+
+def require_reference(axis: Axis) -> None:
+    """Raise ReferenceLost for a drive that was homed and has lost its reference since."""
+    if axis.has_lost_reference:
+        raise ReferenceLost(
+            f"{name_of(axis)} has lost its reference: it was homed, and then reset or without power, or homed without "
+            "success. Try: home it again; AxisSettings(keeps_reference=True) if it has an absolute encoder"
+        )

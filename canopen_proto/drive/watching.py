@@ -47,6 +47,11 @@ def read_statusword(axis: Axis) -> Procedure[int]:
     return statusword
 
 
+def read_position(axis: Axis) -> Procedure[float]:
+    """Read the actual position (0x6064) by SDO; return it in the user's unit."""
+    return axis.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
+
+
 def wait_for_statusword(
     axis: Axis,
     done: Callable[[int], bool],

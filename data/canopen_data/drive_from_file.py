@@ -20,12 +20,12 @@ from typing import Final
 
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.servo import FALLBACKS, Shape
 from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.multiplexer import mux, split_mux
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.servo import FALLBACKS, Shape
 
 SHOWN: Final = (
     objects.ERROR_CODE,

@@ -18,13 +18,13 @@ from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.simulation import DeviceMaker, Host
 from canopen_proto import indices
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
-from canopen_proto.cia402.servo import DriveSettings, Shape, Track
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Event
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
 from canopen_transports import Transport, open_transport
 from canopen_transports.tracing import for_devices
 

@@ -18,10 +18,10 @@ from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.sim_devices import SHAPES, models, wanted
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry
-from canopen_proto.cia402.drive_events import DriveFault, DriveStateChanged
 from canopen_proto.error_codes import error_text
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtStateChanged
+from canopen_proto.simulated_drive.events import DriveFault, DriveStateChanged
 
 DEFAULT_IDS: Final = DEMO_NODES
 

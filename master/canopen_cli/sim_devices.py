@@ -22,11 +22,11 @@ from canopen_master.hooks import Script
 from canopen_master.plant import DeviceEntry, Plant, parse_plant
 from canopen_master.simulation import DeviceModel
 from canopen_proto.cia402.names import is_drive, with_drive_names
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.multiplexer import Mux
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
 PLANT_SUFFIX: Final = ".toml"

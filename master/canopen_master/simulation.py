@@ -23,14 +23,14 @@ from canopen_master.hooks import Hooks, Script
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.pump import Pump
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive_node import DriveNode, powerball
-from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event, Outbox
 from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.server import ObjectAccessPending
+from canopen_proto.simulated_drive.node import DriveNode, powerball
+from canopen_proto.simulated_drive.servo import DriveSettings
 from canopen_transports import BusState, Transport, TransportError
 
 PATIENCE: Final = 16

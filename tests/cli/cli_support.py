@@ -16,9 +16,9 @@ from trio.testing import MockClock
 from canopen_cli import demonstration, session, sim
 from canopen_cli.app import main
 from canopen_cli.fleet import Fleet, simulated_fleet
-from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import SECOND
+from canopen_proto.simulated_drive.node import DriveNode
 
 LATER = 10**9 * SECOND
 SHORT = ("--seconds", "0.5", "--cycle", "20ms")

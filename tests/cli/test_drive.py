@@ -15,12 +15,12 @@ from canopen_cli.fleet import Fleet, simulated_fleet
 from canopen_cli.problem import ExitCode
 from canopen_master.simulation import simulate
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.simulated_drive.node import DriveNode
 from canopen_transports import open_transport
 from tests.cli.cli_support import Alarm, Run, stands
 from tests.proto.devices import io_device

@@ -16,8 +16,8 @@ from canopen_master.hooks import Script, ScriptError
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import DeviceEntry
 from canopen_master.simulation import DeviceModel
-from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.simulated_drive.node import DriveNode
 from tests.cli.cli_support import Run, runner
 from tests.master.world import BUS, virtual_time
 

@@ -10,8 +10,6 @@ from enum import Enum
 from typing import Final
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.dictionary import Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -20,6 +18,8 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import ObjectAccessPending
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings
 from canopen_proto.sync import SyncConsumer
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device, whole_device
 

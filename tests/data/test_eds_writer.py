@@ -13,11 +13,11 @@ from canopen_data.description import Commissioning, DeviceDescription, FileInfo,
 from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_data.eds.writer_sections import sections_of
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 
 SAMPLE = """\
 ; a file of a maker

@@ -14,10 +14,10 @@ import canopen_data
 from canopen_data.describing import describe
 from canopen_data.description import DeviceDescription, DeviceInfo, FileKind
 from canopen_data.eds.writer import write_eds
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.servo import Shape
 from canopen_proto.datatypes import DataType, Value, is_integer, is_signed
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.servo import Shape
 from tests.examples import examples
 from tests.proto.generated_dictionaries import descriptions
 

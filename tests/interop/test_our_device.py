@@ -10,14 +10,14 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Access
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectAccessPending
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings
 from tests.interop.driver import LIMIT, Driver
 from tests.interop.peer import new_channel, peer_dictionary, peer_network
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device

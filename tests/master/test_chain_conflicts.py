@@ -17,14 +17,14 @@ from canopen_master import (
     JointDescription,
     open_master,
 )
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtState
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from canopen_transports import Transport, open_transport
 from tests.master.world import (
     BUS,

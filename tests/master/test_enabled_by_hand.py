@@ -13,7 +13,6 @@ from canopen_master import Grip, HaltNotConfirmed, Host, Master, MasterError, No
 from canopen_master.grip import LOGGER
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import Frame
@@ -24,6 +23,7 @@ from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import download
 from canopen_proto.sdo.client import SdoDownloaded
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
 from tests.master.motions import FAR
 from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time

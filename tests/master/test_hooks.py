@@ -15,8 +15,6 @@ from canopen_master.hooks import MAX_FAILURES, Hooks, Script, ScriptError
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.simulation import DeviceModel
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
@@ -26,6 +24,8 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.multiplexed import MpdoReceived
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.servo import DriveSettings
 from canopen_transports import open_transport
 from tests.master.world import BUS, virtual_time
 

@@ -4,13 +4,13 @@ import pytest
 import trio
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectWritten
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from canopen_transports import BusState, BusStateChanged, Report, open_transport
 from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from canopen_proto.cia402.drive import Drive
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_events import DriveStateChanged, StatuswordChanged
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.multiplexer import mux
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.drive import Drive
+from canopen_proto.simulated_drive.events import DriveStateChanged, StatuswordChanged
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 
 E = TypeVar("E", bound=Event)
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 from typing import TypeVar, cast
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 
 Result = TypeVar("Result")
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import Direction
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, Axis, AxisSettings
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId, Time
@@ -16,6 +14,8 @@ from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from canopen_proto.sync import SyncProducer
 from tests.proto.bus import Bus
 

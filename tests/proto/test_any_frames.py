@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.states import State
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from tests.builds import sees_inside
 from tests.data.subjects import DriveSubject, LocalSubject, RemoteSubject, Subject, held
 from tests.examples import examples

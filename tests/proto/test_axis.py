@@ -9,9 +9,7 @@ from itertools import groupby
 import pytest
 
 from canopen_proto import drive
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
@@ -20,6 +18,8 @@ from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import ProcedureError, StepTimeout
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.rig import CYCLE, MILLIDEGREES, Rig
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.cia402.motion import Profile, follow, hold, line, move, run, stop
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND
+from canopen_proto.simulated_drive.motion import Profile, follow, hold, line, move, run, stop
 
 positions = st.floats(-1e7, 1e7)
 velocities = st.floats(-1e5, 1e5)

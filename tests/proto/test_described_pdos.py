@@ -8,7 +8,6 @@ from types import MappingProxyType
 
 import pytest
 
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.cia402.objects import (
     CONTROLWORD,
     INTERPOLATION_SET_POINT,
@@ -19,7 +18,6 @@ from canopen_proto.cia402.objects import (
     TORQUE_ACTUAL_VALUE,
     VELOCITY_ACTUAL_VALUE,
 )
-from canopen_proto.cia402.servo import Shape
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.local_node import LocalNode
@@ -29,6 +27,8 @@ from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.described_pdos import Exchanged, choose_pdos, described_pdos, exchange_described
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.servo import Shape
 from tests.proto.bus import Bus
 
 STANDARD = drive_dictionary(Shape.STANDARD)

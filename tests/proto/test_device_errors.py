@@ -6,11 +6,11 @@ import pytest
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.servo import Shape
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.procedures.steps import SdoFailed, download
+from canopen_proto.simulated_drive.servo import Shape
 from tests.proto.devices import LIMITED, Pair, io_device
 from tests.proto.rig import Rig
 

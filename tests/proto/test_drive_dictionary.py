@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_proto.cia402.drive_dictionary import ALLOWED_VALUES, drive_dictionary
-from canopen_proto.cia402.servo import FALLBACKS, DriveSettings, Servo, Shape
 from canopen_proto.dictionary.model import Object, ObjectDictionary
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import NEVER
 from canopen_proto.multiplexer import mapped
+from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES, drive_dictionary
+from canopen_proto.simulated_drive.servo import FALLBACKS, DriveSettings, Servo, Shape
 from tests.proto.drive_bench import Bench
 
 SHAPES = list(Shape)

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.cia402.homing_run import METHODS, HomingFinished, Seek, Switch
 from canopen_proto.cia402.modes import HomingStatus, homing_status
-from canopen_proto.cia402.servo import DriveSettings, Shape, Track
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER
+from canopen_proto.simulated_drive.homing import METHODS, HomingFinished, Seek, Switch
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
 from tests.examples import examples
 from tests.proto.drive_bench import NODE_ID, Bench
 

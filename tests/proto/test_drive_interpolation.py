@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
-from canopen_proto.cia402.synchronous_modes import SetPointLost, SetPointUnderrun
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.synchronous_modes import SetPointLost, SetPointUnderrun
 from tests.proto.drive_bench import NODE_ID, Bench
 
 ACTIVE, WARNING, REACHED, LIMIT = 12, 7, 10, 11

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_proto.cia402.drive_events import DriveFault
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, NEVER
+from canopen_proto.simulated_drive.events import DriveFault
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.drive_bench import NODE_ID, Bench
 
 ACKNOWLEDGE, FOLLOWING_ERROR, REACHED, LIMIT = 12, 13, 10, 11

@@ -10,7 +10,6 @@ from canopen_proto import drive
 from canopen_proto.application import PlainMemory
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction
 from canopen_proto.drive.axis import Axis, AxisSettings, AxisStateChanged
@@ -18,6 +17,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.rig import CYCLE, Rig
 
 SHAPES = [Shape.STANDARD, Shape.SCHUNK_POWERBALL]

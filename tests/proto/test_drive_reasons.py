@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from canopen_proto import drive
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.drive.reasons import DriveView, Reason, look_at, outer_reason, reasons
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed, StepTimeout
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.object_answers import run_against
 from tests.proto.rig import Rig
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive import Drive
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
-from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.cia402.states import TRANSITIONS, State, command_of
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import MILLISECOND, NEVER, Outbox
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.drive import Drive
+from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
+from canopen_proto.simulated_drive.servo import DriveSettings
 from tests.proto.drive_bench import NODE_ID, Bench
 
 REACHABLE = [state for state in State if state not in (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)]

@@ -7,10 +7,10 @@ import itertools
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from canopen_proto.cia402.drive import STEP
-from canopen_proto.cia402.drive_events import DriveStateChanged
 from canopen_proto.cia402.states import TRANSITIONS, Command, State, command_of, state_of
 from canopen_proto.machine import NEVER, SECOND
+from canopen_proto.simulated_drive.drive import STEP
+from canopen_proto.simulated_drive.events import DriveStateChanged
 from tests.examples import examples
 from tests.proto.drive_bench import Bench
 

@@ -9,8 +9,6 @@ import pytest
 
 from canopen_data import load_dictionary
 from canopen_proto import drive
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_node import DriveNode
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import (
     FOLLOWING_ERROR_WINDOW,
@@ -18,7 +16,6 @@ from canopen_proto.cia402.objects import (
     POSITION_ACTUAL_VALUE,
     STATUSWORD,
 )
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drive.axis import Axis, AxisSettings
 from canopen_proto.drive.following import READ_INTERVAL, SILENT_TIME, Following, FollowingLost, following_limit, read_unsent
@@ -30,6 +27,9 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.rig import CYCLE, Rig
 
 FOLLOWS = 0x1237  # operation enabled, bit 12

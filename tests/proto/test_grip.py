@@ -12,9 +12,6 @@ from canopen_data.descriptions import load_description
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
@@ -28,6 +25,9 @@ from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, SdoFailed
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import Pending
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.examples import examples
 from tests.proto.bus import Bus
 from tests.vendor_files import needs_vendor_files, path_of

@@ -6,9 +6,7 @@ import pytest
 
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive import Drive
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import Axis
@@ -17,6 +15,8 @@ from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
 from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.drive import Drive
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.builds import replaces_what_is_compiled
 from tests.proto.rig import Rig
 

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from canopen_proto import drive
 from canopen_proto.cia402.objects import CONTROLWORD
-from canopen_proto.cia402.servo import Shape
 from canopen_proto.cia402.states import ControlBit, State
 from canopen_proto.dictionary import Direction
 from canopen_proto.drive.axis import Axis
@@ -25,6 +24,7 @@ from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
+from canopen_proto.simulated_drive.servo import Shape
 from tests.examples import examples
 from tests.proto.rig import CYCLE, STREAMED, Rig
 

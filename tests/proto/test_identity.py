@@ -7,14 +7,14 @@ import dataclasses
 import pytest
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_node import DriveNode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, Axis, AxisSettings, HomingStyle
 from canopen_proto.drive.identity import identify
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
 from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.rig import Rig
 
 SCHUNK = objects.SCHUNK_VENDOR_ID

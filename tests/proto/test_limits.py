@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, Axis, AxisSettings
 from canopen_proto.drive.limits import DEFAULT_SPEED, DriveLimits, Limit, SetPointLimits, limits_of, read_limits
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
@@ -17,6 +16,7 @@ from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from tests.proto.object_answers import run_against
 
 DICTIONARY = drive_dictionary()

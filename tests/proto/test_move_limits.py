@@ -9,8 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto import drive
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.machine import SECOND
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.examples import examples
 from tests.proto.rig import MILLIDEGREES, Rig
 

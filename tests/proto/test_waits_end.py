@@ -13,7 +13,6 @@ import pytest
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.servo import DriveSettings, Shape
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -21,6 +20,7 @@ from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.rig import CYCLE, Rig
 
 REACTION = 100 * MILLISECOND

@@ -10,11 +10,11 @@ from collections import deque
 from typing import Final
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive import STEP, Drive
-from canopen_proto.cia402.servo import DriveSettings
 from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.multiplexer import Mux, mux, split_mux
+from canopen_proto.simulated_drive.drive import STEP, Drive
+from canopen_proto.simulated_drive.servo import DriveSettings
 
 _COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
 

@@ -25,11 +25,11 @@ from enum import Enum
 from typing import Final, NamedTuple, assert_never
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_modes import OperationMode
 from canopen_proto.cia402.modes import HOMING_BITS, HomingStatus, ModeControl
-from canopen_proto.cia402.servo import Servo, Shape, Track
 from canopen_proto.cia402.states import ControlBit
 from canopen_proto.machine import Event, Outbox
+from canopen_proto.simulated_drive.profile_modes import OperationMode
+from canopen_proto.simulated_drive.servo import Servo, Shape, Track
 
 
 class HomingFinished(Event):

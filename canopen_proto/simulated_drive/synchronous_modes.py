@@ -32,13 +32,13 @@ from collections import deque
 from typing import Final
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_modes import OperationMode
 from canopen_proto.cia402.modes import ModeControl, ModeStatus
-from canopen_proto.cia402.servo import UNLIMITED, Servo
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time
 from canopen_proto.multiplexer import Mux
+from canopen_proto.simulated_drive.profile_modes import OperationMode
+from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
 """A SYNC that stays away for less is late, not lost: the axis brakes until it comes, then goes on."""

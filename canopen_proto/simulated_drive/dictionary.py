@@ -30,13 +30,13 @@ from typing import Final, NamedTuple
 
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.homing_run import METHODS
-from canopen_proto.cia402.servo import FALLBACKS, Shape
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
 from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, subindex_of
+from canopen_proto.simulated_drive.homing import METHODS
+from canopen_proto.simulated_drive.servo import FALLBACKS, Shape
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1

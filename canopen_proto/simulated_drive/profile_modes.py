@@ -2,7 +2,7 @@
 
 While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
 object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and gives the mode bits of
-the statusword. Homing has a file of its own (homing_run.py), and so have ip and csp (synchronous_modes.py).
+the statusword. Homing has a file of its own (homing.py), and so have ip and csp (synchronous_modes.py).
 
 Profile position: a set-point is taken on the rising edge of bit 4 and acknowledged by bit 12 until bit 4 falls. With bit 5 it
 starts at once; without, it waits until the running one has ended. One set-point can wait; meanwhile bit 12 stays 1, and a further
@@ -19,10 +19,10 @@ from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl, ModeStatus
-from canopen_proto.cia402.servo import UNLIMITED, Servo
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import MILLISECOND, NEVER, Outbox, Time
 from canopen_proto.multiplexer import Mux
+from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
 
 
 class OperationMode:

@@ -25,19 +25,19 @@ from typing import Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_dictionary import ALLOWED_VALUES
-from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
-from canopen_proto.cia402.drive_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
-from canopen_proto.cia402.homing_run import Homing
 from canopen_proto.cia402.modes import Mode, ModeStatus, supported
-from canopen_proto.cia402.servo import UNLIMITED, DriveSettings, Servo, Shape
 from canopen_proto.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, StatusBit, command_of
-from canopen_proto.cia402.synchronous_modes import CyclicPosition, InterpolatedPosition
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
+from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
+from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
+from canopen_proto.simulated_drive.homing import Homing
+from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
+from canopen_proto.simulated_drive.servo import UNLIMITED, DriveSettings, Servo, Shape
+from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition, InterpolatedPosition
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""

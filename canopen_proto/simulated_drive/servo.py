@@ -21,10 +21,11 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
-from canopen_proto.cia402 import motion, objects
+from canopen_proto.cia402 import objects
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
+from canopen_proto.simulated_drive import motion
 
 FALLBACKS: Final[dict[Mux, int]] = {
     objects.QUICK_STOP_OPTION_CODE: 2,

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from canopen_proto.cia402.drive import Drive
-from canopen_proto.cia402.drive_dictionary import drive_dictionary
-from canopen_proto.cia402.drive_events import DriveFault, DriveFaultCleared, StatuswordChanged
-from canopen_proto.cia402.late_drive import LateDrive
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
-from canopen_proto.cia402.servo import UNSET_BY_ZERO, DriveSettings, Shape
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.drive import Drive
+from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, StatuswordChanged
+from canopen_proto.simulated_drive.late_drive import LateDrive
+from canopen_proto.simulated_drive.servo import UNSET_BY_ZERO, DriveSettings, Shape
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

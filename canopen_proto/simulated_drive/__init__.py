@@ -1,0 +1,15 @@
+"""A simulated CiA 402 drive: the device's side of the profile.
+
+    node.py               `DriveNode`: the simulated drive on the bus
+    drive.py              `Drive`: its state machine, and what it shows
+    events.py             the events of a simulated drive
+    dictionary.py         its object dictionary, in two shapes
+    late_drive.py         a drive that acts late, as real ones do
+    profile_modes.py      its profile position and velocity modes
+    synchronous_modes.py  its ip and csp modes: a set-point at each SYNC
+    homing.py             its homing
+    servo.py              its mechanics: track, lag, limits
+    motion.py             closed-form motion profiles
+
+Source: IEC 61800-7-201 (CiA 402-2).
+"""
