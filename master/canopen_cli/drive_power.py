@@ -1,0 +1,92 @@
+"""`canopen drive NODE enable|move`: what gives a drive power, for as long as the command runs."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import click
+
+from canopen_cli.drive_session import COUNTS, command_drive, counts_per, look_at_drive, show_drive
+from canopen_cli.options import Duration, Settings, common, enabling
+from canopen_proto import drive as procedures
+from canopen_proto.cia402.modes import mode_name
+from canopen_proto.cia402.states import State
+from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.identity import identify
+from canopen_proto.drive.reasons import DriveView
+from canopen_proto.drive.units import Unit
+from canopen_proto.drive.watching import Watch
+from canopen_proto.machine import NEVER, SECOND, Time
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+
+
+@click.command()
+@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@enabling
+@common
+@click.pass_obj
+def enable(settings: Settings, seconds: float | None) -> None:
+    """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none."""
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from identify(axis)
+        yield from procedures.select_standing_mode(axis)
+        try:
+            yield from procedures.enable(axis)
+            screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
+            end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
+            watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
+            yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
+        except (Cancelled, ProcedureError):
+            yield from procedures.shut_down(axis)
+            raise
+        yield from procedures.shut_down(axis)
+        return (yield from look_at_drive(axis.node))
+
+    show_drive(settings, screen, command_drive(settings, screen, procedure))
+
+
+@click.command()
+@click.argument("position", type=float)
+@click.option("--relative", is_flag=True, help="By so much from where it stands.")
+@click.option(
+    "--in",
+    "unit",
+    type=click.Choice([COUNTS, *(each.value for each in Unit)]),
+    default=COUNTS,
+    show_default=True,
+    help="The unit of POSITION.",
+)
+@click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
+@enabling
+@common
+@click.pass_obj
+def move(settings: Settings, position: float, relative: bool, unit: str, limit: Time) -> None:
+    """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
+
+    The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
+    than counts need a drive that tells its scale: `canopen drive NODE units`.
+    """
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[tuple[float, float, DriveView]]:
+        yield from identify(axis)
+        begin = yield from procedures.read_position(axis)
+        yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
+        end = yield from procedures.read_position(axis)
+        yield from procedures.shut_down(axis)
+        return begin, end, (yield from look_at_drive(axis.node))
+
+    scale = None if unit == COUNTS else partial(counts_per, unit=Unit(unit))
+    begin, end, view = command_drive(settings, screen, procedure, _moved, scale)
+    if settings.json:
+        screen.json({"from": begin, "to": end, "unit": unit, "state": str(view.state)})
+        return
+    name = unit if unit == COUNTS else f"{unit}s"
+    screen.fact("moved", f"from {begin:.10g} to {end:.10g} {name}")
+    screen.fact("state", str(view.state))
+
+
+def _moved(confirmed: bool) -> list[str]:
+    return [f"the drive was {'halted' if confirmed else 'told to halt'}: it is not at its target"]

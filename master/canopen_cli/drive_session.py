@@ -1,0 +1,131 @@
+"""The drive that `canopen drive NODE ...` names: run a procedure on it, and show what it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import click
+
+from canopen_cli.options import Settings
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.running import Story, run
+from canopen_cli.screen import Screen, node_text
+from canopen_cli.session import Session, open_session
+from canopen_master.motion.joint_procedures import awake
+from canopen_master.node import Node
+from canopen_proto.cia402.modes import describe_status, mode_name
+from canopen_proto.drive.axis import Axis, AxisSettings
+from canopen_proto.drive.reasons import DriveView, look_at, reasons
+from canopen_proto.drive.units import Unit, read_units
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
+
+T = TypeVar("T")
+
+NODE: Final = "canopen.drive.node"
+"""The key of the node-ID in `click.Context.meta`."""
+COUNTS: Final = "counts"
+
+
+def run_on_node(
+    settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
+) -> T:
+    """Run a procedure on the node that the command line names."""
+    node_id: int = click.get_current_context().meta[NODE]
+
+    async def command() -> T:
+        async with open_session(settings, screen) as session:
+            return await session.master.run(procedure(session, session.node(node_id)))
+
+    return run(settings, screen, command, story=story)
+
+
+def read_drive(settings: Settings, screen: Screen, procedure: Callable[[RemoteNode], Procedure[T]]) -> T:
+    """Run a procedure that only reads: another program may move the drive meanwhile."""
+    return run_on_node(settings, screen, lambda session, node: procedure(node.remote))
+
+
+def command_drive(
+    settings: Settings,
+    screen: Screen,
+    procedure: Callable[[Axis], Procedure[T]],
+    story: Story = lambda confirmed: [],
+    scale: Callable[[Node], Procedure[float]] | None = None,
+) -> T:
+    """Run a procedure that commands the drive. scale: reads the counts in one unit; by default the unit is the count."""
+
+    def whole(session: Session, node: Node) -> Procedure[T]:
+        yield from awake(node)
+        counts = 1.0 if scale is None else (yield from scale(node))
+        return (yield from procedure(session.master.device(node, settings=AxisSettings(counts_per_unit=counts)).axis))
+
+    return run_on_node(settings, screen, whole, story)
+
+
+def look_at_drive(node: RemoteNode) -> Procedure[DriveView]:
+    view = yield from look_at(node)
+    if view is None:
+        raise Problem(
+            ExitCode.SDO_ABORT,
+            "CO408",
+            f"{node_text(node.node_id)} is no drive by CiA 402: it has no statusword (0x6041)",
+            tries=(f"canopen info {node.node_id}    what it is",),
+        )
+    return view
+
+
+def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
+    """Take a step with the drive, and show what it shows then."""
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from step(axis)
+        return (yield from look_at_drive(axis.node))
+
+    show_drive(settings, screen, command_drive(settings, screen, procedure))
+
+
+def show_drive(settings: Settings, screen: Screen, view: DriveView) -> None:
+    """Show what a drive shows, and what keeps it from moving."""
+    found = reasons(view)
+    if settings.json:
+        screen.json(
+            {
+                "state": str(view.state),
+                "statusword": view.statusword,
+                "controlword": view.controlword,
+                "mode": view.mode,
+                "wanted_mode": view.wanted_mode,
+                "error_code": view.error_code,
+                "position": view.position,
+                "nmt_state": None if view.nmt_state is None else view.nmt_state.name,
+                "obstacles": [{"what": each.what, "remedy": each.remedy} for each in found],
+            }
+        )
+        return
+    screen.fact("state", str(view.state))
+    screen.fact("statusword", f"{', '.join(describe_status(view.statusword, view.mode))}  (0x{view.statusword:04X})")
+    if view.controlword is not None:
+        screen.fact("controlword", f"0x{view.controlword:04X}")
+    if view.mode is not None:
+        screen.fact("mode", mode_name(view.mode))
+    if view.position is not None:
+        screen.fact("position", f"{view.position} counts")
+    if not found:
+        screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
+    for number, (what, remedy, _) in enumerate(found):
+        screen.fact("" if number else "it does not move", f"{what}. Try: {remedy}")
+
+
+def counts_per(node: Node, unit: Unit) -> Procedure[float]:
+    """Return the counts in one unit, as the drive tells. Raises a Problem if it does not."""
+    found = (yield from read_units(node.remote)).counts_per(unit)
+    if found is None:
+        raise Problem(
+            ExitCode.USAGE,
+            "CO321",
+            f"drive {node.node_id} does not tell how many counts a {unit} has",
+            tries=(f"canopen drive {node.node_id} units    what it tells", "the same in counts, without --in"),
+        )
+    return found
