@@ -1,7 +1,7 @@
 """The words of CiA 402 for the values of a drive's objects. An EDS has none; with these, values are read and written by name.
 
 `with_drive_names` adds them to a dictionary: the states and bits of the statusword, the commands of the controlword, the modes of
-6060h and 6061h. They are those of the product's constants.csv, which goes first if both are used.
+6060h and 6061h, the option codes. They are those of the product's constants.csv, which goes first if both are used.
 
 A device is a drive if the lower half of its device type (1000h) is 402. If the file gives no device type, or 0 ("no standard"),
 it is a drive if it has a controlword and a statusword. The objects of several axes are 0x800 apart.
@@ -21,6 +21,7 @@ from typing import Final
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.option_codes import OPTION_CODES
 from canopen_proto.cia402.states import STATUS_PATTERNS, ControlBit, State, StatusBit
 from canopen_proto.dictionary import Constant, ObjectDictionary
 from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
@@ -74,6 +75,7 @@ _NAMES: Final[dict[Mux, tuple[Constant, ...]]] = {
     ),
     objects.MODES_OF_OPERATION: tuple(Constant(name, 0xFF, value) for name, value in _MODES.items()),
     objects.MODES_OF_OPERATION_DISPLAY: tuple(Constant(name, 0xFF, value) for name, value in _MODES.items()),
+    **{key: tuple(Constant(name, 0xFFFF, value) for value, name in names.items()) for key, names in OPTION_CODES.items()},
 }
 
 

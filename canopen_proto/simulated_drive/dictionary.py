@@ -30,6 +30,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.option_codes import OPTION_CODES
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
@@ -112,12 +113,7 @@ _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBA
 
 
 ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
-    objects.ABORT_CONNECTION_OPTION_CODE: range(4),
-    objects.QUICK_STOP_OPTION_CODE: range(9),
-    objects.SHUTDOWN_OPTION_CODE: range(2),
-    objects.DISABLE_OPERATION_OPTION_CODE: range(2),
-    objects.HALT_OPTION_CODE: range(1, 5),
-    objects.FAULT_REACTION_OPTION_CODE: range(5),
+    **OPTION_CODES,
     objects.MOTION_PROFILE_TYPE: (0,),
     objects.HOMING_METHOD: (0, *METHODS),
     objects.INTERPOLATION_SUB_MODE_SELECT: (0,),

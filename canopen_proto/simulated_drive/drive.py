@@ -26,6 +26,7 @@ from typing import Final
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, supported
+from canopen_proto.cia402.option_codes import STAYS_FROM
 from canopen_proto.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, StatusBit, command_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
@@ -62,7 +63,7 @@ _STATE_BITS: Final[dict[State, int]] = {
 
 _NO_STATES: Final = (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)
 _ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
-_STAY_IN_QUICK_STOP: Final = range(5, 9)  # 605Ah: as 1 to 4, but quick stop stays active
+_STAY_IN_QUICK_STOP: Final = range(STAYS_FROM, STAYS_FROM + 4)
 _SHOWS_FOLLOWING_ERROR: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _INT32: Final = 1 << 31
 
@@ -317,7 +318,7 @@ class Drive(Machine):
             case State.QUICK_STOP_ACTIVE:
                 option = servo.parameter(objects.QUICK_STOP_OPTION_CODE)
                 stays = option in _STAY_IN_QUICK_STOP
-                self._stop_by(option - 4 if stays else option, None if stays else Occurrence.QUICK_STOP_FINISHED)
+                self._stop_by(option - STAYS_FROM + 1 if stays else option, None if stays else Occurrence.QUICK_STOP_FINISHED)
             case State.FAULT_REACTION_ACTIVE:
                 option = servo.parameter(objects.FAULT_REACTION_OPTION_CODE) if previous in _ENERGISED else 0
                 self._stop_by(option, Occurrence.FAULT_REACTION_FINISHED)
