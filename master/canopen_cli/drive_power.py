@@ -7,7 +7,7 @@ from functools import partial
 import click
 
 from canopen_cli.drive_session import COUNTS, command_drive, counts_per, look_at_drive, show_drive
-from canopen_cli.options import Duration, Settings, common, enabling
+from canopen_cli.options import Duration, Settings, commanding, common, enabling
 from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import State
@@ -23,6 +23,7 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError,
 @click.command()
 @click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
 @enabling
+@commanding
 @common
 @click.pass_obj
 def enable(settings: Settings, seconds: float | None) -> None:
@@ -44,7 +45,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
         yield from procedures.shut_down(axis)
         return (yield from look_at_drive(axis.node))
 
-    show_drive(settings, screen, command_drive(settings, screen, procedure))
+    show_drive(settings, screen, command_drive(settings, screen, procedure, ends=seconds is not None))
 
 
 @click.command()
@@ -60,6 +61,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
 )
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
 @enabling
+@commanding
 @common
 @click.pass_obj
 def move(settings: Settings, position: float, relative: bool, unit: str, limit: Time) -> None:

@@ -9,6 +9,7 @@ import click
 
 from canopen_cli.options import Settings
 from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import Story, run
 from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import Session, open_session
@@ -32,13 +33,17 @@ def run_on_node(
     settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
 ) -> T:
     """Run a procedure on the node that the command line names."""
-    node_id: int = click.get_current_context().meta[NODE]
 
     async def command() -> T:
         async with open_session(settings, screen) as session:
-            return await session.master.run(procedure(session, session.node(node_id)))
+            return await session.master.run(procedure(session, session.node(_node_id())))
 
     return run(settings, screen, command, story=story)
+
+
+def _node_id() -> int:
+    node_id: int = click.get_current_context().meta[NODE]
+    return node_id
 
 
 def read_drive(settings: Settings, screen: Screen, procedure: Callable[[RemoteNode], Procedure[T]]) -> T:
@@ -52,14 +57,25 @@ def command_drive(
     procedure: Callable[[Axis], Procedure[T]],
     story: Story = lambda confirmed: [],
     scale: Callable[[Node], Procedure[float]] | None = None,
+    *,
+    ends: bool = True,
 ) -> T:
-    """Run a procedure that commands the drive. scale: reads the counts in one unit; by default the unit is the count."""
+    """Run a procedure that commands the drive, or rehearse it (--dry-run).
+
+    scale: reads the counts in one unit; by default the unit is the count. ends: it ends without a Ctrl-C.
+    """
 
     def whole(session: Session, node: Node) -> Procedure[T]:
         yield from awake(node)
         counts = 1.0 if scale is None else (yield from scale(node))
         return (yield from procedure(session.master.device(node, settings=AxisSettings(counts_per_unit=counts)).axis))
 
+    async def work(session: Session) -> None:
+        await session.master.run(whole(session, session.node(_node_id())))
+
+    if settings.dry_run:
+        rehearse(settings, screen, (_node_id(),), work, ends=ends)
+        raise click.exceptions.Exit(ExitCode.OK)
     return run_on_node(settings, screen, whole, story)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from canopen_cli.drive_session import command_drive, look_at_drive, read_drive, show_drive, take_step
-from canopen_cli.options import Settings, common
+from canopen_cli.options import Settings, commanding, common
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import Mode, mode_name, supported_modes
@@ -31,6 +31,7 @@ def state(settings: Settings) -> None:
 
 
 @click.command("fault-reset")
+@commanding
 @common
 @click.pass_obj
 def fault_reset(settings: Settings) -> None:
@@ -39,6 +40,7 @@ def fault_reset(settings: Settings) -> None:
 
 
 @click.command()
+@commanding
 @common
 @click.pass_obj
 def disable(settings: Settings) -> None:
@@ -97,6 +99,7 @@ def _units_json(units: DriveUnits) -> dict[str, Any]:
 
 
 @click.command()
+@commanding
 @common
 @click.pass_obj
 def stop(settings: Settings) -> None:
@@ -106,6 +109,7 @@ def stop(settings: Settings) -> None:
 
 @click.command()
 @click.argument("name", metavar="[MODE]", required=False)
+@commanding
 @common
 @click.pass_obj
 def mode(settings: Settings, name: str | None) -> None:

@@ -21,7 +21,7 @@ from canopen_proto import indices
 from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.machine import Event
+from canopen_proto.machine import Event, Time
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
@@ -76,10 +76,14 @@ class Fleet:
 
     def raise_fault(self, node_id: int, error_code: int) -> None:
         """Let a drive break down. Raises KeyError if no drive has that node-ID."""
+        self.change(node_id, lambda drive, now: drive.raise_fault(error_code, now))
+
+    def change(self, node_id: int, change: Callable[[DriveNode, Time], object]) -> None:
+        """Let something happen to a drive. Raises KeyError if no drive has that node-ID."""
         drive = self.drives[node_id]
         for host in self._hosts:
             if drive in host.nodes:
-                drive.raise_fault(error_code, host.now())
+                change(drive, host.now())
                 host.pump()
 
     @property

@@ -43,7 +43,7 @@ class Settings:
     """The values of the common options. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
     overlays.py. trace: the file that records the traffic of the bus. encoding: of device files, "" for a guess. force: overwrite
     files, and nothing else. clock: a test's virtual one. late: a problem to be shown after the results of the command. master_id:
-    the node-ID of our heartbeat, which the drives that we enable watch."""
+    the node-ID of our heartbeat, which the drives that we enable watch. dry_run: show the frames, and send nothing but reads."""
 
     bus: str | None = None
     eds: tuple[str, ...] = ()
@@ -58,6 +58,7 @@ class Settings:
     clock: trio.abc.Clock | None = None
     late: Problem | None = None
     master_id: int | None = None
+    dry_run: bool = False
 
     @property
     def grip(self) -> Grip:
@@ -214,6 +215,12 @@ def enabling(command: F) -> F:
 
     help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {DEFAULT_GRIP.node_id}]"
     added: F = _option("--master-id", type=NodeId(), help=help_text)(command)
+    return added
+
+
+def commanding(command: F) -> F:
+    """Add the option of commands that command drives: see rehearsal.py."""
+    added: F = _option("--dry-run", is_flag=True, help="Only read the drive, and show the frames that would be sent.")(command)
     return added
 
 
