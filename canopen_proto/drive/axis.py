@@ -35,6 +35,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.datatypes import range_of
+from canopen_proto.drive.units import DriveUnits, Unit
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.remote_node import FRESH, RemoteNode
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from canopen_proto.procedures.steps import Procedure
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
+_MILLIDEGREES: Final = DriveUnits(per_turn=360_000.0)
+"""The units of Schunk's joints, which do not tell them."""
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
 _NO_RANGE: Final = (1, 0)
@@ -63,7 +66,8 @@ class HomingStyle(enum.Enum):
 class AxisSettings:
     """The settings of one axis.
 
-    counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count.
+    counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count. unit: the name of
+    the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
     homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098; None keeps the drive's own.
     homing_timeout: ns for a whole homing. state_timeout: ns for one change of state or mode.
@@ -81,6 +85,7 @@ class AxisSettings:
     """
 
     counts_per_unit: float | None = None
+    unit: Unit | None = None
     direction: int = 1
     offset: int = 0
     homing: HomingStyle | None = None
@@ -117,13 +122,15 @@ class AxisSettings:
     def of_vendor(self, vendor_id: int | None) -> AxisSettings:
         """Return these settings, with open ones (None) filled in for drives of that vendor (None: no vendor-ID).
 
-        A joint of Schunk's counts millidegrees; its user's unit is the radian, as in SCHUNK_POWERBALL.
+        A joint of Schunk's counts millidegrees; its user's unit is the radian, unless `unit` names another.
         """
         homing = self.homing
         if homing is None:
             homing = HomingStyle.SCHUNK if vendor_id == objects.SCHUNK_VENDOR_ID else HomingStyle.STANDARD
         is_schunk = homing is HomingStyle.SCHUNK and vendor_id == objects.SCHUNK_VENDOR_ID
-        scale = MILLIDEGREES_PER_RADIAN if is_schunk and self.counts_per_unit is None else self.counts_per_unit
+        scale = self.counts_per_unit
+        if is_schunk and scale is None:
+            scale = MILLIDEGREES_PER_RADIAN if self.unit is None else _MILLIDEGREES.counts_per(self.unit)
         return replace(self, homing=homing, counts_per_unit=scale)
 
     def difference(self, other: AxisSettings) -> str:
@@ -133,7 +140,7 @@ class AxisSettings:
 
 
 def _shown(value: object) -> str:
-    return value.value if isinstance(value, HomingStyle) else str(value)
+    return value.value if isinstance(value, enum.Enum) else str(value)
 
 
 SCHUNK_POWERBALL: Final = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN, homing=HomingStyle.SCHUNK)

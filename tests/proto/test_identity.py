@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import pytest
 
@@ -10,11 +11,14 @@ from canopen_proto.cia402 import objects
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, Axis, AxisSettings, HomingStyle
 from canopen_proto.drive.identity import identify
+from canopen_proto.drive.units import Unit
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from tests.proto.object_answers import run_against
 from tests.proto.rig import Rig
 
 SCHUNK = objects.SCHUNK_VENDOR_ID
@@ -70,6 +74,50 @@ def test_what_the_user_says_goes_before_the_vendor_id(shape: Shape, given: AxisS
     rig.run(identify(axis))
     assert axis.settings == given
     assert not rig.bus.sent
+
+
+def identified(given: AxisSettings) -> Axis:
+    """An axis of a drive that has a feed constant of 3600 counts, and no vendor-ID, after it was identified twice."""
+    axes: list[Axis] = []
+
+    def procedure(node: RemoteNode) -> Procedure[None]:
+        axes.append(Axis(node, given))
+        yield from identify(axes[0])
+        yield from identify(axes[0])
+
+    assert run_against({(0x6092, 1): 3600, (0x6092, 2): 1}, procedure) is None
+    return axes[0]
+
+
+@pytest.mark.parametrize(("unit", "counts"), [(Unit.DEGREE, 10.0), (Unit.TURN, 3600.0), (Unit.RADIAN, 1800 / math.pi)])
+def test_the_scale_of_a_named_unit_is_the_drives(unit: Unit, counts: float) -> None:
+    given = AxisSettings(unit=unit, min_position=-1.0)
+    axis = identified(given)
+    assert axis.settings.counts_per_unit == pytest.approx(counts)
+    assert dataclasses.replace(axis.settings, counts_per_unit=None) == dataclasses.replace(given, homing=HomingStyle.STANDARD)
+    assert axis.has_scale
+    assert axis.to_counts(1) == round(counts)
+    axis.check_settings(given)
+
+
+def test_a_scale_by_hand_goes_before_the_drives() -> None:
+    assert identified(AxisSettings(unit=Unit.DEGREE, counts_per_unit=7.0)).settings.counts_per_unit == 7
+
+
+@pytest.mark.parametrize(("unit", "counts"), [(None, 180_000 / math.pi), (Unit.RADIAN, 180_000 / math.pi), (Unit.DEGREE, 1000)])
+def test_schunks_joints_count_millidegrees_in_any_unit(unit: Unit | None, counts: float) -> None:
+    rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
+    axis = Axis(rig.remote, AxisSettings(unit=unit))
+    rig.run(identify(axis))
+    assert axis.settings.counts_per_unit == pytest.approx(counts)
+
+
+@pytest.mark.parametrize(("shape", "unit"), [(Shape.STANDARD, Unit.MILLIMETRE), (Shape.SCHUNK_POWERBALL, Unit.MILLIMETRE)])
+def test_a_drive_that_does_not_tell_its_scale_is_not_used(shape: Shape, unit: Unit) -> None:
+    axis = Axis((rig := Rig(shape, pdos=False)).remote, AxisSettings(unit=unit))
+    with pytest.raises(ProcedureError, match=r"how many counts a millimetre has .*\. Try: counts_per_unit, by its manual"):
+        rig.run(identify(axis))
+    assert not axis.has_scale
 
 
 def test_a_drive_is_asked_once_and_units_that_were_given_stay() -> None:
