@@ -36,6 +36,8 @@ from canopen_proto.drive.failures import fault_of as fault_of
 from canopen_proto.drive.halting import halt as halt
 from canopen_proto.drive.halting import halt_after as halt_after
 from canopen_proto.drive.homing import home as home
+from canopen_proto.drive.identity import identify as identify
+from canopen_proto.drive.identity import learn_units as learn_units
 from canopen_proto.drive.profile_position import move_to as move_to
 from canopen_proto.drive.state import change_state as change_state
 from canopen_proto.drive.state import enable as enable

@@ -8,7 +8,11 @@ homing, interpolation) are procedures, in `canopen_proto.drive`.
 image too: else the next RPDO would send a stale 0 and take the drive out of operation.
 
 Units: the user sees positions in the user's unit (radians for an arm). On the wire they are counts (millidegrees for the Schunk
-arm). counts = round(direction * unit * counts_per_unit) + offset. Without a scale, the user sees counts too.
+arm). counts = round(direction * unit * counts_per_unit) + offset. Without a scale, the user sees counts too. The drive's velocity
+unit is that of `units`, or of the settings; torques are shares of the rated torque (0x6076), with the sign of `direction`.
+
+**Set-points** (set_points.py). Each cyclic mode has its own object, and the RPDO behind the next SYNC takes its image along:
+`set_position` (ip and csp; `select_set_point` says which), `set_velocity` (csv), `set_torque` (cst), `set_offsets`.
 
 **Kind of drive.** A drive is a CiA 402 drive unless the user or its vendor-ID (0x1018:01) says Schunk.
 `drive.identity.identify` reads the vendor-ID once, and fills in the settings that are None. 0x6502 decides nothing.
@@ -32,12 +36,13 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import describe_status
+from canopen_proto.cia402.modes import Mode, describe_status
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
-from canopen_proto.datatypes import range_of
+from canopen_proto.dictionary.standard import standard_variable
+from canopen_proto.drive.set_points import SET_POINT_OF, SetPoint
 from canopen_proto.drive.units import DriveUnits, Unit
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Time
-from canopen_proto.multiplexer import Mux, split_mux
+from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
 
 if TYPE_CHECKING:
@@ -48,8 +53,6 @@ _MILLIDEGREES: Final = DriveUnits(per_turn=360_000.0)
 """The units of Schunk's joints, which do not tell them."""
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
-_NO_RANGE: Final = (1, 0)
-"""Of an object that holds no integer: each set-point is encoded to see whether it fits."""
 
 
 class HomingStyle(enum.Enum):
@@ -68,6 +71,7 @@ class AxisSettings:
 
     counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count. unit: the name of
     the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
+    velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
     homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098; None keeps the drive's own.
     homing_timeout: ns for a whole homing. state_timeout: ns for one change of state or mode.
@@ -86,6 +90,7 @@ class AxisSettings:
 
     counts_per_unit: float | None = None
     unit: Unit | None = None
+    velocity_unit: float | None = None
     direction: int = 1
     offset: int = 0
     homing: HomingStyle | None = None
@@ -104,6 +109,9 @@ class AxisSettings:
         scale = self.counts_per_unit
         if scale is not None and not (math.isfinite(scale) and scale > 0):
             raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
+        unit = self.velocity_unit
+        if unit is not None and not (math.isfinite(unit) and unit > 0):
+            raise LocalProtocolError(f"velocity_unit must be a finite number above 0, or None; it is {unit!r}")
         if self.direction not in (1, -1):
             raise LocalProtocolError(f"direction must be 1 or -1; it is {self.direction!r}")
         lowest = -math.inf if self.min_position is None else self.min_position
@@ -174,14 +182,14 @@ class Axis:
     """One drive as its master sees it; see this module's text. Properties show what was heard; they send nothing.
 
     settings: the settings in force; open ones are filled in once `is_identified`; may be set. has_scale: whether the user's unit
-    is known; else it is the count. grip: takes hold before the drive
+    is known; else it is the count. units: as the drive told them when they were last read. grip: takes hold before the drive
     is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which
     starts a motion; OBEYED once the drive has shown that it took it.
     """
 
     __slots__ = (
-        "_direction", "_given", "_greatest", "_heard_at", "_is_homed", "_least", "_offset", "_scale", "_set_point", "_set_points",
-        "_settings", "_shown", "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state",
+        "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
+        "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state", "units",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
@@ -197,12 +205,13 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
-        found = (node.dictionary.get(*split_mux(mux)) for mux in (objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION))
-        self._set_points = [variable for variable in found if variable is not None]
-        self._set_point = self._set_points[0].mux if self._set_points else objects.TARGET_POSITION  # the one that is shown
-        ranges = [range_of(variable.data_type) or _NO_RANGE for variable in self._set_points]
-        self._least, self._greatest = max((low for low, _ in ranges), default=0), min((high for _, high in ranges), default=0)
-        node.commanded |= {objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT, objects.TARGET_POSITION}
+        self.units = DriveUnits()
+        self._set_points: dict[Mux, SetPoint] = {}
+        self._position = SetPoint(standard_variable(0x607A), self._store)  # of a drive without position set-points
+        for mode in (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION):
+            if SET_POINT_OF[mode] in node.dictionary:
+                self.select_set_point(mode)
+        node.commanded |= {objects.CONTROLWORD, *SET_POINT_OF.values()}
         node.add_listener(self._on_values, self._on_boot)
 
     @property
@@ -252,7 +261,7 @@ class Axis:
     def velocity(self) -> float | None:
         """0x606C as last heard, in the user's unit per second; None if it never was."""
         counts = self.velocity_counts
-        return None if counts is None else self.way_from_counts(counts)
+        return None if counts is None else self.velocity_from_wire(counts)
 
     @property
     def velocity_counts(self) -> int | None:
@@ -261,9 +270,12 @@ class Axis:
 
     @property
     def torque(self) -> float | None:
-        """0x6077 as last heard, as a share of the rated torque (0.5 is half of it); None if it never was."""
+        """0x6077 as last heard, as a share of the rated torque (0.5 is half of it); None if it never was.
+
+        Its sign is that of the user's direction, as that of positions and velocities.
+        """
         per_mille = self._heard(objects.TORQUE_ACTUAL_VALUE)
-        return None if per_mille is None else per_mille / 1000
+        return None if per_mille is None else self._direction * per_mille / 1000
 
     @property
     def has_fault(self) -> bool:
@@ -333,34 +345,114 @@ class Axis:
         return counts / self._scale
 
     @property
+    def _velocity_unit(self) -> float | None:
+        """Counts per second in one velocity unit of the drive; None if it is not known."""
+        return self.units.per_velocity if self._settings.velocity_unit is None else self._settings.velocity_unit
+
+    def velocity_to_wire(self, velocity: float) -> int:
+        """Convert a velocity in the user's unit per second to the drive's velocity unit, rounded to a whole number.
+
+        Raises LocalProtocolError if that unit is not known: `drive.learn_units` asks the drive.
+        """
+        unit = self._velocity_unit
+        if unit is None:
+            raise LocalProtocolError(
+                f"the velocity unit of drive {self.node.node_id} is not known, so it gets no velocity. "
+                "Try: AxisSettings(velocity_unit=...), in counts per second, by its manual"
+            )
+        return round(self._direction * velocity * self._scale / unit)
+
+    def velocity_from_wire(self, number: float) -> float:
+        """Convert a velocity in the drive's unit (a count per second if it is not known) to the user's unit per second."""
+        return self.way_from_counts(number * (self._velocity_unit or 1.0))
+
+    def torque_to_wire(self, torque: float) -> int:
+        """Convert a torque, as a share of the rated torque, to thousandths of it on the wire, rounded to a whole number."""
+        return round(self._direction * torque * 1000)
+
+    # ---- set-points: what the RPDO behind the next SYNC takes along ----
+
+    def select_set_point(self, mode: int) -> None:
+        """Make position set-points go into the object of this mode: 0x60C1:01 in ip, 0x607A in csp.
+
+        0x60C1:01 is the one from the beginning, if the dictionary has it. The image of the other one is left as it is. A mode
+        without position set-points changes nothing.
+        """
+        if mode in (Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION):
+            self._position = self._set_point_at(SET_POINT_OF[mode])
+
+    def _set_point_at(self, mux: Mux) -> SetPoint:
+        found = self._set_points.get(mux)
+        if found is None:
+            found = self._set_points[mux] = SetPoint(self.node.dictionary.variable(mux), self._store)
+        return found
+
+    @property
     def set_point(self) -> float:
         """The position that the next RPDO commands, in the user's unit."""
-        return self.from_counts(self.set_point_counts)
+        return self.from_counts(self._position.number)
 
     @property
     def set_point_counts(self) -> int:
         """The position that the next RPDO commands, in counts."""
-        return self._int(self._set_point)
+        return self._position.number
 
     def set_position(self, position: float) -> None:
         """Set the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
 
         Raises ValueRangeError if the drive's object cannot hold it; the last set-point stays then.
         """
-        self.set_position_counts(self.to_counts(position))
+        self._position.put(self.to_counts(position))
 
     def set_position_counts(self, counts: int) -> None:
         """Set the next set-point in counts; else as `set_position`."""
-        self.check_set_point(counts)
-        for variable in self._set_points:
-            self._store[variable.mux] = counts
+        self._position.put(counts)
 
     def check_set_point(self, counts: int) -> None:
-        """Raise ValueRangeError for a set-point that an object of the drive cannot hold."""
-        if type(counts) is int and self._least <= counts <= self._greatest:
-            return
-        for variable in self._set_points:
-            variable.encode(counts)
+        """Raise ValueRangeError for a position, in counts, that the object of the drive cannot hold."""
+        self._position.check(counts)
+
+    def set_velocity(self, velocity: float) -> float:
+        """Set the next set-point of cyclic synchronous velocity mode (0x60FF), in the user's unit per second.
+
+        Returns the velocity that the drive is given: `velocity`, rounded to its velocity unit. Raises LocalProtocolError if that
+        unit is not known; ValueRangeError if 0x60FF cannot hold it; the last set-point stays then.
+        """
+        number = self.velocity_to_wire(velocity)
+        self._set_point_at(objects.TARGET_VELOCITY).put(number)
+        return self.velocity_from_wire(number)
+
+    def set_torque(self, torque: float) -> float:
+        """Set the next set-point of cyclic synchronous torque mode (0x6071), as a share of the rated torque.
+
+        Returns the torque that the drive is given: `torque`, rounded to a thousandth. Raises as `set_velocity`.
+        """
+        number = self.torque_to_wire(torque)
+        self._set_point_at(objects.TARGET_TORQUE).put(number)
+        return self._direction * number / 1000
+
+    def set_offsets(self, *, position: float = 0.0, velocity: float = 0.0, torque: float = 0.0) -> None:
+        """Set what the drive adds to its set-points from the next RPDO on: 0x60B0, 0x60B1, 0x60B2 (feed-forward).
+
+        Units as those of the set-points; position: a way. The values are rounded to the wire's units. Raises LocalProtocolError,
+        with nothing changed, for an offset other than 0 that no RPDO carries, or whose unit is not known; ValueRangeError.
+        """
+        numbers = {
+            objects.POSITION_OFFSET: round(self._direction * position * self._scale),
+            objects.VELOCITY_OFFSET: self.velocity_to_wire(velocity) if velocity else 0,
+            objects.TORQUE_OFFSET: self.torque_to_wire(torque),
+        }
+        carried = [mux for mux in numbers if any(mux in rpdo.mapping.muxes for rpdo in self.node.rpdos.values())]
+        for mux, number in numbers.items():
+            if number and mux not in carried:
+                raise LocalProtocolError(
+                    f"no RPDO that is exchanged with drive {self.node.node_id} carries the offset {mux_text(mux)}. "
+                    "Try: procedures.configure_pdo, with this object in the mapping"
+                )
+            if mux in carried:
+                self._set_point_at(mux).check(number)
+        for mux in carried:
+            self._set_point_at(mux).put(numbers[mux])
 
     def set_controlword(self, word: int, now: Time) -> None:
         """Put a command into the image. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.

@@ -1,5 +1,7 @@
 """`identify`: find out the kind of a drive by its vendor-ID, and its scale, unless the user's settings say them.
 
+`learn_units` asks what its other numbers mean.
+
 CiA 402 drives differ in what the standard leaves to the maker. Schunk's Powerball joints differ in more: they home in mode 6
 although 0x6502 lacks it, without 0x6098, and bits 8 and 15 of the statusword show the result. A master that takes one kind for
 the other waits for bits that never come, or believes bits that mean something else. So the vendor-ID is read before a drive is
@@ -18,7 +20,7 @@ from dataclasses import replace
 from canopen_proto.cia402.objects import VENDOR_ID
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import name_of
-from canopen_proto.drive.units import read_units
+from canopen_proto.drive.units import DriveUnits, read_units
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, upload
@@ -34,7 +36,7 @@ def identify(axis: Axis) -> Procedure[None]:
         axis.identify((yield from _vendor_id(axis)))
     unit = axis.settings.unit
     if unit is not None and axis.settings.counts_per_unit is None:
-        counts = (yield from read_units(axis.node)).counts_per(unit)
+        counts = (yield from learn_units(axis)).counts_per(unit)
         if counts is None:
             raise ProcedureError(
                 f"{name_of(axis)} does not tell how many counts a {unit} has (0x60A8, 0x6092, 0x608F). "
@@ -51,3 +53,9 @@ def _vendor_id(axis: Axis) -> Procedure[int | None]:
             raise
         data = b""
     return int.from_bytes(data, "little") if data else None
+
+
+def learn_units(axis: Axis) -> Procedure[DriveUnits]:
+    """Read what the drive's numbers mean (its factor group), keep it in `axis.units`, and return it. Raises SdoFailed."""
+    axis.units = yield from read_units(axis.node)
+    return axis.units

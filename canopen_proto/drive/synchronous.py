@@ -51,6 +51,7 @@ def _prepare(axis: Axis, mode: Mode, set_point: Mux, cycle_time: Time, sends_its
             f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries {mux_text(set_point)}. "
             "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
         )
+    axis.select_set_point(mode)
     yield from halt(axis)  # a moving drive would jump back to the position that was read
     yield from _align(axis, set_point)  # in csp the drive follows as soon as it has mode and power
     yield from set_mode(axis, mode)

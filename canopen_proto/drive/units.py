@@ -92,6 +92,10 @@ class DriveUnits:
         """Return a torque of 0x6071 or 0x6077 in N·m; None if the drive does not tell its rated torque."""
         return None if self.rated_torque is None else per_thousand / 1000 * self.rated_torque
 
+    def per_thousand(self, torque: float) -> float | None:
+        """Return a torque in N·m in thousandths of the rated torque; None if the drive does not tell its rated torque."""
+        return None if self.rated_torque is None else torque / self.rated_torque * 1000
+
 
 def read_units(node: RemoteNode) -> Procedure[DriveUnits]:
     """Read the factor group by SDO, by number, whatever the dictionary has. Raises SdoFailed if the drive does not answer."""

@@ -82,22 +82,26 @@ IP_DATA = Variable(0x60C1, 1, "ip_data_position", DataType.INTEGER32, Access.RW)
         (DataType.UNSIGNED16, (0, 1, (1 << 16) - 1), -1, 1 << 16),
     ],
 )
-def test_a_set_point_must_fit_each_object_that_carries_it(
+def test_a_set_point_must_fit_the_object_that_carries_it(
     data_type: DataType, fits: tuple[int, ...], too_small: int, too_large: int
 ) -> None:
-    """The narrower one decides, and its name is told; the image of neither is touched."""
+    """The object of the mode decides, and its name is told; the image of the other one is not touched."""
     target = Variable(0x607A, 0, "target_position", data_type, Access.RW)
     axis = axis_with(IP_DATA, target)
+    axis.set_position_counts(7)
+    axis.select_set_point(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     for counts in fits:
         axis.check_set_point(counts)
         axis.set_position_counts(counts)
-        assert (axis.set_point_counts, axis.node.values[target.mux]) == (counts, counts)
+        assert (axis.set_point_counts, axis.node.values[target.mux], axis.node.values[IP_DATA.mux]) == (counts, counts, 7)
     for counts in (too_small, too_large):
-        with pytest.raises(ValueRangeError, match="ip_data_position" if data_type is DataType.INTEGER32 else "target_position"):
+        with pytest.raises(ValueRangeError, match="target_position"):
             axis.set_position_counts(counts)
         with pytest.raises(ValueRangeError):
             axis.check_set_point(counts)
-        assert (axis.set_point_counts, axis.node.values[target.mux]) == (fits[-1], fits[-1])
+        assert axis.set_point_counts == fits[-1]
+    axis.select_set_point(Mode.INTERPOLATED_POSITION)
+    assert axis.set_point_counts == 7
 
 
 @pytest.mark.parametrize("counts", [1.0, 1.5, math.nan, "1", None])
