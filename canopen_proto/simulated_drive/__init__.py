@@ -9,6 +9,7 @@
     synchronous_modes.py  its ip and csp modes: a set-point at each SYNC
     homing.py             its homing
     servo.py              its mechanics: track, lag, limits
+    plant.py              a mass under control loops and a limited torque, instead of the lag
     motion.py             closed-form motion profiles
 
 Source: IEC 61800-7-201 (CiA 402-2).

@@ -37,7 +37,7 @@ from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
 from canopen_proto.simulated_drive.homing import Homing
 from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
-from canopen_proto.simulated_drive.servo import UNLIMITED, DriveSettings, Servo, Shape
+from canopen_proto.simulated_drive.servo import TORQUE_LIMITS, UNLIMITED, DriveSettings, Servo, Shape
 from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition, InterpolatedPosition
 
 STEP: Final = 10 * MILLISECOND
@@ -179,6 +179,9 @@ class Drive(Machine):
         elif key in self._mode.listens_to and self._acts:
             self._advance(now)
             self._mode.written(key)
+        elif key in TORQUE_LIMITS:
+            self._advance(now)
+            self._servo.limit_torque()
         else:
             return
         self._publish()
@@ -312,7 +315,8 @@ class Drive(Machine):
         self._after_stop = None
         match self.state:
             case State.OPERATION_ENABLED:
-                servo.is_powered = True
+                if not servo.is_powered:
+                    servo.energise()
                 self._deviates_since = None
                 self._mode.enter()
             case State.QUICK_STOP_ACTIVE:
@@ -341,7 +345,7 @@ class Drive(Machine):
     def _end_stop(self) -> None:
         """Once the axis has stopped, do what was to follow."""
         following = self._after_stop
-        if following is not None and self._servo.at_rest:
+        if following is not None and self._servo.has_stopped:
             self._enter(TRANSITIONS[self.state, following])
 
     def _fault(self, error_code: int) -> None:
@@ -400,6 +404,8 @@ class Drive(Machine):
             self._mode.tick()
         if self.state in _ENERGISED:
             self._watch_following_error()
+        else:
+            self._deviates_since = None
 
     def _watch_following_error(self) -> None:
         """Make a fault if the axis was further from its demand than 6065h for longer than 6066h."""
@@ -426,7 +432,8 @@ class Drive(Machine):
         store[objects.POSITION_ACTUAL_VALUE] = _wrapped(servo.position - zero)
         store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
         store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
-        store[objects.TORQUE_ACTUAL_VALUE] = servo.torque
+        store[objects.TORQUE_DEMAND_VALUE], torque = servo.torques
+        store[objects.TORQUE_ACTUAL_VALUE] = store[objects.CURRENT_ACTUAL_VALUE] = torque
         store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
         store[objects.DIGITAL_INPUTS] = self.settings.track.inputs_at(servo.position)
         if statusword != shown:
@@ -441,7 +448,7 @@ class Drive(Machine):
                 word |= ModeStatus.FOLLOWING_ERROR
         elif self.state is State.QUICK_STOP_ACTIVE and servo.is_settled:
             word |= StatusBit.TARGET_REACHED
-        if servo.internal_limit:
+        if servo.internal_limit or servo.limits_torque:
             word |= StatusBit.INTERNAL_LIMIT
         if self.settings.shape is Shape.SCHUNK_POWERBALL:
             word |= servo.is_moving * StatusBit.MANUFACTURER_8 | self._homing.is_referenced * StatusBit.MANUFACTURER_15
@@ -452,7 +459,7 @@ class Drive(Machine):
         due = self._mode.due if self._acts else NEVER
         if self.state is State.NOT_READY_TO_SWITCH_ON:
             self._arm(self._ready_at)
-        elif servo.is_settled and not (self._acts and self._mode.is_waiting):
+        elif servo.is_settled and self._deviates_since is None and not (self._acts and self._mode.is_waiting):
             self._arm(due)
         else:
             wake, end = min(servo.time + step, due), servo.demand.end

@@ -1,15 +1,19 @@
 """The mechanics of the simulated drive: a track with switches, and a servo that moves along it.
 
-A `Servo` has a demand (a `motion.Profile`) and an actual position that follows it with a first-order lag. Both are closed forms,
-so there are no steps: `advance(now)` is exact, however much time has passed. A blocked axis stays where it is while its demand
-moves on; this makes a following error.
+A `Servo` has a demand (a `motion.Profile`) and an actual position that follows it, in one of two ways:
+
+- By default with a first-order lag. Both are closed forms, so there are no steps: `advance(now)` is exact, however much time has
+  passed, and costs little. A blocked axis stays where it is while its demand moves on; this makes a following error.
+- With `DriveSettings.mechanics`, as a mass under control loops and a limited torque (`plant.py`). That costs 10 to 20 ms of
+  computing for each second in which the axis moves.
 
 Positions inside are those of the track. The user's are `track position - zero`; homing sets `zero`. Rates and speeds come from
 the object dictionary at the moment of planning, in units, units/s and units/s² (one count is one user-defined unit). If the
 dictionary lacks an object, or an object in `DriveSettings.unset` is 0, the value in FALLBACKS is used. Any other speed or rate of
 0 counts as 1, which is practically standstill, but always ends.
 
-Left out: factor group (608Fh to 6096h), polarity (607Eh), limited torque. Limit switches matter for homing and 60FDh only.
+Left out: factor group (608Fh to 6096h), polarity (607Eh); with the lag, limited torque. Limit switches matter for homing and
+60FDh only.
 
 Source: IEC 61800-7-201 (CiA 402-2), position control function, homing mode.
 """
@@ -26,6 +30,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive import motion
+from canopen_proto.simulated_drive.plant import STANDSTILL, Mechanics, Plant
 
 FALLBACKS: Final[dict[Mux, int]] = {
     objects.QUICK_STOP_OPTION_CODE: 2,
@@ -52,8 +57,22 @@ FALLBACKS: Final[dict[Mux, int]] = {
     objects.MAXIMUM_BUFFER_SIZE: 1,
     objects.MAX_ACCELERATION: 2**32 - 1,
     objects.MAX_DECELERATION: 2**32 - 1,
+    objects.MAX_TORQUE: 3_000,
+    objects.MAX_CURRENT: 3_000,
+    objects.MOTOR_RATED_CURRENT: 5_000,
+    objects.MOTOR_RATED_TORQUE: 10_000,
+    objects.POSITIVE_TORQUE_LIMIT: 3_000,
+    objects.NEGATIVE_TORQUE_LIMIT: 3_000,
 }
 """The values of objects that a drive's dictionary lacks (the Schunk shape has few); also the standard shape's defaults."""
+
+TORQUE_LIMITS: Final = frozenset({
+    objects.MAX_TORQUE,
+    objects.MAX_CURRENT,
+    objects.POSITIVE_TORQUE_LIMIT,
+    objects.NEGATIVE_TORQUE_LIMIT,
+})  # fmt: skip
+"""Limits of the torque, per mille of the rated torque; 6073h, per mille of the rated current, limits the torque that it makes."""
 
 UNSET_BY_ZERO: Final = frozenset({
     objects.FOLLOWING_ERROR_WINDOW,
@@ -68,6 +87,8 @@ UNSET_BY_ZERO: Final = frozenset({
     objects.MAX_ACCELERATION,
     objects.MAX_DECELERATION,
     objects.INTERPOLATION_TIME_UNITS,
+    *TORQUE_LIMITS,
+    objects.MOTOR_RATED_TORQUE,
 })  # fmt: skip
 """Objects that would keep a drive from moving if they were 0: if its file says 0, the drive uses FALLBACKS."""
 
@@ -78,6 +99,8 @@ _AT_REST: Final = 0.01  # units between demand and actual position below which t
 _MIN_PERIOD: Final = 1e-6  # s; used for an interpolation time of 0, which an RPDO can write
 _STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error: friction, for 6077h to show something
 _RATED_TORQUE: Final = 1000
+_MILLI: Final = 1e-3
+_INT16: Final = 1 << 15
 
 
 class Shape(Enum):
@@ -118,7 +141,8 @@ class DriveSettings:
     position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated torque.
     self_test: from power-on to Switch on disabled, ns. homing_method: the homing method of a Schunk Powerball, whose 6098h is
     constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
-    to 1 s. unset: muxes of objects that count as not set if they are 0.
+    to 1 s. unset: muxes of objects that count as not set if they are 0. mechanics: the mass that moves, in place of `lag` and
+    `load`.
     """
 
     shape: Shape = Shape.STANDARD
@@ -130,6 +154,7 @@ class DriveSettings:
     homing_method: int = 19
     unset: frozenset[Mux] = frozenset()
     reaction: Time = 0
+    mechanics: Mechanics | None = None
 
 
 class Servo:
@@ -140,6 +165,7 @@ class Servo:
 
     __slots__ = (
         "_lag",
+        "_plant",
         "_step",
         "demand",
         "demand_position",
@@ -169,6 +195,7 @@ class Servo:
         self.is_powered = False
         self.internal_limit = False
         self._lag = settings.lag / SECOND
+        self._plant = None if settings.mechanics is None else Plant(settings.mechanics, self.position)
         self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
 
     def parameter(self, key: Mux) -> int:
@@ -211,6 +238,9 @@ class Servo:
             return
         demand = self.demand
         self.demand_position, self.demand_velocity, _ = demand.at(now)
+        if self._plant is not None:
+            self._follow(self._plant)
+            return
         if self.is_blocked:
             return
         if self._lag:
@@ -222,10 +252,29 @@ class Servo:
             self.position, self.velocity = self.demand_position, 0.0
             self.is_settled = True
 
+    def _follow(self, plant: Plant) -> None:
+        """Let the mass follow the demand. Without power the demand follows the mass."""
+        plant.advance(self.time, self.demand)
+        self.position, self.velocity = plant.position_at(self.time), plant.velocity
+        if not self.is_powered:
+            self.demand_position, self.demand_velocity = self.position, 0.0
+        has_arrived = not self.is_blocked or abs(self.following_error) < 1.0
+        self.is_settled = plant.rests and has_arrived
+
     @property
     def at_rest(self) -> bool:
         """Whether the demand rests: the last motion is commanded to its end."""
         return self.demand.at_rest(self.time)
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether a ramp that ends in rest has ended: of the demand, and of the mass if there is one."""
+        return self.at_rest and (self._plant is None or abs(self.velocity) < STANDSTILL)
+
+    @property
+    def limits_torque(self) -> bool:
+        """Whether the torque is at its limit, so that the axis cannot follow."""
+        return self._plant is not None and self._plant.is_saturated
 
     @property
     def is_moving(self) -> bool:
@@ -237,11 +286,29 @@ class Servo:
         return self.demand_position - self.position
 
     @property
-    def torque(self) -> int:
-        """6077h, per mille of the rated torque."""
+    def torques(self) -> tuple[int, int]:
+        """6074h and 6077h, the torque demanded and the actual one, per mille of the rated torque; with the lag, both are one."""
+        if self._plant is not None:
+            return self._per_mille(self._plant.torque_demand), self._per_mille(self._plant.torque)
         if not self.is_powered:
-            return 0
-        return round(max(-_RATED_TORQUE, min(_RATED_TORQUE, self.settings.load + _STIFFNESS * self.following_error)))
+            return 0, 0
+        torque = round(max(-_RATED_TORQUE, min(_RATED_TORQUE, self.settings.load + _STIFFNESS * self.following_error)))
+        return torque, torque
+
+    def _per_mille(self, torque: float) -> int:
+        """Return a torque in N·m per mille of the rated torque 6076h, which is in mN·m; clipped to INTEGER16."""
+        return round(max(-_INT16, min(_INT16 - 1, torque * 1e6 / self.rate(objects.MOTOR_RATED_TORQUE))))
+
+    def limit_torque(self) -> None:
+        """Take over the objects of TORQUE_LIMITS. In force from `time`."""
+        plant = self._plant
+        if plant is not None:
+            both = min(self.parameter(objects.MAX_TORQUE), self.parameter(objects.MAX_CURRENT))
+            highest = max(0, min(both, self.parameter(objects.POSITIVE_TORQUE_LIMIT)))
+            lowest = -max(0, min(both, self.parameter(objects.NEGATIVE_TORQUE_LIMIT)))
+            per_mille = self.rate(objects.MOTOR_RATED_TORQUE) * _MILLI * _MILLI
+            plant.limit_torque(lowest * per_mille, highest * per_mille)
+            self._wake(plant)
 
     def move_to(self, target: float, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
         """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target."""
@@ -292,19 +359,37 @@ class Servo:
         """Stop with this ramp."""
         self._plan(motion.stop(self.time, self.demand_position, self.demand_velocity, deceleration))
 
+    def energise(self) -> None:
+        """Put the power on. An axis that still moves is braked by the quick stop ramp."""
+        self.is_powered = True
+        if self._plant is not None:
+            self._plant.power(True)
+            self.limit_torque()
+            self._plan(motion.stop(self.time, self.position, self.velocity, self.ramp(2)))
+
     def release(self) -> None:
-        """Take the power off: the brake holds the axis where it is, and the demand is set to that position."""
+        """Take the power off: the brake holds the axis where it is, and the demand is set to that position.
+
+        A mass first runs on until brake and friction have stopped it.
+        """
         self.is_powered = False
         self.internal_limit = False
         self._plan(motion.hold(self.time, self.position))
-        self.demand_position, self.demand_velocity, self.velocity = self.position, 0.0, 0.0
-        self.is_settled = True
+        self.demand_position, self.demand_velocity = self.position, 0.0
+        if self._plant is not None:
+            self._plant.power(False)
+        else:
+            self.velocity = 0.0
+            self.is_settled = True
 
     def block(self, blocked: bool) -> None:
         """Block the axis against its drive, or free it."""
         self.is_blocked = blocked
         if blocked:
             self.velocity = 0.0
+        if self._plant is not None:
+            self._plant.block(blocked)
+            self._wake(self._plant)
 
     @property
     def moving_at(self) -> float:
@@ -318,6 +403,12 @@ class Servo:
         self.demand_position, self.demand_velocity, _ = profile.at(self.time)
         self.is_settled = False
         self._step = None
+        if self._plant is not None:
+            self._wake(self._plant)
+
+    def _wake(self, plant: Plant) -> None:
+        plant.wake(self.time)
+        self.is_settled = False
 
     def _clip(self, target: float) -> float:
         low, high = self.limits()

@@ -36,7 +36,9 @@ SHOWN: Final = (
     objects.POSITION_ACTUAL_VALUE,
     objects.VELOCITY_DEMAND_VALUE,
     objects.VELOCITY_ACTUAL_VALUE,
+    objects.TORQUE_DEMAND_VALUE,
     objects.TORQUE_ACTUAL_VALUE,
+    objects.CURRENT_ACTUAL_VALUE,
     objects.FOLLOWING_ERROR_ACTUAL_VALUE,
     objects.DIGITAL_INPUTS,
 )
