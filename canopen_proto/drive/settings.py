@@ -1,0 +1,116 @@
+"""`AxisSettings`: what the user says of one axis: its scale and its limits, how it homes, how long it may take."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Final
+
+from canopen_proto.cia402 import objects
+from canopen_proto.drive.units import DriveUnits, Unit
+from canopen_proto.machine import SECOND, LocalProtocolError, Time
+
+MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
+_MILLIDEGREES: Final = DriveUnits(per_turn=360_000.0)
+"""The units of Schunk's joints, which do not tell them."""
+
+
+class HomingStyle(enum.Enum):
+    """How a drive homes."""
+
+    STANDARD = "standard"
+    """CiA 402: mode 6, method in 0x6098; bits 13, 12 and 10 of the statusword show the result."""
+    SCHUNK = "schunk"
+    """Schunk Powerball firmware of 2012: mode 6 although 0x6502 lacks it, no 0x6098. Homing is done when bit 8 (moving) was set,
+    is 0 again, and bit 15 (referenced) is set."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSettings:
+    """The settings of one axis.
+
+    counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count. unit: the name of
+    the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
+    velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
+    direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
+    homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098; None keeps the drive's own.
+    homing_timeout: ns for a whole homing. state_timeout: ns for one change of state or mode.
+    following_error_limit: how far off its set-points the drive may be, in the user's unit, before it counts as lost; None: the
+    limit that `drive.following.following_limit` finds; math.inf: no limit.
+    keeps_reference: whether the drive knows its position after a reset or a loss of power (an absolute encoder). Such a drive
+    need not be homed again.
+    reaction_time: ns until what the drive shows answers the last command. Until then, an end of a homing, a move or a halt that
+    was shown before the command is not believed. halt_time: ns that a halted drive may take in addition. The wait is extended
+    while the drive's speed still falls.
+
+    min_position, max_position: in the user's unit; set-points and targets beyond are refused. None: only the drive's own limits
+    (0x607D) apply, which always apply. max_speed: in the user's unit per second; set-points that need more are refused. None: the
+    drive's own limit (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
+    """
+
+    counts_per_unit: float | None = None
+    unit: Unit | None = None
+    velocity_unit: float | None = None
+    direction: int = 1
+    offset: int = 0
+    homing: HomingStyle | None = None
+    homing_method: int | None = None
+    homing_timeout: Time = 60 * SECOND
+    state_timeout: Time = 3 * SECOND
+    following_error_limit: float | None = None
+    keeps_reference: bool = False
+    min_position: float | None = None
+    max_position: float | None = None
+    max_speed: float | None = None
+    reaction_time: Time = 1 * SECOND
+    halt_time: Time = 1 * SECOND
+
+    def __post_init__(self) -> None:
+        scale = self.counts_per_unit
+        if scale is not None and not (math.isfinite(scale) and scale > 0):
+            raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
+        unit = self.velocity_unit
+        if unit is not None and not (math.isfinite(unit) and unit > 0):
+            raise LocalProtocolError(f"velocity_unit must be a finite number above 0, or None; it is {unit!r}")
+        if self.direction not in (1, -1):
+            raise LocalProtocolError(f"direction must be 1 or -1; it is {self.direction!r}")
+        lowest = -math.inf if self.min_position is None else self.min_position
+        highest = math.inf if self.max_position is None else self.max_position
+        if not lowest < highest:
+            raise LocalProtocolError(f"min_position must be below max_position; they are {lowest!r} and {highest!r}")
+        if self.following_error_limit is not None and not self.following_error_limit > 0:
+            raise LocalProtocolError(
+                f"following_error_limit must be above 0, math.inf for none; it is {self.following_error_limit!r}"
+            )
+        if self.max_speed is not None and not self.max_speed > 0:
+            raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
+        if self.reaction_time <= 0 or self.halt_time <= 0:
+            raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
+
+    def of_vendor(self, vendor_id: int | None) -> AxisSettings:
+        """Return these settings, with open ones (None) filled in for drives of that vendor (None: no vendor-ID).
+
+        A joint of Schunk's counts millidegrees; its user's unit is the radian, unless `unit` names another.
+        """
+        homing = self.homing
+        if homing is None:
+            homing = HomingStyle.SCHUNK if vendor_id == objects.SCHUNK_VENDOR_ID else HomingStyle.STANDARD
+        is_schunk = homing is HomingStyle.SCHUNK and vendor_id == objects.SCHUNK_VENDOR_ID
+        scale = self.counts_per_unit
+        if is_schunk and scale is None:
+            scale = MILLIDEGREES_PER_RADIAN if self.unit is None else _MILLIDEGREES.counts_per(self.unit)
+        return replace(self, homing=homing, counts_per_unit=scale)
+
+    def difference(self, other: AxisSettings) -> str:
+        """Return how these settings differ from others, as text: "direction 1, not -1"; empty if they are equal."""
+        names = [each.name for each in fields(self) if getattr(self, each.name) != getattr(other, each.name)]
+        return ", ".join(f"{name} {_shown(getattr(self, name))}, not {_shown(getattr(other, name))}" for name in names)
+
+
+def _shown(value: object) -> str:
+    return value.value if isinstance(value, enum.Enum) else str(value)
+
+
+SCHUNK_POWERBALL: Final = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN, homing=HomingStyle.SCHUNK)
+"""The manual's arm: millidegrees on the wire; the user's unit is the radian."""
