@@ -49,6 +49,7 @@ from canopen_proto.remote_node import FRESH, RemoteNode
 if TYPE_CHECKING:
     from canopen_proto.procedures.steps import Procedure
 
+_OPEN: Final = AxisSettings()
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
 
@@ -90,7 +91,7 @@ class Axis:
         "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state", "units",
     )  # fmt: skip
 
-    def __init__(self, node: RemoteNode, settings: AxisSettings = AxisSettings()) -> None:
+    def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN) -> None:
         """Make the axis of a node. Raises LocalProtocolError if its dictionary lacks controlword, statusword or a mode object."""
         for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
             node.dictionary.variable(key)
