@@ -15,7 +15,7 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import Final
 
-from canopen_proto.cia402.states import State, StatusBit, state_of
+from canopen_proto.cia402.states import COMMANDS, Command, State, StatusBit, state_of
 
 
 class Mode(IntEnum):
@@ -155,3 +155,24 @@ def describe_status(statusword: int, mode: int | None = None) -> tuple[str, ...]
         if text and statusword >> shift & 1:
             words.append(text)
     return tuple(words)
+
+
+_COMMAND_WORDS: Final[dict[Command, str]] = {command: command.name.replace("_", " ").lower() for command in Command}
+_CONTROL_BITS: Final[dict[int, dict[int, str]]] = {
+    Mode.PROFILE_POSITION: {4: "new set-point", 5: "change immediately", 6: "relative", 9: "change on set-point"},
+    Mode.VELOCITY: {4: "ramp enabled", 5: "ramp unlocked", 6: "ramp follows the target"},
+    Mode.HOMING: {4: "homing"},
+    Mode.INTERPOLATED_POSITION: {4: "interpolation"},
+}
+"""Mode -> the meaning of the bits of the controlword that are its own."""
+
+
+def describe_command(controlword: int, mode: int | None = None) -> tuple[str, ...]:
+    """Return a controlword in words, by the mode that 6061h shows: ("enable operation", "new set-point", "halt").
+
+    The command comes first. mode: None if it is not known; bits 4, 5, 6 and 9 are then only numbered, as the manufacturer's are.
+    """
+    names = {8: "halt", **_CONTROL_BITS.get(mode if mode is not None else Mode.NO_MODE, {})}
+    command = next(each for each, (mask, value) in COMMANDS.items() if controlword & mask == value)
+    others = (bit for bit in (4, 5, 6, *range(8, 16)) if controlword >> bit & 1)
+    return (_COMMAND_WORDS[command], *(names.get(bit, f"bit {bit}") for bit in others))

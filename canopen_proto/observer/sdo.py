@@ -13,8 +13,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from canopen_proto.abort import text_of
+from canopen_proto.cia402.modes import describe_command
 from canopen_proto.cia402.names import names_in_mode
-from canopen_proto.cia402.objects import STATUSWORD
+from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.multiplexer import mux
@@ -295,6 +296,8 @@ def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: 
     notes = [] if variable is None else list(dictionary.names_of(variable, value))
     if mux(index, subindex) == STATUSWORD:
         notes = list(names_in_mode(notes, None))
+    elif mux(index, subindex) == CONTROLWORD and not notes and isinstance(value, int):
+        notes = list(describe_command(value))
     if isinstance(value, int) and value > 0xFF:
         notes.insert(0, f"0x{value:X}")
     return (repr(value) if isinstance(value, str) else str(value)) + (f" ({', '.join(notes)})" if notes else "")

@@ -6,6 +6,7 @@ from canopen_proto.cia402.modes import (
     HOMING_BITS,
     HomingStatus,
     Mode,
+    describe_command,
     describe_status,
     homing_status,
     mode_name,
@@ -234,3 +235,17 @@ def test_statuswords_for_people() -> None:
     assert describe_status(0x3437, Mode.PROFILE_POSITION)[-3:] == ("target reached", "set-point acknowledged", "following error")
     assert describe_status(0x3008) == ("fault",)
     assert describe_status(0x0081) == ("unknown state 0x0081", "warning")
+
+
+def test_controlwords_in_words() -> None:
+    assert describe_command(0x0000) == ("disable voltage",)
+    assert describe_command(0x0006) == ("shutdown",)
+    assert describe_command(0x0002, Mode.PROFILE_POSITION) == ("quick stop",)
+    assert describe_command(0x003F) == ("enable operation", "bit 4", "bit 5")
+    assert describe_command(0x033F, Mode.PROFILE_POSITION) == (
+        "enable operation", "new set-point", "change immediately", "halt", "change on set-point",
+    )  # fmt: skip
+    assert describe_command(0x011F, Mode.HOMING) == ("enable operation", "homing", "halt")
+    assert describe_command(0x80FF)[0] == "fault reset"
+    assert describe_command(0x8007, Mode.CYCLIC_SYNCHRONOUS_POSITION)[1:] == ("bit 15",)
+    assert all(describe_command(word) for word in range(0x10000))

@@ -134,8 +134,8 @@ def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
     decoder = Decoder(lambda node_id: dictionary)
     seen = [decoder.decode(Frame.parse(text)) for text in ("205#0F00", "205#0F00000001000000", "205#0F", "285#0F00", "180#")]
     assert [f"{each.service} {each.text}" for each in seen] == [
-        "short controlword = 15",
-        "long controlword = 15, position = 1",
+        "short controlword = 15 (enable operation)",
+        "long controlword = 15 (enable operation), position = 1",
         "short shorter than its mapping of 2 bytes: 0f",
         "TPDO 2 0f 00",
         "? nothing",
