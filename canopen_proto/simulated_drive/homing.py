@@ -1,9 +1,14 @@
-"""Homing in the simulated drive: the methods as a table of searches along the track.
+"""Homing in the simulated drive: each method is a row of searches along the track.
 
-A homing method is a short list of `Seek`s: go in this direction, fast or slowly, until that switch changes. A seek whose switch
-is already as wanted is skipped. The edge of the last seek is the home position. The end of a seek on the track is known when it
-begins, and the drive latches the edge as the encoder hardware of real drives does: neither the step of the simulation nor the
-overshoot matters. A limit switch that comes before the edge is a homing error.
+A homing method is a short list of `Seek`s: go in this direction, fast or slowly, until that switch changes, or to the next index
+pulse. They follow from the standard's picture of the method (`cia402.homing_methods`). A seek whose switch is already as wanted
+is skipped. The edge of the last seek is the home position. The end of a seek on the track is known when it begins, and the drive
+latches the edge as the encoder hardware of real drives does: neither the step of the simulation nor the overshoot matters. A fast
+search may overshoot a narrow switch: a search in the same direction goes on from the latched edge, one in the other direction
+from where the axis is. An index pulse at the very edge is passed over; the next one counts.
+
+**Limit switches are obstacles.** One that comes before the edge is a homing error, unless the seek `turns`: then the search goes
+on in the other direction.
 
 At the home position, the position becomes 607Ch, home offset. (The standard's picture can be read with the other sign; drives
 do it this way.) The axis returns to the edge, then homing is complete.
@@ -12,8 +17,7 @@ do it this way.) The axis returns to the edge, then homing is complete.
                     in progress --> error, moving --> error, stopped
     bit 4 falls or halt rises: interrupted; the bits say "in progress" until the axis stands
 
-Left out: methods with switch and index pulse together (1 to 14), those with a home switch that turn round at a limit switch
-(23 to 30), touch probe (36).
+Left out: homing by a touch probe (36).
 
 Source: IEC 61800-7-201 (CiA 402-2), homing mode.
 """
@@ -21,10 +25,10 @@ Source: IEC 61800-7-201 (CiA 402-2), homing mode.
 from __future__ import annotations
 
 import math
-from enum import Enum
 from typing import Final, NamedTuple, assert_never
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.homing_methods import HOMING_METHODS, HomingMethod, HomingSwitch
 from canopen_proto.cia402.modes import HOMING_BITS, HomingStatus, ModeControl
 from canopen_proto.cia402.states import ControlBit
 from canopen_proto.machine import Event, Outbox
@@ -44,38 +48,25 @@ class HomingFinished(Event):
         self.method = method
 
 
-class Switch(Enum):
-    """A switch that a seek watches."""
-
-    NEGATIVE_LIMIT = "negative limit switch"
-    POSITIVE_LIMIT = "positive limit switch"
-    HOME = "home switch"
-    INDEX = "index pulse"
-
-
 class Seek(NamedTuple):
-    """A search: go in `direction` until the switch is active, or no longer is."""
+    """A search: go in `direction` until the switch is active, or no longer is. switch: None for the next index pulse.
+
+    turns: at the limit switch in that direction, the search goes on in the other one.
+    """
 
     direction: int
     is_fast: bool
-    switch: Switch
-    active: bool
+    switch: HomingSwitch | None
+    active: bool = True
+    turns: bool = False
 
     def edge(self, track: Track, position: float) -> float:
         """Return the track position where it ends: `position` if the switch is as wanted, infinite if it never will be."""
-        match self.switch:
-            case Switch.INDEX:
-                pulses = (position - track.index_offset) / track.index_distance
-                number = math.floor(pulses) + 1 if self.direction > 0 else math.ceil(pulses) - 1
-                return track.index_offset + number * track.index_distance
-            case Switch.NEGATIVE_LIMIT:
-                low, high = -math.inf, track.negative_limit
-            case Switch.POSITIVE_LIMIT:
-                low, high = track.positive_limit, math.inf
-            case Switch.HOME:
-                low, high = track.home_switch
-            case _:
-                assert_never(self.switch)
+        if self.switch is None:
+            pulses = (position - track.index_offset) / track.index_distance
+            number = math.floor(pulses) + 1 if self.direction > 0 else math.ceil(pulses) - 1
+            return track.index_offset + number * track.index_distance
+        low, high = _range_of(self.switch, track)
         near, far = (low, high) if self.direction > 0 else (high, low)
         if not self.active:  # an axis before the switch passes it: a fast seek may have overshot
             return far if (far - position) * self.direction >= 0 else position
@@ -84,19 +75,34 @@ class Seek(NamedTuple):
         return near if (near - position) * self.direction > 0 else self.direction * math.inf
 
 
-_UP: Final = +1
-_DOWN: Final = -1
+def _range_of(switch: HomingSwitch, track: Track) -> tuple[float, float]:
+    """Return the track positions between which a switch is active."""
+    match switch:
+        case HomingSwitch.NEGATIVE_LIMIT:
+            return -math.inf, track.negative_limit
+        case HomingSwitch.POSITIVE_LIMIT:
+            return track.positive_limit, math.inf
+        case HomingSwitch.HOME:
+            return track.home_switch
+        case _:
+            assert_never(switch)
 
-METHODS: Final[dict[int, tuple[Seek, ...]]] = {
-    17: (Seek(_DOWN, True, Switch.NEGATIVE_LIMIT, True), Seek(_UP, False, Switch.NEGATIVE_LIMIT, False)),
-    18: (Seek(_UP, True, Switch.POSITIVE_LIMIT, True), Seek(_DOWN, False, Switch.POSITIVE_LIMIT, False)),
-    19: (Seek(_UP, True, Switch.HOME, True), Seek(_DOWN, False, Switch.HOME, False)),
-    21: (Seek(_DOWN, True, Switch.HOME, True), Seek(_UP, False, Switch.HOME, False)),
-    33: (Seek(_DOWN, False, Switch.INDEX, True),),
-    34: (Seek(_UP, False, Switch.INDEX, True),),
-    35: (),
-    37: (),
-}
+
+def _seeks_of(method: HomingMethod) -> tuple[Seek, ...]:
+    """Return the searches that a picture asks for: onto the switch, slowly over the edge that counts, to the index pulse."""
+    switch, seeks = method.switch, []
+    if switch is not None:
+        seeks.append(Seek(method.start, True, switch, turns=method.turns))
+        leaves = method.last == method.edge
+        if not leaves:  # it leaves the switch first, and comes back slowly
+            seeks.append(Seek(method.edge, True, switch, active=False))
+        seeks.append(Seek(method.last, False, switch, active=not leaves))
+    if method.index:
+        seeks.append(Seek(method.last, False, None))
+    return tuple(seeks)
+
+
+METHODS: Final[dict[int, tuple[Seek, ...]]] = {number: _seeks_of(method) for number, method in HOMING_METHODS.items()}
 """Homing method (6098h) -> its seeks, in order. Without any, home is where the axis stands."""
 
 _START: Final = ModeControl.START_HOMING
@@ -113,8 +119,8 @@ class Homing(OperationMode):
         self.is_referenced = False
         self._status = HomingStatus.INTERRUPTED
         self._method = 0
-        self._seeks: tuple[Seek, ...] = ()
-        self._seek = 0
+        self._seeks: tuple[Seek, ...] = ()  # those that follow the present one
+        self._seek: Seek | None = None
         self._edge = self._limit = 0.0
 
     def enter(self) -> None:
@@ -148,24 +154,48 @@ class Homing(OperationMode):
             return
         self._status = HomingStatus.IN_PROGRESS
         self._seeks = seeks
-        self._seek = 0
+        self._seek = None
         self._edge = servo.position
-        self._begin_seek()
+        self._next_seek()
 
-    def _begin_seek(self) -> None:
-        """Start the next seek whose switch is not as wanted yet; if there is none, home is found."""
-        servo, track = self.servo, self.servo.settings.track
-        for number in range(self._seek, len(self._seeks)):
-            seek = self._seeks[number]
-            self._edge = seek.edge(track, servo.position)
-            if self._edge != servo.position:
-                self._seek = number
-                self._limit = track.positive_limit if seek.direction > 0 else track.negative_limit
-                speed = objects.HOMING_SPEED_SEARCH_SWITCH if seek.is_fast else objects.HOMING_SPEED_SEARCH_ZERO
-                rate = servo.rate(objects.HOMING_ACCELERATION)
-                servo.run(seek.direction * servo.rate(speed), rate, rate, limited=False)
+    def _next_seek(self) -> None:
+        """Begin the next seek whose switch is not as wanted yet; if there is none, home is found."""
+        for number, seek in enumerate(self._seeks):
+            goes_on = self._seek is not None and self._seek.direction == seek.direction
+            begin = self._edge if goes_on else self.servo.position
+            self._edge = seek.edge(self.servo.settings.track, begin)
+            if self._edge != begin:
+                self._seeks = self._seeks[number + 1 :]
+                self._run(seek)
                 return
         self._attain()
+
+    def _run(self, seek: Seek) -> None:
+        servo, track = self.servo, self.servo.settings.track
+        self._seek = seek
+        self._limit = track.positive_limit if seek.direction > 0 else track.negative_limit
+        if (self._edge - self._limit) * seek.direction > 0:  # the limit switch comes first
+            self._edge = seek.direction * math.inf
+        if self._is_past(self._limit) and not self._is_past(self._edge):  # it stands on the limit switch
+            self._meet_limit(seek)
+            return
+        speed = objects.HOMING_SPEED_SEARCH_SWITCH if seek.is_fast else objects.HOMING_SPEED_SEARCH_ZERO
+        rate = servo.rate(objects.HOMING_ACCELERATION)
+        servo.run(seek.direction * servo.rate(speed), rate, rate, limited=False)
+
+    def _is_past(self, place: float) -> bool:
+        """Return whether the axis has reached a place on the track, in the direction of the present seek."""
+        return self._seek is not None and (self.servo.position - place) * self._seek.direction >= 0
+
+    def _meet_limit(self, seek: Seek) -> None:
+        """Act on the limit switch at the end of the track: turn round, or end the homing with an error."""
+        if seek.turns:
+            back = Seek(-seek.direction, seek.is_fast, seek.switch)
+            self._edge = back.edge(self.servo.settings.track, self.servo.position)
+            self._run(back)
+            return
+        self.servo.brake(self.servo.rate(objects.HOMING_ACCELERATION))
+        self._status = HomingStatus.ERROR_MOVING
 
     def _attain(self) -> None:
         servo = self.servo
@@ -178,13 +208,11 @@ class Homing(OperationMode):
     def tick(self) -> None:
         servo = self.servo
         if self._status is HomingStatus.IN_PROGRESS:
-            direction = self._seeks[self._seek].direction
-            if (servo.position - self._edge) * direction >= 0:
-                self._seek += 1
-                self._begin_seek()
-            elif (servo.position - self._limit) * direction >= 0:
-                servo.brake(servo.rate(objects.HOMING_ACCELERATION))
-                self._status = HomingStatus.ERROR_MOVING
+            seek = self._seek
+            if self._is_past(self._edge):
+                self._next_seek()
+            elif seek is not None and self._is_past(self._limit):
+                self._meet_limit(seek)
         elif servo.is_settled:
             if self._status is HomingStatus.ATTAINED:
                 self._finish(HomingStatus.COMPLETE)

@@ -12,6 +12,7 @@ from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveStateChanged, StatuswordChanged
+from canopen_proto.simulated_drive.late_drive import LateDrive
 from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 
 E = TypeVar("E", bound=Event)
@@ -27,7 +28,8 @@ class Bench:
         settings = settings or DriveSettings()
         self.out = Outbox()
         self.values = Values(dictionary or DICTIONARIES[settings.shape], NODE_ID)
-        self.drive = Drive(self.out, NODE_ID, self.values, settings)
+        kind = LateDrive if settings.reaction else Drive
+        self.drive: Drive = kind(self.out, NODE_ID, self.values, settings)
         self.now: Time = SECOND
         self.drive.reset(self.now)
 
