@@ -7,7 +7,7 @@
     late_drive.py         a drive that acts late, as real ones do
     profile_modes.py      its profile position and velocity modes
     synchronous_modes.py  its ip and csp modes: a set-point at each SYNC
-    homing.py             its homing
+    homing.py             its homing: searches for switches and index pulses
     servo.py              its mechanics: track, lag, limits
     plant.py              a mass under control loops and a limited torque, instead of the lag
     motion.py             closed-form motion profiles
