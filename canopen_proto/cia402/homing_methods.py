@@ -43,7 +43,7 @@ class HomingSwitch(Enum):
 class HomingMethod(NamedTuple):
     """The picture of one method; see this module's text. start, edge, last: +1 or -1.
 
-    switch: None if the method uses none; edge is 0 then. start and last are 0 if nothing moves. index: whether home is an index
+    switch: None if the method uses none; edge is 0 then. start and last are 0 if nothing moves. has_index: whether home is an index
     pulse. turns: whether the axis turns round at the limit switch in the direction `start`.
     """
 
@@ -51,7 +51,7 @@ class HomingMethod(NamedTuple):
     start: int
     edge: int
     last: int
-    index: bool = False
+    has_index: bool = False
     turns: bool = False
 
 
@@ -79,10 +79,10 @@ _INDEX_METHODS: Final = 16
 """A method with index pulse is this many below the same method without."""
 
 HOMING_METHODS: Final[dict[int, HomingMethod]] = {
-    **{number - _INDEX_METHODS: method._replace(index=True) for number, method in _WITHOUT_INDEX.items()},
+    **{number - _INDEX_METHODS: method._replace(has_index=True) for number, method in _WITHOUT_INDEX.items()},
     **_WITHOUT_INDEX,
-    33: HomingMethod(None, -1, 0, -1, index=True),
-    34: HomingMethod(None, +1, 0, +1, index=True),
+    33: HomingMethod(None, -1, 0, -1, has_index=True),
+    34: HomingMethod(None, +1, 0, +1, has_index=True),
     35: _HERE,
     37: _HERE,
 }
@@ -115,7 +115,7 @@ def _name(number: int) -> str:
     if method.switch is None:
         return f"the next index pulse in {direction} direction"
     side = f", {_DIRECTIONS[method.edge]} side" if method.switch is _HOME else ""
-    index = ", with index pulse" if method.index else ""
+    index = ", with index pulse" if method.has_index else ""
     return f"{method.switch.value}{side}{index}; begins in {direction} direction"
 
 
@@ -134,4 +134,4 @@ def describe_homing(number: int) -> str:
     if method.turns:
         way += f", and turns round at the {start} limit switch"
     edge = f"the {_DIRECTIONS[method.edge]} end of the {switch}, in {last} direction"
-    return f"{way}; home is {'the first index pulse behind ' if method.index else ''}{edge}"
+    return f"{way}; home is {'the first index pulse behind ' if method.has_index else ''}{edge}"

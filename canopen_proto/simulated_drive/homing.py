@@ -97,7 +97,7 @@ def _seeks_of(method: HomingMethod) -> tuple[Seek, ...]:
         if not leaves:  # it leaves the switch first, and comes back slowly
             seeks.append(Seek(method.edge, True, switch, active=False))
         seeks.append(Seek(method.last, False, switch, active=not leaves))
-    if method.index:
+    if method.has_index:
         seeks.append(Seek(method.last, False, None))
     return tuple(seeks)
 

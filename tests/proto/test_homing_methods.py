@@ -17,7 +17,7 @@ def test_the_pictures_come_in_mirrored_pairs(one: int, mirrored: int) -> None:
     for shift in (0, 16) if one < 33 else (0,):
         left, right = HOMING_METHODS[one + shift], HOMING_METHODS[mirrored + shift]
         assert (left.start, left.edge, left.last) == (-right.start, -right.edge, -right.last)
-        assert (left.index, left.turns) == (right.index, right.turns)
+        assert (left.has_index, left.turns) == (right.has_index, right.turns)
         ends = {HomingSwitch.NEGATIVE_LIMIT: HomingSwitch.POSITIVE_LIMIT}
         assert right.switch is (ends.get(left.switch, left.switch) if left.switch is not None else None)
 
