@@ -43,8 +43,8 @@ class HomingSwitch(Enum):
 class HomingMethod(NamedTuple):
     """The picture of one method; see this module's text. start, edge, last: +1 or -1.
 
-    switch: None if the method uses none; edge is 0 then. start and last are 0 if nothing moves. has_index: whether home is an index
-    pulse. turns: whether the axis turns round at the limit switch in the direction `start`.
+    switch: None if the method uses none; edge is 0 then. start and last are 0 if nothing moves. has_index: whether home is an
+    index pulse. turns: whether the axis turns round at the limit switch in the direction `start`.
     """
 
     switch: HomingSwitch | None
