@@ -354,12 +354,16 @@ class Axis:
             self._set_point_at(mux).put(numbers[mux])
 
     def set_controlword(self, word: int, now: Time) -> None:
-        """Put a command into the image. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.
+        """Put a command into the image; see `put`. `drive.command` sends in every case."""
+        self.put(objects.CONTROLWORD, word & 0xFFFF, now)
 
-        Without a live RPDO that carries 0x6040 nothing is sent; `drive.command` sends in every case.
+    def put(self, mux: Mux, value: int, now: Time) -> None:
+        """Put a value into the image of an object. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.
+
+        Without a live RPDO that carries the object nothing is sent.
         """
-        self._store[objects.CONTROLWORD] = word & 0xFFFF
-        producer = self.node.rpdo_of(objects.CONTROLWORD)
+        self._store[mux] = value
+        producer = self.node.rpdo_of(mux)
         if producer is not None:
             producer.trigger(now)
 

@@ -1,4 +1,4 @@
-"""Send a controlword to a drive."""
+"""Send a controlword or a mode of operation to a drive: by an RPDO that carries it, or by SDO."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from canopen_proto.cia402.states import Command, State
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import is_loss_of, node_lost
 from canopen_proto.machine import MILLISECOND, Event
+from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
 from canopen_proto.sync import SyncReceived, SyncSent
@@ -40,23 +41,31 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
         axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
-    yield from _bring(axis, controlword)
+    yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF)
     if is_start:
         axis.started_at = yield from current_time()
 
 
-def _bring(axis: Axis, controlword: int) -> Procedure[None]:
-    producer = axis.node.rpdo_of(objects.CONTROLWORD)
+def bring(axis: Axis, mux: Mux, value: int) -> Procedure[None]:
+    """Bring the value of an object to the drive, as `command` brings a controlword.
+
+    From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is read, and a write of it by
+    SDO is not undone by an RPDO that the drive holds. Raises ValueRangeError, with nothing sent, for a value that does not fit.
+    """
+    node = axis.node
+    node.dictionary.variable(mux).encode(value)
+    node.commanded.add(mux)
+    producer = node.rpdo_of(mux)
     if producer is not None and not producer.is_synchronous:
-        yield from act(lambda now: axis.set_controlword(controlword, now))
+        yield from act(lambda now: axis.put(mux, value, now))
         return
-    last_sync = axis.node.last_sync
+    last_sync = node.last_sync
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
-        yield from act(lambda now: axis.set_controlword(controlword, now))
+        yield from act(lambda now: axis.put(mux, value, now))
         # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
-    yield from write(axis.node, objects.CONTROLWORD, controlword)
+    yield from write(node, mux, value)
 
 
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:

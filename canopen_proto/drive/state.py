@@ -10,13 +10,13 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.controlword import STAYS, command, command_held
+from canopen_proto.drive.controlword import STAYS, bring, command, command_held
 from canopen_proto.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
 from canopen_proto.drive.halting import halt
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import Time
-from canopen_proto.procedures.objects import read_if_present, read_int, write
-from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, current_time
+from canopen_proto.procedures.objects import read_if_present, read_int
+from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, act, current_time
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; 0 for all other states."""
@@ -117,7 +117,7 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
 
 
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
-    """Select a mode of operation and wait until the drive shows it.
+    """Select a mode of operation and wait until the drive shows it. 0x6060 goes by the live RPDO that carries it, else by SDO.
 
     Raises ModeUnsupported, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if the
     drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
@@ -133,7 +133,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
-    yield from write(axis.node, objects.MODES_OF_OPERATION, mode)
+    yield from bring(axis, objects.MODES_OF_OPERATION, mode)
     watch: Watch[bool] = Watch(
         axis,
         mode_name(mode),
@@ -151,9 +151,12 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     try:
         yield from watch.until(is_shown, axis.settings.state_timeout)
     except StepTimeout as late:
-        shown = mode_name(axis.mode or 0)
+        shown = axis.mode or Mode.NO_MODE
+        if axis.node.rpdo_of(objects.MODES_OF_OPERATION) is not None:
+            # An RPDO cannot be refused: it would go on asking, and the drive might obey at any later time.
+            yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, shown, now))
         raise ModeUnsupported(
-            f"{name_of(axis)} did not take up {mode_name(mode)}; it shows {shown} in 0x6061: {axis.describe()}"
+            f"{name_of(axis)} did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061: {axis.describe()}"
         ) from late
 
 
