@@ -24,7 +24,10 @@ Source: IEC 61800-7-201 (CiA 402-2).
 """
 
 from canopen_proto.drive.controlword import command as command
+from canopen_proto.drive.failures import AccessFailed as AccessFailed
+from canopen_proto.drive.failures import DriveError as DriveError
 from canopen_proto.drive.failures import DriveFault as DriveFault
+from canopen_proto.drive.failures import DriveTimeout as DriveTimeout
 from canopen_proto.drive.failures import HomingFailed as HomingFailed
 from canopen_proto.drive.failures import LimitReached as LimitReached
 from canopen_proto.drive.failures import ModeLost as ModeLost

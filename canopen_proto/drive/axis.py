@@ -33,7 +33,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Final, Protocol
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode, describe_status
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.drive.set_points import SET_POINT_OF, SetPoint
@@ -42,6 +42,7 @@ from canopen_proto.drive.settings import SCHUNK_POWERBALL as SCHUNK_POWERBALL
 from canopen_proto.drive.settings import AxisSettings as AxisSettings
 from canopen_proto.drive.settings import HomingStyle as HomingStyle
 from canopen_proto.drive.units import DriveUnits
+from canopen_proto.drive.view import DriveView
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
@@ -83,12 +84,14 @@ class Axis:
     settings: the settings in force; open ones are filled in once `is_identified`; may be set. has_scale: whether the user's unit
     is known; else it is the count. units: as the drive told them when they were last read. grip: takes hold before the drive
     is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which
-    starts a motion; OBEYED once the drive has shown that it took it.
+    starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
+    selected last; None: none since the drive's last boot. is_commanded: whether this master sent a controlword since then.
     """
 
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
-        "_store", "_was_homed", "grip", "has_scale", "is_identified", "node", "started_at", "state", "units",
+        "_store", "_was_homed", "grip", "has_scale", "is_commanded", "is_identified", "node", "selected_mode",
+        "started_at", "state", "units",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN) -> None:
@@ -104,6 +107,8 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
+        self.selected_mode: int | None = None
+        self.is_commanded = False
         self.units = DriveUnits()
         self._set_points: dict[Mux, SetPoint] = {}
         self._position = SetPoint(standard_variable(0x607A), self._store)  # of a drive without position set-points
@@ -203,18 +208,30 @@ class Axis:
             return None
         return self._int(objects.STATUSWORD)
 
+    def view(self) -> DriveView:
+        """Return what was heard from the drive, and what it was commanded; nothing is read."""
+        producer = self.node.rpdo_of(objects.CONTROLWORD)
+        return DriveView(
+            self.statusword,
+            mode=self.mode,
+            error_code=self.error_code,
+            position=self.position_counts,
+            inputs=self._heard(objects.DIGITAL_INPUTS),
+            supported_modes=self._heard(objects.SUPPORTED_DRIVE_MODES),
+            nmt_state=self.node.nmt_state,
+            controlword=self.controlword if self.is_commanded else None,
+            commanded=self.controlword if self.is_commanded else None,
+            selected_mode=self.selected_mode,
+            wanted_mode=self.selected_mode,
+            rpdo=None if producer is None else producer.number,
+            emcy=self.node.emcy.last,
+            has_lost_reference=self.has_lost_reference,
+            is_heard=objects.STATUSWORD in self._heard_at,
+        )
+
     def describe(self) -> str:
-        """Return one line for people: state, statusword, error code and last EMCY."""
-        if self._heard(objects.STATUSWORD) is None:
-            parts = ["its statusword was never heard"]
-        else:
-            parts = [f"statusword 0x{self.statusword:04X}: {', '.join(describe_status(self.statusword, self.mode))}"]
-        if self.error_code:
-            parts.append(f"error code 0x{self.error_code:04X}")
-        last_emcy = self.node.emcy.last
-        if last_emcy is not None and last_emcy.code:
-            parts.append(f"last EMCY 0x{last_emcy.code:04X} {last_emcy.text}")
-        return "; ".join(parts)
+        """Return one line for people: see `DriveView.describe`."""
+        return self.view().describe()
 
     def identify(self, vendor_id: int | None) -> None:
         """Fill in open settings (None) by the drive's vendor-ID (None: it has none). Later calls change nothing."""
@@ -385,7 +402,8 @@ class Axis:
     def _on_boot(self) -> None:
         if not self.settings.keeps_reference:
             self.is_homed = False
-        self._shown = None
+        self._shown = self.selected_mode = None
+        self.is_commanded = False
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

@@ -16,7 +16,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
 from canopen_proto.drive.axis import Axis, HomingStyle
 from canopen_proto.drive.controlword import STAYS, command, command_held
-from canopen_proto.drive.failures import name_of
+from canopen_proto.drive.failures import accounted, name_of
 from canopen_proto.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -57,6 +57,7 @@ _OF_ITS_RAMP: Final = 0.25
 """If its ramp is known, more than this share of the ramp's loss in `halt_time` is enough too: a ramp may begin smoothly."""
 
 
+@accounted
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
@@ -81,6 +82,7 @@ def halt(axis: Axis) -> Procedure[None]:
             axis.settings.reaction_time,
             "a statusword that shows a state",
             accept_fault=True,
+            looks=False,
         )
     state = state_of(statusword)
     if state in _CAN_BE_ENABLED and _may_be_enabled(axis):
@@ -104,7 +106,7 @@ def _late_state(axis: Axis) -> Procedure[State]:
     goal = "operation enabled, as commanded"
     try:
         word = yield from wait_for_statusword(
-            axis, lambda word: state_of(word) in POWERED, axis.settings.reaction_time, goal, accept_fault=True
+            axis, lambda word: state_of(word) in POWERED, axis.settings.reaction_time, goal, accept_fault=True, looks=False
         )
     except StepTimeout:
         return axis.state
@@ -160,7 +162,7 @@ class _Standstill:
             objects.VELOCITY_ACTUAL_VALUE: FRESH,
         }
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
-        self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present)
+        self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self._axis = axis
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK

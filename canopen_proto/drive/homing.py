@@ -25,7 +25,7 @@ from canopen_proto.cia402.modes import HomingStatus, Mode, ModeControl, ModeStat
 from canopen_proto.cia402.states import Command, State, StatusBit
 from canopen_proto.drive.axis import Axis, HomingStyle
 from canopen_proto.drive.controlword import command
-from canopen_proto.drive.failures import HomingFailed, name_of
+from canopen_proto.drive.failures import HomingFailed, accounted
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import Watch
@@ -52,8 +52,10 @@ _STANDARD_ENDINGS: Final = {
 _STANDARD_BITS: Final = {_Ending.HOMED: ModeStatus.HOMING_ATTAINED, _Ending.FAILED: ModeStatus.HOMING_ERROR}
 _SCHUNK_BITS: Final = {_Ending.HOMED: StatusBit.MANUFACTURER_15}
 """The bit that shows an end."""
+_FREE: Final = "look whether the axis can move freely, and at its homing method (0x6098)"
 
 
+@accounted
 def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
 
@@ -85,9 +87,9 @@ def _wait_for_end(axis: Axis) -> Procedure[None]:
     judge = _EndOfHoming(axis, (yield from current_time()))
     ending = yield from watch.until(judge.judge, axis.settings.homing_timeout)
     if ending is _Ending.FAILED:
-        raise HomingFailed(f"{name_of(axis)} reports a homing error: {axis.describe()}")
+        raise HomingFailed(axis, "reports a homing error", remedy=_FREE)
     if ending is _Ending.STANDS:
-        raise HomingFailed(f"{name_of(axis)} {judge.why_it_stands()}: {axis.describe()}")
+        raise HomingFailed(axis, judge.why_it_stands(), remedy=_FREE)
 
 
 class _EndOfHoming:

@@ -19,11 +19,11 @@ from dataclasses import replace
 
 from canopen_proto.cia402.objects import VENDOR_ID
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.failures import name_of
+from canopen_proto.drive.failures import DriveError
 from canopen_proto.drive.units import DriveUnits, read_units
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, upload
+from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 
 
 def identify(axis: Axis) -> Procedure[None]:
@@ -38,10 +38,8 @@ def identify(axis: Axis) -> Procedure[None]:
     if unit is not None and axis.settings.counts_per_unit is None:
         counts = (yield from learn_units(axis)).counts_per(unit)
         if counts is None:
-            raise ProcedureError(
-                f"{name_of(axis)} does not tell how many counts a {unit} has (0x60A8, 0x6092, 0x608F). "
-                "Try: counts_per_unit, by its manual"
-            )
+            failed = f"does not tell how many counts a {unit} has (0x60A8, 0x6092, 0x608F)"
+            raise DriveError(axis, failed, remedy="counts_per_unit, by its manual", looks=False)
         axis.settings = replace(axis.settings, counts_per_unit=counts)
 
 

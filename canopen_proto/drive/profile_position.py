@@ -9,7 +9,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command
-from canopen_proto.drive.failures import LimitReached, name_of, require_reference
+from canopen_proto.drive.failures import LimitReached, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.limits import limits_of
 from canopen_proto.drive.state import enable, set_mode
@@ -27,6 +27,7 @@ _TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDI
 """The controlword with which a new set-point drops the one before."""
 
 
+@accounted
 def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = False) -> Procedure[None]:
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
@@ -62,7 +63,7 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
         except StepTimeout as refused:
             limit = yield from _limit_before(axis, target)
             if limit:
-                raise LimitReached(f"{name_of(axis)} did not take its target: {limit}. Try: {_OTHER_TARGET}") from refused
+                raise LimitReached(axis, "did not take its target", reason=limit, remedy=_OTHER_TARGET) from refused
             raise
         axis.started_at = OBEYED
         yield from command(axis, _TAKES_AT_ONCE | relation)
@@ -89,8 +90,10 @@ def _require_within_limits(axis: Axis, start: int, target: int) -> None:
     limit = limits_of(axis).position_excess(axis.from_counts(start), axis.from_counts(target))
     if limit is not None:
         raise LimitReached(
-            f"{name_of(axis)} was not moved to {axis.from_counts(target):g}: {limit.source} say {limit.value:g}. Nothing was "
-            f"sent. Try: {_OTHER_TARGET}"
+            axis,
+            f"was not moved to {axis.from_counts(target):g}",
+            reason=f"{limit.source} say {limit.value:g}; nothing was sent",
+            remedy=_OTHER_TARGET,
         )
 
 
@@ -131,8 +134,11 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
         limit = "an internal limit of the drive is active (bit 11)"
     if limit or (is_there is False and not relative):  # 0x60F2: the drive decides what a relative target counts from
         raise LimitReached(
-            f"{name_of(axis)} stands at {axis.from_counts(position):g} ({position} counts), not at its target "
-            f"{axis.from_counts(target):g} ({target} counts): {limit or axis.describe()}. Try: {_OTHER_TARGET}"
+            axis,
+            f"stands at {axis.from_counts(position):g} ({position} counts), not at its target {axis.from_counts(target):g} "
+            f"({target} counts)",
+            reason=limit,
+            remedy=_OTHER_TARGET,
         )
 
 

@@ -2,28 +2,30 @@
 
 A drive moves if its node is not stopped, it is in Operation enabled, no halt is commanded, it shows a mode of operation, and its
 target lies elsewhere. The obstacles are looked for in the order in which they have to be removed: a drive in fault cannot be
-enabled, whatever else is wrong with it. PDOs are not judged: a command may come by SDO too.
+enabled, whatever else is wrong with it.
 
-Digital inputs 0x60FD: bit 0 is the negative limit switch, bit 1 the positive one. Bit 3, the interlock, is left out: makers do
-not agree on which level means "safe torque off".
+Objects of makers are looked at only if the settings name them: the bit for "safe torque off", and that of a brake that holds.
+Digital inputs 0x60FD: bit 0 is the negative limit switch, bit 1 the positive one. A homing looks for them: they are no obstacle
+in homing mode.
 
 Source: IEC 61800-7-201 (CiA 402-2), device control, 60FDh; the order is ours.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name, supported
-from canopen_proto.cia402.states import FAULT_STATES, ControlBit, State, StatusBit, state_of
+from canopen_proto.cia402.states import COMMAND_BITS, FAULT_STATES, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.units import read_number
+from canopen_proto.drive.view import DriveBit, DriveView, command_text
 from canopen_proto.error_codes import error_text
 from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time
 from canopen_proto.remote_node import RemoteNode
 
 _SHOWN: Final = {
@@ -36,6 +38,8 @@ _SHOWN: Final = {
     "inputs": objects.DIGITAL_INPUTS,
 }
 """The fields of `DriveView` that `look_at` reads besides the statusword."""
+_TELLING: Final = ("controlword", "wanted_mode", "error_code", "inputs")
+"""Those that `look_closer` reads: no procedure looks at them by itself."""
 _SIGNED: Final = (objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY, objects.POSITION_ACTUAL_VALUE)
 _ASKED: Final = {
     State.SWITCH_ON_DISABLED: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP,
@@ -47,26 +51,11 @@ _FOLLOWING: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _OBEYS: Final = (
     Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.CYCLIC_SYNCHRONOUS_VELOCITY, Mode.CYCLIC_SYNCHRONOUS_TORQUE,
 )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class DriveView:
-    """The values of a drive's objects of CiA 402; None: it lacks the object. nmt_state: None: it was never heard."""
-
-    statusword: int
-    controlword: int | None = None
-    mode: int | None = None
-    wanted_mode: int | None = None
-    supported_modes: int | None = None
-    error_code: int | None = None
-    position: int | None = None
-    inputs: int | None = None
-    nmt_state: NmtState | None = None
-
-    @property
-    def state(self) -> State:
-        """The state of the drive, by its statusword."""
-        return state_of(self.statusword)
+_BY_PDO: Final = (Mode.INTERPOLATED_POSITION, *_OBEYS)
+"""The modes whose set-points come by PDO."""
+_TO_A_POSITION: Final[tuple[int, ...]] = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
+_COMPARED: Final = COMMAND_BITS & ~ControlBit.FAULT_RESET
+"""The bits of a controlword in which the drive's own differs only if it did not get ours: a drive may clear the others."""
 
 
 class Reason(NamedTuple):
@@ -77,29 +66,9 @@ class Reason(NamedTuple):
     is_command: bool = False
 
 
-def seen_of(axis: Axis) -> DriveView:
-    """Return what was last heard from a drive, and commanded to it; nothing is read."""
-
-    def heard(key: Mux) -> int | None:
-        value = axis.node.values.store.get(key) if key in axis.node.heard_at else None
-        return value if isinstance(value, int) else None
-
-    return DriveView(
-        axis.statusword,
-        axis.controlword,
-        axis.mode,
-        supported_modes=heard(objects.SUPPORTED_DRIVE_MODES),
-        error_code=axis.error_code,
-        inputs=heard(objects.DIGITAL_INPUTS),
-    )
-
-
-def outer_reason(axis: Axis) -> str:
-    """Return the end of a message: the first obstacle that no command removes, and what to do about it; "" if there is none."""
-    if objects.STATUSWORD not in axis.node.heard_at:
-        return ""
-    found = next((each for each in reasons(seen_of(axis)) if not each.is_command), None)
-    return "" if found is None else f"; {found.what}. Try: {found.remedy}"
+def outer_reason(view: DriveView) -> Reason | None:
+    """Return the first obstacle that no command of this master removes; None if there is none."""
+    return next((each for each in reasons(view) if not each.is_command), None)
 
 
 def look_at(node: RemoteNode) -> Procedure[DriveView | None]:
@@ -110,10 +79,39 @@ def look_at(node: RemoteNode) -> Procedure[DriveView | None]:
     statusword = yield from read_number(node, objects.STATUSWORD)
     if statusword is None:
         return None
-    shown: dict[str, int | None] = {}
+    shown: dict[str, Any] = {}
     for name, key in _SHOWN.items():
         shown[name] = yield from read_number(node, key, signed=key in _SIGNED)
-    return DriveView(statusword, nmt_state=node.nmt_state, **shown)
+    return DriveView(statusword, nmt_state=node.nmt_state, emcy=node.emcy.last, **shown)
+
+
+def look_closer(axis: Axis) -> Procedure[DriveView]:
+    """Return what is known of a drive, and read what tells why it does not obey. A drive that does not answer tells no more."""
+    view = replace(axis.view(), is_homed=axis.is_homed or axis.settings.keeps_reference)
+    try:
+        for name in _TELLING:
+            key = _SHOWN[name]
+            heard = axis.node.fresh(key, (yield from current_time()))
+            value = heard if isinstance(heard, int) else (yield from read_number(axis.node, key, signed=key in _SIGNED))
+            view = _with(view, name, value)
+        for name, bit in (("safe_torque_off", axis.settings.sto_input), ("brake", axis.settings.brake_bit)):
+            if bit is not None:
+                view = _with(view, name, (yield from _shown_bit(axis, bit)))
+    except ProcedureError:
+        return view  # the error that is being explained is raised all the same
+    return view
+
+
+def _with(view: DriveView, name: str, value: int | DriveBit | None) -> DriveView:
+    change: dict[str, Any] = {} if value is None else {name: value}
+    return replace(view, **change)
+
+
+def _shown_bit(axis: Axis, bit: DriveBit) -> Procedure[DriveBit | None]:
+    """Return the bit if the drive shows it, else None."""
+    key: Mux = bit.mux
+    value = axis.statusword if key == objects.STATUSWORD else (yield from read_number(axis.node, key))
+    return bit if value is not None and bit.is_shown_by(value) else None
 
 
 def reasons(view: DriveView) -> tuple[Reason, ...]:
@@ -121,6 +119,8 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
     found = []
     if view.nmt_state is NmtState.STOPPED:
         found.append(Reason("its NMT state is stopped: it takes no PDO and no SDO", "start it (NMT)"))
+    if not view.is_heard:
+        return tuple(found)
     if view.state in FAULT_STATES:
         return (*found, _fault(view))
     if view.state is State.UNKNOWN:
@@ -128,14 +128,20 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
         return (*found, Reason(what, "look whether it is a drive by CiA 402, and this is its statusword"))
     if not view.statusword & StatusBit.REMOTE:
         found.append(Reason("it is under local control (bit 9, remote, is 0)", "give the fieldbus control, at the drive"))
+    if view.safe_torque_off is not None:
+        what = f"safe torque off is active ({view.safe_torque_off})"
+        found.append(Reason(what, "release the emergency stop, and look at the wiring of the drive's STO inputs"))
     if view.state is State.QUICK_STOP_ACTIVE:
         found.append(Reason("a quick stop is active", "enable it again; if it does not leave this state, disable it first", True))
     elif view.state is not State.OPERATION_ENABLED:
         found.extend(_not_enabled(view))
-    if view.controlword is not None and view.controlword & ControlBit.HALT:
-        found.append(Reason("its controlword commands a halt (bit 8)", "a command without bit 8", True))
+    elif view.brake is not None:
+        found.append(Reason(f"its brake holds it ({view.brake})", "look at the supply of the brake, and at who controls it"))
+    found.extend(_command(view))
     found.extend(_mode(view))
     found.extend(_limits(view))
+    if view.state is State.OPERATION_ENABLED and view.mode in _TO_A_POSITION and not found:
+        found.extend(_reference(view))
     return tuple(found)
 
 
@@ -157,19 +163,49 @@ def _not_enabled(view: DriveView) -> list[Reason]:
     return [*found, Reason(f"it is not enabled: {view.state}", "enable it", True)]
 
 
+def _command(view: DriveView) -> list[Reason]:
+    """Return what is wrong with the controlword: a halt, or another word in the drive than the one that it was sent."""
+    word, sent = view.controlword, view.commanded
+    if word is None:
+        return []
+    is_ours = sent is None or not (word ^ sent) & (_COMPARED | ControlBit.HALT)
+    if word & ControlBit.HALT and (is_ours or (sent is not None and sent & ControlBit.HALT)):
+        return [Reason("its controlword commands a halt (bit 8)", "a command without bit 8", True)]
+    if is_ours or sent is None:
+        return []
+    differs = f"its controlword is {command_text(word)}, not the {command_text(sent)} that it was sent"
+    if word & ControlBit.HALT:
+        return [Reason(f"its controlword commands a halt (bit 8): {differs}", "find the other master that halts it")]
+    if view.rpdo is None:
+        return [Reason(differs, "find the other master that commands it")]
+    what = f"its RPDO {view.rpdo}, which carries the controlword, does not reach it: {differs}"
+    return [Reason(what, "compare the RPDO's CAN-ID and mapping with those of the drive (canopen info), or define them anew")]
+
+
 def _mode(view: DriveView) -> list[Reason]:
     found = []
-    wanted, shown, modes = view.wanted_mode, view.mode, view.supported_modes
-    if wanted is not None and wanted > 0 and modes is not None and not supported(modes, wanted):
+    wanted, shown, modes, selected = view.wanted_mode, view.mode, view.supported_modes, view.selected_mode
+    if selected is not None and wanted is not None and wanted != selected:
+        what = f"0x6060 holds {mode_name(wanted)}, not {mode_name(selected)} as it was sent"
+        found.append(
+            Reason(what, "find the other master that selects its modes; or look whether it takes this one when disabled")
+        )
+    elif wanted is not None and wanted > 0 and modes is not None and not supported(modes, wanted):
         found.append(Reason(f"it does not have the mode that was selected, {mode_name(wanted)} (0x6502)", "another mode"))
     elif wanted is not None and shown is not None and wanted != shown:
         what = f"{mode_name(wanted)} was selected, but it shows {mode_name(shown)} (0x6060, 0x6061)"
         found.append(Reason(what, "wait; some drives change their mode only while they stand, or are not enabled"))
     elif shown == Mode.NO_MODE:
         found.append(Reason("no mode of operation is selected (0x6061 is 0)", "select one (0x6060)", True))
+    if view.nmt_state not in (None, NmtState.OPERATIONAL, NmtState.STOPPED) and (wanted in _BY_PDO or shown in _BY_PDO):
+        found.append(Reason(f"its NMT state is {_name(view.nmt_state)}: it takes no set-points by PDO", "start it (NMT)"))
     if view.state is State.OPERATION_ENABLED and shown in _OBEYS and not view.statusword & ModeStatus.FOLLOWS_COMMAND:
         found.append(Reason("it does not follow its set-points (bit 12 is 0)", "send set-points in each cycle, with SYNC", True))
     return found
+
+
+def _name(state: NmtState | None) -> str:
+    return "unknown" if state is None else state.name.lower().replace("_", "-")
 
 
 def _limits(view: DriveView) -> list[Reason]:
@@ -179,8 +215,17 @@ def _limits(view: DriveView) -> list[Reason]:
         found.append(Reason(what, "a target that leads away from the limit"))
     if view.mode in _FOLLOWING and view.statusword & ModeStatus.FOLLOWING_ERROR:
         found.append(Reason("its following error is too large (bit 13)", "look for a blocked axis; move more slowly"))
-    inputs = view.inputs or 0
+    inputs = 0 if view.mode == Mode.HOMING else view.inputs or 0
     for bit, name in enumerate(_SWITCHES):
         if inputs >> bit & 1:
             found.append(Reason(f"it stands on its {name} (0x60FD)", "move it the other way"))
     return found
+
+
+def _reference(view: DriveView) -> list[Reason]:
+    if view.has_lost_reference:
+        what = "it has lost its reference: it was homed, and then reset or without power, or homed without success"
+        return [Reason(what, "home it again; AxisSettings(keeps_reference=True) if it has an absolute encoder")]
+    if view.is_homed is False:
+        return [Reason("this master has not homed it, and some drives take no position before", "home it")]
+    return []

@@ -9,6 +9,7 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.drive.units import DriveUnits, Unit
+from canopen_proto.drive.view import DriveBit
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
@@ -47,6 +48,9 @@ class AxisSettings:
     min_position, max_position: in the user's unit; set-points and targets beyond are refused. None: only the drive's own limits
     (0x607D) apply, which always apply. max_speed: in the user's unit per second; set-points that need more are refused. None: the
     drive's own limit (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
+
+    sto_input, brake_bit: the bit that shows "safe torque off", and the one of a brake that holds; None: the drive has none, and
+    errors name neither. Each maker has them elsewhere: see `DriveBit`.
     """
 
     counts_per_unit: float | None = None
@@ -65,6 +69,8 @@ class AxisSettings:
     max_speed: float | None = None
     reaction_time: Time = 1 * SECOND
     halt_time: Time = 1 * SECOND
+    sto_input: DriveBit | None = None
+    brake_bit: DriveBit | None = None
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
@@ -87,6 +93,9 @@ class AxisSettings:
             raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
         if self.reaction_time <= 0 or self.halt_time <= 0:
             raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
+        for name, bit in (("sto_input", self.sto_input), ("brake_bit", self.brake_bit)):
+            if bit is not None:
+                bit.check(name)
 
     def of_vendor(self, vendor_id: int | None) -> AxisSettings:
         """Return these settings, with open ones (None) filled in for drives of that vendor (None: no vendor-ID).

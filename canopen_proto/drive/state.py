@@ -11,7 +11,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, 
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.controlword import STAYS, bring, command, command_held
-from canopen_proto.drive.failures import ModeUnsupported, fault_of, name_of, state_lost
+from canopen_proto.drive.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
 from canopen_proto.drive.halting import halt
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import Time
@@ -22,12 +22,14 @@ _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERAT
 """How far a state is on the way to Operation enabled; 0 for all other states."""
 _STANDING: Final = (Mode.INTERPOLATED_POSITION, Mode.HOMING, Mode.PROFILE_POSITION)
 """Modes in which a drive stands until bit 4 of the controlword rises."""
+_ANOTHER: Final = "a mode that it has"
 
 
 def _leaves(state: State) -> Callable[[int], bool]:
     return lambda statusword: state_of(statusword) not in (state, State.UNKNOWN)
 
 
+@accounted
 def change_state(axis: Axis, target: State) -> Procedure[int]:
     """Lead the drive to a state, one command after the other; return the statusword.
 
@@ -55,6 +57,7 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
     return statusword
 
 
+@accounted
 def reset_fault(axis: Axis) -> Procedure[None]:
     """Clear a fault by a rising edge of bit 7. A drive without a fault stays as it is, or at worst loses its power.
 
@@ -93,6 +96,7 @@ def enable(axis: Axis) -> Procedure[None]:
     yield from change_state(axis, State.OPERATION_ENABLED)
 
 
+@accounted
 def select_standing_mode(axis: Axis) -> Procedure[None]:
     """Select a mode in which power alone moves nothing: ip, hm or pp, and the present mode if it is one of them.
 
@@ -110,12 +114,14 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
         else:
             return
     raise ModeUnsupported(
-        f"{name_of(axis)} is in {mode_name(shown)}, in which power alone may move it, and accepts neither "
-        f"{', '.join(mode_name(mode) for mode in _STANDING[:-1])} nor {mode_name(_STANDING[-1])}. "
-        "Try: look at its modes (0x6502), and enable it by hand once you know its targets"
+        axis,
+        f"is in {mode_name(shown)}, in which power alone may move it, and accepts neither "
+        f"{', '.join(mode_name(mode) for mode in _STANDING[:-1])} nor {mode_name(_STANDING[-1])}",
+        remedy="look at its modes (0x6502), and enable it by hand once you know its targets",
     )
 
 
+@accounted
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
     """Select a mode of operation and wait until the drive shows it. 0x6060 goes by the live RPDO that carries it, else by SDO.
 
@@ -127,12 +133,14 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
         modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
         if isinstance(modes, int) and not supported(modes, mode):
             has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
-            raise ModeUnsupported(f"{name_of(axis)} does not support {mode_name(mode)}: 0x6502 = 0x{modes:08X}, which is {has}")
+            reason = f"0x6502 = 0x{modes:08X}, which is {has}"
+            raise ModeUnsupported(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
     state = state_of((yield from read_statusword(axis)))
     # Bit 4 means something else in each mode: a drive that interpolates must not begin to home because the bit is still set.
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
+    axis.selected_mode = mode
     yield from bring(axis, objects.MODES_OF_OPERATION, mode)
     watch: Watch[bool] = Watch(
         axis,
@@ -150,16 +158,16 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
 
     try:
         yield from watch.until(is_shown, axis.settings.state_timeout)
-    except StepTimeout as late:
+    except DriveTimeout as late:
         shown = axis.mode or Mode.NO_MODE
         if axis.node.rpdo_of(objects.MODES_OF_OPERATION) is not None:
             # An RPDO cannot be refused: it would go on asking, and the drive might obey at any later time.
             yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, shown, now))
-        raise ModeUnsupported(
-            f"{name_of(axis)} did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061: {axis.describe()}"
-        ) from late
+        failed = f"did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061"
+        raise ModeUnsupported(axis, failed, reason=late.reason, remedy=late.remedy, view=late.view) from late
 
 
+@accounted
 def quick_stop(axis: Axis) -> Procedure[None]:
     """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
     yield from command(axis, int(Command.QUICK_STOP))
@@ -172,6 +180,7 @@ def engage_brake(axis: Axis) -> Procedure[None]:
     yield from change_state(axis, State.READY_TO_SWITCH_ON)
 
 
+@accounted
 def shut_down(axis: Axis) -> Procedure[None]:
     """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.grip` go.
 

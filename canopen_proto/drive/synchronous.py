@@ -7,7 +7,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.cia402.states import Command, State
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command
-from canopen_proto.drive.failures import name_of, require_reference
+from canopen_proto.drive.failures import DriveError, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import wait_for_statusword
@@ -17,6 +17,7 @@ from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 
 
+@accounted
 def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one set-point per SYNC in interpolated position mode; return the position where it starts.
 
@@ -31,6 +32,7 @@ def start_interpolation(axis: Axis, cycle_time: Time, *, sends_itself: bool = Fa
     return (yield from _follow(axis, Mode.INTERPOLATED_POSITION, set_point, ModeStatus.IP_MODE_ACTIVE, goal))
 
 
+@accounted
 def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Do as `start_interpolation`, in cyclic synchronous position mode: 0x607A is the set-point, and bit 4 is not used."""
     goal = "follows command (bit 12)"
@@ -47,9 +49,11 @@ def _prepare(axis: Axis, mode: Mode, set_point: Mux, cycle_time: Time, sends_its
     """Check that the drive has a reference and that set-points reach it; halt it, and select the mode."""
     require_reference(axis)
     if not sends_itself and not _carriers(axis, set_point):
-        raise ProcedureError(
-            f"{name_of(axis)} would get no set-points: no RPDO that is exchanged with it carries {mux_text(set_point)}. "
-            "Try: exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)"
+        raise DriveError(
+            axis,
+            "would get no set-points",
+            reason=f"no RPDO that is exchanged with it carries {mux_text(set_point)}",
+            remedy="exchange one first (RemoteNode.add_pdo, or procedures.configure_pdo)",
         )
     axis.select_set_point(mode)
     yield from halt(axis)  # a moving drive would jump back to the position that was read
@@ -75,7 +79,8 @@ def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
     units, rest = divmod(cycle_time, 10 ** (9 + exponent))
     if rest or not 1 <= units <= 255:
         cycle = f"{cycle_time / MILLISECOND:g} ms"
-        raise ProcedureError(f"a cycle of {cycle} cannot be written to 0x60C2: it holds 1 to 255 units of 1 ms or 0.1 ms")
+        reason = "it cannot be written to 0x60C2, which holds 1 to 255 units of 1 ms or 0.1 ms"
+        raise DriveError(axis, f"cannot be given a cycle of {cycle}", reason=reason, remedy="another cycle")
     yield from write(axis.node, objects.INTERPOLATION_TIME_INDEX, exponent)
     yield from write(axis.node, objects.INTERPOLATION_TIME_UNITS, units)
 
@@ -90,10 +95,9 @@ def _follow(axis: Axis, mode: Mode, set_point: Mux, active: int, goal: str) -> P
         for number in carriers:
             node.enable_rpdo(number, now)
         if carriers and not any(node.rpdos[number].is_live for number in carriers):
-            raise ProcedureError(
-                f"{name_of(axis)} would get no set-points: RPDOs are sent to a node that is Operational, and this one is "
-                f"{node.nmt_state.name if node.nmt_state is not None else 'in an unknown NMT state'}. Try: NMT start"
-            )
+            state = node.nmt_state.name if node.nmt_state is not None else "in an unknown NMT state"
+            reason = f"RPDOs are sent to a node that is Operational, and this one is {state}"
+            raise DriveError(axis, "would get no set-points", reason=reason, remedy="NMT start")
         yield from command(axis, int(Command.ENABLE_OPERATION))
         if mode == Mode.INTERPOLATED_POSITION:
             yield from command(axis, Command.ENABLE_OPERATION | ModeControl.ENABLE_INTERPOLATION)

@@ -20,13 +20,12 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.failures import fault_of, is_loss_of, mode_lost, name_of, node_lost, state_lost
-from canopen_proto.drive.reasons import outer_reason
+from canopen_proto.drive.failures import fault_of, is_loss_of, late, mode_lost, node_lost, state_lost
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.objects import read_int, value_of
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, StepTimeout, Wait, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, Wait, current_time
 from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
@@ -61,14 +60,16 @@ def wait_for_statusword(
     accept_fault: bool = False,
     mode: int | None = None,
     stays: State | None = None,
+    looks: bool = True,
 ) -> Procedure[int]:
     """Wait until done(statusword) is true, at most `timeout` ns; return that statusword. It must be heard during the wait.
 
-    mode: the mode that 0x6061 must show meanwhile; stays: the state that the drive must stay in; None: any. Raises DriveFault
-    (unless accept_fault), NodeLost, StateLost or ModeLost as soon as it is seen; StepTimeout, which names `goal` and what was
-    seen last; SdoFailed if the statusword cannot be read.
+    mode: the mode that 0x6061 must show meanwhile; stays: the state that the drive must stay in; None: any. looks: before a
+    time-out is raised, read what tells why; a halt has no time for that. Raises DriveFault (unless accept_fault), NodeLost,
+    StateLost or ModeLost as soon as it is seen; DriveTimeout, which names `goal` and the obstacle; SdoFailed if the statusword
+    cannot be read.
     """
-    watch: Watch[int] = Watch(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays)
+    watch: Watch[int] = Watch(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays, looks=looks)
     return (yield from watch.until(lambda statusword, heard_at: statusword if done(statusword) else None, timeout))
 
 
@@ -84,8 +85,9 @@ class Watch(Generic[T]):
         mode: int | None = None,
         stays: State | None = None,
         reads: Mapping[Mux, Time] | None = None,
+        looks: bool = True,
     ) -> None:
-        """Prepare a wait. goal: its name in messages. mode, stays, accept_fault: as in `wait_for_statusword`.
+        """Prepare a wait. goal: its name in messages. mode, stays, accept_fault, looks: as in `wait_for_statusword`.
 
         reads: the other objects that the judge looks at, mux -> ns between two reads; the drive's dictionary must have them.
         """
@@ -95,6 +97,7 @@ class Watch(Generic[T]):
         self._accept_fault = accept_fault
         self._mode = mode
         self._stays = stays
+        self._looks = looks
         self._pauses: dict[Mux, Time] = {objects.STATUSWORD: POLL_INTERVAL, **(reads or {})}
         if mode is not None:
             self._pauses.setdefault(_MODE, FRESH)
@@ -132,8 +135,9 @@ class Watch(Generic[T]):
                 if result is not None:
                     return result
                 if now >= deadline and self.heard(objects.STATUSWORD) is not None:
-                    seen = axis.describe() + outer_reason(axis)
-                    raise StepTimeout(f"{name_of(axis)} did not reach {self.goal} within {timeout / SECOND:g} s: {seen}")
+                    self._take_back(now)
+                    failed = f"did not reach {self.goal} within {timeout / SECOND:g} s"
+                    raise (yield from late(axis, failed, looks=self._looks))
                 self._ask(now)
                 wake = min(time for time in (deadline, *self._due.values(), NEVER) if time > now)
                 report = yield Wait(wake - now, node, self._concerns)

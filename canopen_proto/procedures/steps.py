@@ -49,10 +49,12 @@ class StepTimeout(ProcedureError):
 class SdoFailed(ProcedureError):
     """An SDO transfer of the procedure ended with an abort, ours or the node's. Fields: those of SdoAborted.
 
-    not_confirmed: a write that may have been executed; it is never sent again automatically.
+    not_confirmed: a write that may have been executed; it is never sent again automatically. attempt: "reading" or "writing".
     """
 
     def __init__(self, aborted: SdoAborted, attempt: str) -> None:
+        self.aborted = aborted
+        self.attempt = attempt
         self.node_id = aborted.node_id
         self.index = aborted.index
         self.subindex = aborted.subindex
@@ -66,7 +68,7 @@ class SdoFailed(ProcedureError):
             message = f"node {self.node_id} refused {place}: abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
         else:
             message = f"{place} of node {self.node_id} was given up: 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
-        super().__init__(message + (NOT_CONFIRMED if aborted.not_confirmed else ""))
+        Exception.__init__(self, message + (NOT_CONFIRMED if aborted.not_confirmed else ""))
 
 
 class Requester(Protocol):

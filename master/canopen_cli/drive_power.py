@@ -13,8 +13,8 @@ from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.identity import identify
-from canopen_proto.drive.reasons import DriveView
 from canopen_proto.drive.units import Unit
+from canopen_proto.drive.view import DriveView
 from canopen_proto.drive.watching import Watch
 from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time

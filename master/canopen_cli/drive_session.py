@@ -17,8 +17,9 @@ from canopen_master.motion.joint_procedures import awake
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name
 from canopen_proto.drive.axis import Axis, AxisSettings
-from canopen_proto.drive.reasons import DriveView, look_at, reasons
+from canopen_proto.drive.reasons import look_at, reasons
 from canopen_proto.drive.units import Unit, read_units
+from canopen_proto.drive.view import DriveView
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
 

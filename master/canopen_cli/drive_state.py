@@ -16,8 +16,8 @@ from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import Mode, mode_name, supported_modes
 from canopen_proto.cia402.states import POWERED
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.reasons import DriveView
 from canopen_proto.drive.units import DriveUnits, Unit, read_units
+from canopen_proto.drive.view import DriveView
 from canopen_proto.procedures.steps import Procedure
 
 

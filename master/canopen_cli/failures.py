@@ -18,7 +18,7 @@ from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import NotInDictionary
-from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.drive import DriveError, DriveFault, HomingFailed, ModeUnsupported
 from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import UnexpectedLength
@@ -168,7 +168,7 @@ def _of_chain(error: errors.MasterError) -> Problem:
 def _of_sdo(error: SdoFailed) -> Problem:
     silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # our own side ended it
     code = errors.NO_ANSWER if silent else errors.REFUSED if error.origin is AbortOrigin.PEER else errors.GIVEN_UP
-    failed, _, seen = str(error).partition(": ")
+    failed, _, seen = (error.failed if isinstance(error, DriveError) else str(error)).partition(": ")
     return Problem(
         ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
         code,
@@ -183,6 +183,13 @@ def _of_sdo(error: SdoFailed) -> Problem:
     )
 
 
+_OF_DRIVE = {
+    DriveFault: errors.CHAIN_FAULT,
+    HomingFailed: errors.HOMING_FAILED,
+    ModeUnsupported: errors.MODE_UNSUPPORTED,
+}
+
+
 def _of_procedure(error: ProcedureError) -> Problem:
     failed, _, hint = str(error).partition(". Try: ")
     what, _, seen = failed.partition(": ")
@@ -191,11 +198,9 @@ def _of_procedure(error: ProcedureError) -> Problem:
         case UnexpectedLength():
             what, _, cause = failed.partition("; ")
             return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
-        case DriveFault():
-            return Problem(ExitCode.DRIVE_FAULT, errors.CHAIN_FAULT, what, seen=seen, tries=tries)
-        case HomingFailed():
-            tries = ("look whether the axis can move freely, and at its homing method (0x6098)",)
-            return Problem(ExitCode.DRIVE_FAULT, errors.HOMING_FAILED, what, seen=seen, tries=tries)
-        case ModeUnsupported():
-            return Problem(ExitCode.DRIVE_FAULT, errors.MODE_UNSUPPORTED, what, seen=seen, tries=("choose a mode that it has",))
+        case DriveError():
+            code = next((code for kind, code in _OF_DRIVE.items() if isinstance(error, kind)), errors.PROCEDURE_FAILED)
+            tries = (error.remedy,) if error.remedy else ()
+            seen, cause = error.view.describe(), error.reason
+            return Problem(ExitCode.DRIVE_FAULT, code, error.failed, seen=seen, cause=cause, tries=tries, node=error.node_id)
     return Problem(ExitCode.DRIVE_FAULT, errors.PROCEDURE_FAILED, what, seen=seen, tries=tries)

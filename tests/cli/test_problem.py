@@ -30,13 +30,18 @@ from canopen_master.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
-from canopen_proto.machine import LocalProtocolError
+from canopen_proto.drive.axis import Axis
+from canopen_proto.machine import LocalProtocolError, Outbox
 from canopen_proto.procedures.objects import UnexpectedLength
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_transports import TransportError
 from canopen_transports.log_files import LogFileError
 from tests.cli.cli_support import TWO_JOINTS
+
+AXIS = Axis(RemoteNode(Outbox(), 5, drive_dictionary()))
 
 
 def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
@@ -68,9 +73,9 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (SdoFailed(aborted(AbortOrigin.LOCAL), "reading"), ExitCode.SDO_ABORT, "CO203"),
         (SdoFailed(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
         (UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
-        (DriveFault("drive 5 is in fault: x. Try: reset it"), ExitCode.DRIVE_FAULT, "CO402"),
-        (HomingFailed("drive 5 reports a homing error: x"), ExitCode.DRIVE_FAULT, "CO406"),
-        (ModeUnsupported("drive 5 does not support it: x"), ExitCode.DRIVE_FAULT, "CO405"),
+        (DriveFault(AXIS, "is in fault", reason="x", remedy="reset it"), ExitCode.DRIVE_FAULT, "CO402"),
+        (HomingFailed(AXIS, "reports a homing error"), ExitCode.DRIVE_FAULT, "CO406"),
+        (ModeUnsupported(AXIS, "does not support it"), ExitCode.DRIVE_FAULT, "CO405"),
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
@@ -115,7 +120,7 @@ def test_notes_are_told_too() -> None:
 
 
 def test_of_several_errors_the_one_that_is_not_ours_comes_first() -> None:
-    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveFault("drive 5 is in fault: x")])])
+    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveFault(AXIS, "is in fault")])])
     problem = problem_of(group)
     assert problem.code == "CO402"
     assert "CO900" in problem.also[0]
@@ -311,12 +316,12 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
             signal.raise_signal(signal.SIGINT)
             await trio.sleep(5)
         finally:
-            raise DriveFault("drive 5 is in fault: it burns. Try: water")
+            raise DriveFault(AXIS, "is in fault", reason="it burns", remedy="water")
 
     with pytest.raises(Problem) as caught:
         run(Settings(), Screen(), command)
     problem = caught.value
     assert problem.exit_code is ExitCode.INTERRUPTED
     assert "CO402: drive 5 is in fault" in problem.also
-    assert problem.seen == "it burns"
+    assert problem.cause == "it burns"
     assert problem.tries == ("water",)

@@ -245,7 +245,7 @@ class DirectDrive:
             return await self._master.run(drive.fault_of(self.axis, "while it followed set-points"))
         failed = f"drive {self.node.node_id} {lost.cause}"
         if not lost.is_silent:
-            return ProcedureError(f"{failed}; {self._device.describe()}")
+            return drive.DriveError(self.axis, lost.cause)
         cause, tries = "its power is off, its cable is loose, or it was stopped", ("look at the drive and its cable",)
         network = self._master.bus(self.node.bus).network
         known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)

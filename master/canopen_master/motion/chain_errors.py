@@ -17,7 +17,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.drive import DriveFault, ReferenceLost
+from canopen_proto.drive import DriveError, DriveFault, ReferenceLost
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 
@@ -26,11 +26,14 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     """The error for a joint whose procedure failed in `operation`."""
     device, error = failed.device, failed.error
     if isinstance(error, DriveFault):
-        return joint_fault(chain, device, "is in fault")
+        return joint_fault(chain, device, "is in fault", error.reason)
     if isinstance(error, ReferenceLost):
         return reference_lost(chain, operation, device)
-    code, seen, cause = CHAIN_FAILED, "", ""
+    code, what, seen, cause = CHAIN_FAILED, str(error), "", ""
     tries: tuple[str, ...] = ()
+    if isinstance(error, DriveError):
+        what, cause, tries = error.failed, error.reason, (error.remedy,) if error.remedy else ()
+        seen = device.describe()
     if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
         code = NO_ANSWER
         seen, cause, tries = sdo_silence(device.node.network, device.node.remote, device.node.now())
@@ -39,7 +42,7 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     elif isinstance(error, NotHeldError):
         cause = "Grip.required says that no such drive is enabled"
         tries = ("open_master(..., grip=Grip()) enables it all the same, and names it",)
-    failure = f"chain {chain} could not {operation}: {device.where}: {error}"
+    failure = f"chain {chain} could not {operation}: {device.where}: {what}"
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 
 
