@@ -14,7 +14,7 @@ events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.
 - Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
   3; this follows CiA 402.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
 
-Left out: torque modes, csv, limit switches except for homing, jerk.
+Left out: torque modes, csv, jerk.
 
 Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option codes.
 """
@@ -401,6 +401,9 @@ class Drive(Machine):
         if self._after_stop is not None:
             self._end_stop()
         if self._acts:
+            if servo.has_met_switch:
+                servo.has_met_switch = False  # told once
+                self._mode.stopped_by_switch()
             self._mode.tick()
         if self.state in _ENERGISED:
             self._watch_following_error()
@@ -448,7 +451,7 @@ class Drive(Machine):
                 word |= ModeStatus.FOLLOWING_ERROR
         elif self.state is State.QUICK_STOP_ACTIVE and servo.is_settled:
             word |= StatusBit.TARGET_REACHED
-        if servo.internal_limit or servo.limits_torque:
+        if servo.internal_limit or servo.is_stopped_by_switch or servo.limits_torque:
             word |= StatusBit.INTERNAL_LIMIT
         if self.settings.shape is Shape.SCHUNK_POWERBALL:
             word |= servo.is_moving * StatusBit.MANUFACTURER_8 | self._homing.is_referenced * StatusBit.MANUFACTURER_15

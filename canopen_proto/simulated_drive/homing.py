@@ -153,6 +153,7 @@ class Homing(OperationMode):
             self._finish(HomingStatus.ERROR_STOPPED)
             return
         self._status = HomingStatus.IN_PROGRESS
+        servo.obeys_switches = False
         self._seeks = seeks
         self._seek = None
         self._edge = servo.position
@@ -221,6 +222,7 @@ class Homing(OperationMode):
 
     def _finish(self, status: HomingStatus) -> None:
         self._status = status
+        self.servo.obeys_switches = True
         self.out.events.append(HomingFinished(self.node_id, status, self._method))
 
     @property

@@ -64,6 +64,9 @@ class OperationMode:
     def sync_lost(self) -> None:
         """Act on a lost SYNC: none came until `due`."""
 
+    def stopped_by_switch(self) -> None:
+        """Act on a limit switch that has just stopped the axis, or kept it from going further."""
+
     def rpdo_lost(self) -> None:
         """Act on a lost RPDO: it did not come within its event time."""
 

@@ -12,8 +12,11 @@ the object dictionary at the moment of planning, in units, units/s and units/s²
 dictionary lacks an object, or an object in `DriveSettings.unset` is 0, the value in FALLBACKS is used. Any other speed or rate of
 0 counts as 1, which is practically standstill, but always ends.
 
-Left out: factor group (608Fh to 6096h), polarity (607Eh); with the lag, limited torque. Limit switches matter for homing and
-60FDh only.
+**Limit switches.** An axis that runs onto one brakes by the quick stop ramp (6085h), or harder if it brakes harder already. There
+it goes no further in that direction, and away from the switch when it is told to. Homing searches for switches and is not
+stopped. The switches are looked at each time the drive is.
+
+Left out: factor group (608Fh to 6096h), polarity (607Eh); with the lag, limited torque.
 
 Source: IEC 61800-7-201 (CiA 402-2), position control function, homing mode.
 """
@@ -117,8 +120,9 @@ class Shape(Enum):
 class Track:
     """The switches and index pulses of an axis, in track positions.
 
-    A limit switch is active at and beyond its position, the home switch from home_switch[0] to home_switch[1] (either may be
-    infinite: a switch that stays active to the end of the track). Index pulses are at index_offset + n * index_distance.
+    A limit switch is active at and beyond its position (infinite: there is none), the home switch from home_switch[0] to
+    home_switch[1] (either may be infinite: a switch that stays active to the end of the track). Index pulses are at
+    index_offset + n * index_distance.
     """
 
     negative_limit: float = -180_000.0
@@ -161,6 +165,8 @@ class Servo:
     """The moving part of a drive; see this module's text. Motions are planned from `time`: call `advance(now)` first.
 
     is_settled: demand and axis are at rest at the same place. internal_limit: the last demand was cut (statusword, bit 11).
+    is_stopped_by_switch: a limit switch has cut it; has_met_switch: it just did, until somebody clears this. obeys_switches:
+    whether limit switches stop the axis; homing sets it.
     """
 
     __slots__ = (
@@ -170,10 +176,13 @@ class Servo:
         "demand",
         "demand_position",
         "demand_velocity",
+        "has_met_switch",
         "internal_limit",
         "is_blocked",
         "is_powered",
         "is_settled",
+        "is_stopped_by_switch",
+        "obeys_switches",
         "position",
         "settings",
         "store",
@@ -194,6 +203,8 @@ class Servo:
         self.is_blocked = False
         self.is_powered = False
         self.internal_limit = False
+        self.is_stopped_by_switch = self.has_met_switch = False
+        self.obeys_switches = True
         self._lag = settings.lag / SECOND
         self._plant = None if settings.mechanics is None else Plant(settings.mechanics, self.position)
         self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
@@ -240,9 +251,14 @@ class Servo:
         self.demand_position, self.demand_velocity, _ = demand.at(now)
         if self._plant is not None:
             self._follow(self._plant)
-            return
-        if self.is_blocked:
-            return
+        elif not self.is_blocked:
+            self._lag_behind(demand, since)
+        if not self.is_stopped_by_switch and self._is_barred(self.demand_velocity):
+            self._stop_at_switch()
+
+    def _lag_behind(self, demand: motion.Profile, since: Time) -> None:
+        """Let the axis follow the demand with its lag; `since` is the time of its position."""
+        now = self.time
         if self._lag:
             self.position = motion.follow(demand, self.position, since, now, self._lag)
             self.velocity = (self.demand_position - self.position) / self._lag
@@ -311,11 +327,15 @@ class Servo:
             self._wake(plant)
 
     def move_to(self, target: float, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
-        """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target."""
+        """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target. A limit
+        switch may too; the target that is not reached is returned then."""
         speed = min(velocity, self.rate(objects.MAX_PROFILE_VELOCITY))
         if limited:
             target = self._clip(target)
         here, now_at = self.demand_position, self.demand_velocity
+        if self._is_barred(target - here):
+            self._stop_at_switch()
+            return target
         self._plan(motion.move(self.time, here, now_at, target, speed, *self._clip_rates(acceleration, deceleration)))
         return target
 
@@ -323,6 +343,9 @@ class Servo:
         """Go at a velocity for ever, or to the software limit in that direction. Return the velocity, as limited by 607Fh."""
         fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
         velocity = max(-fastest, min(fastest, velocity))
+        if self._is_barred(velocity):
+            self._stop_at_switch()
+            return velocity
         rates = self._clip_rates(acceleration, deceleration)
         here, now_at = self.demand_position, self.demand_velocity
         low, high = self.limits()
@@ -342,6 +365,9 @@ class Servo:
         target = self._clip(target)
         period = self.interpolation_period()
         here, now_at = self.demand_position, self.moving_at
+        if self._is_barred(target - here):
+            self._stop_at_switch()
+            return
         velocity = (target - here) / period
         fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
         acceleration, deceleration = self.rate(objects.MAX_ACCELERATION), self.rate(objects.MAX_DECELERATION)
@@ -354,6 +380,19 @@ class Servo:
             leaving = math.copysign(min(abs(velocity), abs(now_at)), velocity) if passes else 0.0
             self._plan(motion.line(self.time, here, target, period, leaving, self.ramp(2)))
             self._step = self.time + math.ceil(2.0 * period * SECOND), velocity
+
+    def _is_barred(self, way: float) -> bool:
+        """Return whether a limit switch bars the way (of either sign): the axis is on the switch in that direction."""
+        track = self.settings.track
+        onto = (way > 0.0 and self.position >= track.positive_limit) or (way < 0.0 and self.position <= track.negative_limit)
+        return onto and self.obeys_switches
+
+    def _stop_at_switch(self) -> None:
+        """Brake, because a limit switch bars the way."""
+        _, velocity, acceleration = self.demand.at(self.time)
+        harder = abs(acceleration) if velocity * acceleration < 0.0 else 0.0
+        self.brake(max(self.ramp(2), harder))
+        self.is_stopped_by_switch = self.has_met_switch = True
 
     def brake(self, deceleration: float) -> None:
         """Stop with this ramp."""
@@ -401,7 +440,7 @@ class Servo:
     def _plan(self, profile: motion.Profile) -> None:
         self.demand = profile
         self.demand_position, self.demand_velocity, _ = profile.at(self.time)
-        self.is_settled = False
+        self.is_settled = self.is_stopped_by_switch = self.has_met_switch = False
         self._step = None
         if self._plant is not None:
             self._wake(self._plant)

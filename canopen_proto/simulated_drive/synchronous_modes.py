@@ -99,6 +99,9 @@ class SynchronousMode(OperationMode):
         self._warning = self._warning or self._follows
         self._follows = False
 
+    def stopped_by_switch(self) -> None:
+        self._stop_following()
+
     def sync_lost(self) -> None:
         self.out.events.append(SyncOverdue(self.node_id, self._sync_timeout))
         self.rpdo_lost()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, NEVER
 from canopen_proto.simulated_drive.events import DriveFault
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
 from tests.proto.drive_bench import NODE_ID, Bench
 
 ACKNOWLEDGE, FOLLOWING_ERROR, REACHED, LIMIT = 12, 13, 10, 11
@@ -371,7 +373,7 @@ def test_profile_velocity_ends_at_the_software_limit() -> None:
 
 
 def test_an_axis_that_turns_for_ever_starts_again_at_the_other_end() -> None:
-    bench = Bench(DriveSettings(position=2**31 - 1_000))
+    bench = Bench(DriveSettings(position=2**31 - 1_000, track=Track(-math.inf, math.inf)))
     bench.preset(0x607D, 0, 1)
     bench.preset(0x607D, 0, 2)
     bench.enable(3)

@@ -314,7 +314,7 @@ def test_a_lost_connection_as_a_fault_has_its_own_error_code() -> None:
 def test_what_the_drive_holds_may_be_written_back_though_it_lacks_it() -> None:
     """A file gave it that value; a backup that is restored must not fail of it."""
     bench = Bench()
-    for key, value in ((0x6060_00, -1), (0x6098_00, 7)):
+    for key, value in ((0x6060_00, -1), (0x6098_00, 15)):
         bench.preset(key >> 8, value)
         assert bench.drive.check_write(key >> 8, 0, value) is None
         assert bench.drive.check_write(key >> 8, 0, value + 1) is (None if value == -1 else AbortCode.INVALID_VALUE)  # 0: no mode
@@ -329,7 +329,7 @@ def test_what_the_drive_holds_may_be_written_back_though_it_lacks_it() -> None:
         (0x6060, 0, 4, AbortCode.INVALID_VALUE),
         (0x6060, 0, -1, AbortCode.INVALID_VALUE),
         (0x6098, 0, 33, None),
-        (0x6098, 0, 1, AbortCode.INVALID_VALUE),
+        (0x6098, 0, 36, AbortCode.INVALID_VALUE),
         (0x605A, 0, 8, None),
         (0x605A, 0, 9, AbortCode.INVALID_VALUE),
         (0x605D, 0, 0, AbortCode.INVALID_VALUE),
