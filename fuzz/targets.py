@@ -16,6 +16,7 @@ from canopen_data.eds import read_eds
 from canopen_data.eds.ini import MAX_FINDINGS
 from canopen_data.findings import DictionaryError
 from canopen_data.xdd import read_xdd
+from canopen_master.machine_file import machine_text, parse_machine
 from canopen_proto.dictionary import Values
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, HeartbeatRecovered, NodeBooted
@@ -188,6 +189,20 @@ def eds_files(data: bytes) -> None:
         assert line >= 1 <= column or description.device_info.compact_pdo  # which stands for whole objects
 
 
+def machine_files(data: bytes) -> None:
+    """The reader of machine files. A machine that it takes is written and read back; an error has its place."""
+    text = data.decode("utf-8", errors="replace")
+    try:
+        machine = parse_machine(text)
+    except DictionaryError as error:
+        if not error.findings:
+            raise
+        assert all(finding.line <= text.count("\n") + 1 for finding in error.findings)
+        return
+    written = machine_text(machine)
+    assert machine_text(parse_machine(written)) == written  # so, as nan is not nan
+
+
 def heartbeat(data: bytes) -> None:
     """A heartbeat consumer: a node is lost when, and only when, its time is over (CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.5.2.19).
 
@@ -223,5 +238,16 @@ def heartbeat(data: bytes) -> None:
 
 TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
     target.__name__: target
-    for target in (local_node, remote_node, sdo_client, sdo_server, sdo_pair, heartbeat, csv_files, xdd_files, eds_files)
+    for target in (
+        local_node,
+        remote_node,
+        sdo_client,
+        sdo_server,
+        sdo_pair,
+        heartbeat,
+        csv_files,
+        xdd_files,
+        eds_files,
+        machine_files,
+    )
 }

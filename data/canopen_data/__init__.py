@@ -35,6 +35,7 @@ __all__ = [
     "load_dictionary",
     "read",
     "read_chain_file",
+    "text_of",
     "user_directory",
 ]
 
@@ -102,11 +103,11 @@ def read(name: str, directory: str | Path | None = None) -> DataFile:
     installed = name in (*DICTIONARY_FILES, *CHAIN_FILES)
     if folder is not None:
         own = folder / name
-        text = _text_of(own, str(own))
+        text = text_of(own, str(own))
         if text is not None:
             message = f"used instead of the installed {name}"
             return DataFile(name, text, str(own), Finding(Severity.NOTICE, "user-file", message, str(own)) if installed else None)
-    text = _text_of(resources.files(__name__) / name, f"installed {name}") if installed else None
+    text = text_of(resources.files(__name__) / name, f"installed {name}") if installed else None
     if text is None:
         searched = f" in {folder}" if folder is not None else ""
         known = ", ".join((*DICTIONARY_FILES, *CHAIN_FILES))
@@ -117,7 +118,7 @@ def read(name: str, directory: str | Path | None = None) -> DataFile:
 def read_chain_file(name: str | Path, directory: str | Path | None = None) -> DataFile:
     """Return a chain file by its path or, if there is no such file, by its name (see `read`). Raises DataError."""
     path = expanded(name)
-    text = _text_of(path, str(path))
+    text = text_of(path, str(path))
     return read(str(name), directory) if text is None else DataFile(path.name, text, str(path))
 
 
@@ -233,8 +234,8 @@ def content_of(path: Path | Traversable, source: str) -> bytes | None:
     return content
 
 
-def _text_of(path: Path | Traversable, source: str) -> str | None:
-    """Return the text of a file; None if there is no such file."""
+def text_of(path: Path | Traversable, source: str) -> str | None:
+    """Return the text of a file; None if there is no such file. source: its name in errors. Raises DataError."""
     content = content_of(path, source)
     if content is None:
         return None

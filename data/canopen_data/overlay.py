@@ -24,8 +24,6 @@ has already.
 A text that is not TOML gives one error, with its line and column. All other faults are found in one pass, each with its path
 ("objects.6041.bits.moving"). An object that the dictionary lacks is a warning: one side file may serve several devices.
 
-The standard library's `tomllib` parses the text; no file is read here.
-
 Source: the format is ours. TOML v1.0.0.
 """
 
@@ -33,22 +31,18 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, TypeGuard
 
 from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_data.toml_file import parse_toml
 from canopen_proto.datatypes import is_integer, is_number
 from canopen_proto.dictionary.model import Constant, NotInDictionary, ObjectDictionary, Variable, did_you_mean
 from canopen_proto.multiplexer import Mux
 
-MAX_TEXT: Final = 1 << 20
-"""Characters of a side file: enough for a thousand objects with all their names. A larger file was chosen by mistake."""
-
 _FIELDS: Final = ("aliases", "unit", "factor", "description", "values", "bits")
-_PLACE: Final = re.compile(r".*\(at line ([0-9]+), column ([0-9]+)\)", re.DOTALL)
 _SHOWN: Final = 40
 
 
@@ -64,20 +58,6 @@ class _Reading:
 
     def warn(self, path: str, message: str) -> None:
         self.findings.append(Finding(Severity.WARNING, "overlay", f"{path}: {message}", self.source))
-
-
-def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """Return the tables of a TOML text. Raises DictionaryError with line and column if it is not TOML."""
-    if len(text) > MAX_TEXT:
-        raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = _PLACE.fullmatch(str(error))
-        line, column = (int(place[1]), int(place[2])) if place is not None else (text.count("\n") + 1, 1)
-        raise _failure(source, str(error).partition(" (at ")[0], line, column) from None
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits; arrays in arrays in arrays
-        raise _failure(source, str(error)) from None
 
 
 def lay_over(dictionary: ObjectDictionary, text: str, source: str = "overlay") -> tuple[ObjectDictionary, list[Finding]]:
@@ -119,10 +99,6 @@ def lay_tables_over(
     ]
     names = ObjectDictionary([], constants=constants)
     return dictionary.with_objects(objects).with_names_of(names), reading.findings
-
-
-def _failure(source: str, message: str, line: int = 0, column: int = 0) -> DictionaryError:
-    return DictionaryError([Finding(Severity.ERROR, "toml", message, source, line, column)])
 
 
 def _path(*keys: str) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-LIBRARIES: Final = frozenset({"click", "rich", "trio", "can"})
+LIBRARIES: Final = frozenset({"click", "rich", "trio", "can", "tomli_w"})
 """The libraries of the extra `master`. The core and the data files need none of them."""
 
 

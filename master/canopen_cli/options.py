@@ -126,7 +126,6 @@ class Duration(Kind):
     """A time: "500ms", "2s", "100us"; only 0 needs no unit. In ns."""
 
     name = "time"
-    _UNITS: Final = {"": 0, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000}
 
     def __init__(self, low: Time = MILLISECOND, high: Time = 24 * 3600 * 10**9) -> None:
         self.low = low
@@ -135,12 +134,12 @@ class Duration(Kind):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Time:
         if isinstance(value, int):
             return value
-        match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(us|ms|s|min|)\s*", str(value))
-        if match is None:
-            self.fail(f"{value!r} is not a time such as 500ms or 2s", param, ctx)
-        if not match[2] and float(match[1]):
-            self.fail(f"{value!r} has no unit: {match[1]}ms or {match[1]}s", param, ctx)
-        time = round(float(match[1]) * self._UNITS[match[2]])
+        from canopen_data.durations import parse_duration
+
+        try:
+            time = parse_duration(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
         if not self.low <= time <= self.high:
             self.fail(f"{value} is outside {_time_text(self.low)} to {_time_text(self.high)}", param, ctx)
         return time

@@ -78,7 +78,7 @@ def _beside(plant: Path, entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry
         profile=entry.profile if entry.profile != "auto" else common.profile,
         shape=entry.shape or common.shape,
         defaults=entry.defaults or common.defaults,
-        encoding=common.encoding,
+        encoding=entry.encoding or common.encoding,
     )
 
 

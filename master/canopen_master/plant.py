@@ -11,6 +11,7 @@
     script = "animate.py"           # see hooks.py
     overlay = "units.toml"          # or several: units, names; see canopen_data/overlay.py
     defaults = true                 # the defaults of the EDS, not the configured values of the DCF
+    encoding = "gbk"                # of the file; by default a guess
 
     [device.values]                 # the values of objects at power-on
     1017 = 500
@@ -22,13 +23,12 @@ line and column.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from canopen_data.findings import DictionaryError, Finding, Severity
-from canopen_data.overlay import parse_toml
-from canopen_proto.dictionary.model import did_you_mean
+from canopen_data import toml_file
+from canopen_data.toml_file import BOOLEAN, TABLE, Kind, TomlReading, TomlTable, listed, one_of, parse_toml
 from canopen_proto.frame import MAX_NODE_ID
 
 MAX_DEVICES: Final = MAX_NODE_ID
@@ -67,95 +67,58 @@ class Plant:
     state: str = ""
 
 
-class _Reading:
-    """Collects the errors of a file while it is read."""
-
-    def __init__(self, source: str) -> None:
-        self.source = source
-        self.findings: list[Finding] = []
-
-    def error(self, place: str, message: str) -> None:
-        self.findings.append(Finding(Severity.ERROR, "plant", f"{place}: {message}", self.source))
-
-    def known(self, place: str, table: Mapping[str, Any], keys: Mapping[str, object] | tuple[str, ...]) -> None:
-        for key in table:
-            if key not in keys:
-                self.error(place, f"there is no entry {key[:40]!r}{did_you_mean(key, keys)}")
-
-    def take(self, place: str, table: Mapping[str, Any], key: str, fits: Callable[[Any], bool], expected: str) -> Any:
-        """Return the value of a key; None if it is missing, or if it does not fit, which adds an error."""
-        if key not in table:
-            return None
-        value = table[key]
-        if fits(value):
-            return value
-        self.error(f"{place}: {key}" if place else key, f"{expected} is expected, not {repr(value)[:40]}")
-        return None
-
-
 def parse_plant(text: str, source: str = "plant.toml") -> Plant:
     """Return the plant that a text describes. Raises DictionaryError with every error in it."""
-    tables = parse_toml(text, source)
-    reading = _Reading(source)
-    reading.known("plant", tables, ("bus", "state", "device"))
-    bus = reading.take("", tables, "bus", _is_text, "a bus")
-    state = reading.take("", tables, "state", _is_text, "a file name")
-    entries = reading.take("", tables, "device", _is_list_of_tables, "[[device]]") or []
+    reading = TomlReading(source, "plant")
+    plant = TomlTable(reading, "", parse_toml(text, source))
+    plant.check_keys(("bus", "state", "device"), "plant")
+    bus = plant.take("bus", toml_file.text("a bus"))
+    state = plant.take("state", FILE)
+    entries = plant.take("device", _DEVICES) or []
     if not entries and not reading.findings:
-        reading.error("device", "there is none: [[device]] begins one")
+        plant.error("there is none: [[device]] begins one", "device")
     if len(entries) > MAX_DEVICES:
-        reading.error("device", f"there are {len(entries)}; a bus has {MAX_DEVICES} node-IDs")
-    devices = [_device(reading, f"device {number}", entry) for number, entry in enumerate(entries[:MAX_DEVICES], start=1)]
-    if reading.findings:
-        raise DictionaryError(reading.findings)
+        plant.error(f"there are {len(entries)}; a bus has {MAX_DEVICES} node-IDs", "device")
+    devices = []
+    for number, entry in enumerate(entries[:MAX_DEVICES], start=1):
+        table = TomlTable(reading, f"device {number}", entry)
+        table.check_keys(DEVICE_KEYS)
+        if "file" not in entry:
+            table.error("it has no file")
+        devices.append(device_of(table))
+    reading.raise_errors()
     return Plant(tuple(devices), bus or "", state or "")
 
 
-_KEYS: Final = ("file", "id", "profile", "shape", "script", "overlay", "defaults", "values")
+DEVICE_KEYS: Final = ("file", "id", "encoding", "profile", "shape", "script", "overlay", "defaults", "values")
 
 
-def _device(reading: _Reading, place: str, table: Mapping[str, Any]) -> DeviceEntry:
-    reading.known(place, table, _KEYS)
-    if "file" not in table:
-        reading.error(place, "it has no file")
-    file = reading.take(place, table, "file", _is_text, "a file name")
-    ids = reading.take(place, table, "id", _is_node_ids, f"a node-ID of 1..{MAX_NODE_ID}, or a list of them,")
-    profile = reading.take(place, table, "profile", PROFILES.__contains__, " or ".join(map(repr, PROFILES)))
-    shape = reading.take(place, table, "shape", SHAPES.__contains__, " or ".join(map(repr, SHAPES)))
-    script = reading.take(place, table, "script", _is_text, "a file name")
-    overlay = reading.take(place, table, "overlay", _is_texts, "a file name, or a list of them,")
-    defaults = reading.take(place, table, "defaults", lambda value: isinstance(value, bool), "true or false")
-    values = reading.take(place, table, "values", lambda value: isinstance(value, dict), "a table")
+def device_of(table: TomlTable, ids: Kind | None = None) -> DeviceEntry:
+    """Return the device that a table describes by DEVICE_KEYS; values that do not fit are errors of it. ids: the kind of `id`."""
     return DeviceEntry(
-        file or "",
-        tuple(_listed(ids)),
-        profile or AUTOMATIC,
-        shape or "",
-        script or "",
-        tuple(_listed(overlay)),
-        bool(defaults),
-        values or {},
+        table.take("file", FILE) or "",
+        table.take("id", ids or _NODE_IDS) or (),
+        table.take("profile", one_of(PROFILES)) or AUTOMATIC,
+        table.take("shape", one_of(SHAPES)) or "",
+        table.take("script", FILE) or "",
+        table.take("overlay", toml_file.texts("a file name, or a list of them,")) or (),
+        bool(table.take("defaults", BOOLEAN)),
+        table.take("values", TABLE) or {},
+        table.take("encoding", toml_file.text("an encoding")) or "",
     )
 
 
-def _listed(value: Any) -> list[Any]:
-    if value is None:
-        return []
-    return value if isinstance(value, list) else [value]
+FILE: Final = toml_file.text("a file name")
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and bool(value)
+def is_node_id(value: Any) -> bool:
+    """Return whether a value of a file is a node-ID."""
+    return type(value) is int and 1 <= value <= MAX_NODE_ID
 
 
-def _is_texts(value: Any) -> bool:
-    return all(map(_is_text, _listed(value)))
-
-
-def _is_list_of_tables(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(each, dict) for each in value)
-
-
-def _is_node_ids(value: Any) -> bool:
-    ids = _listed(value)
-    return bool(ids) and all(type(each) is int and 1 <= each <= MAX_NODE_ID for each in ids)
+_DEVICES: Final = Kind("[[device]]", lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value))
+_NODE_IDS: Final = Kind(
+    f"a node-ID of 1..{MAX_NODE_ID}, or a list of them,",
+    lambda value: value != [] and all(map(is_node_id, listed(value))),
+    lambda value: tuple(listed(value)),
+)

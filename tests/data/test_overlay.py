@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_data.findings import DictionaryError, Severity
-from canopen_data.overlay import MAX_TEXT, lay_over, lay_tables_over
+from canopen_data.overlay import lay_over, lay_tables_over
+from canopen_data.toml_file import MAX_TEXT
 from canopen_proto.cia402.names import is_drive, with_drive_names
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Constant, Object, ObjectDictionary, Variable

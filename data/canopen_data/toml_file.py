@@ -1,0 +1,188 @@
+"""Our TOML files: parse them, and collect every error with its place. The standard library's `tomllib` parses; nothing is opened.
+
+`tomllib` gives no lines for its values. `places_of` finds them in the text: by the headers and the keys that begin a line.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_proto.dictionary.model import did_you_mean
+
+MAX_TEXT: Final = 1 << 20
+"""Characters of a file: enough for a thousand objects or joints with all their names. A larger file was chosen by mistake."""
+
+Path: TypeAlias = tuple[str, ...]
+"""The keys that lead to a value: ("joints", "elbow", "unit")."""
+
+_PLACE: Final = re.compile(r".*\(at line ([0-9]+), column ([0-9]+)\)", re.DOTALL)
+_KEY: Final = r"""(?:[A-Za-z0-9_-]+|"[^"\\]*"|'[^']*')"""
+_KEYS: Final = rf"{_KEY}(?:[ \t]*\.[ \t]*{_KEY})*"
+_HEADER: Final = re.compile(rf"[ \t]*\[[ \t]*({_KEYS})[ \t]*\][ \t]*(?:#.*)?")
+_ENTRY: Final = re.compile(rf"[ \t]*({_KEYS})[ \t]*=")
+_SHOWN: Final = 40
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Return the tables of a TOML text. Raises DictionaryError with line and column if it is not TOML."""
+    if len(text) > MAX_TEXT:
+        raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = _PLACE.fullmatch(str(error))
+        line, column = (int(place[1]), int(place[2])) if place is not None else (text.count("\n") + 1, 1)
+        raise _failure(source, str(error).partition(" (at ")[0], line, column) from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits; arrays in arrays in arrays
+        raise _failure(source, str(error)) from None
+
+
+def _failure(source: str, message: str, line: int = 0, column: int = 0) -> DictionaryError:
+    return DictionaryError([Finding(Severity.ERROR, "toml", message, source, line, column)])
+
+
+def places_of(text: str) -> dict[Path, tuple[int, int]]:
+    """Return line and column of the tables and keys that begin a line, by their paths.
+
+    A text with strings of several lines has no places: such a line may look like a key.
+    """
+    places: dict[Path, tuple[int, int]] = {}
+    if '"""' in text or "'''" in text:
+        return places
+    table: Path = ()
+    for number, line in enumerate(text.split("\n"), start=1):
+        if (found := _HEADER.fullmatch(line.rstrip("\r"))) is not None:
+            path = table = _path(found[1])
+        elif (found := _ENTRY.match(line)) is not None:
+            path = (*table, *_path(found[1]))
+        else:
+            continue
+        for length in range(1, len(path) + 1):  # `a.b = 1` is the place of a, too, if nothing else is
+            places.setdefault(path[:length], (number, found.start(1) + 1))
+    return places
+
+
+def _path(keys: str) -> Path:
+    return tuple(key.strip("\"'") for key in re.findall(_KEY, keys))
+
+
+class Kind(NamedTuple):
+    """The values that a key takes. expected: for the error of one that does not fit. convert: makes our value of TOML's."""
+
+    expected: str
+    fits: Callable[[Any], bool]
+    convert: Callable[[Any], Any] = lambda value: value
+
+
+@dataclass
+class TomlReading:
+    """Collects the errors of a file while it is read. code: of its findings. places: as of `places_of`."""
+
+    source: str
+    code: str
+    places: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    blamed: set[str] = field(default_factory=set)
+    """The places that have errors."""
+
+    def error(self, place: str, message: str, path: Path = ()) -> None:
+        """Add an error. The line is that of the path, or of the innermost table on the way to it that has one."""
+        while path and path not in self.places:
+            path = path[:-1]
+        where = self.places.get(path, (0, 0))
+        finding = Finding(Severity.ERROR, self.code, f"{place}: {message}", self.source, *where)
+        self.blamed.add(place.partition(":")[0])
+        if finding not in self.findings:  # a default is looked at for each entry
+            self.findings.append(finding)
+
+    def raise_errors(self) -> None:
+        """Raise DictionaryError with all errors, in the order of their lines; do nothing if there is none."""
+        if self.findings:
+            raise DictionaryError(sorted(self.findings, key=lambda each: each.line))
+
+
+class TomlTable:
+    """One table of a file while it is read. place: its name in errors. fallback: has the values of keys that it lacks."""
+
+    def __init__(
+        self, reading: TomlReading, place: str, values: Mapping[str, Any], path: Path = (), fallback: TomlTable | None = None
+    ) -> None:
+        self._reading = reading
+        self._fallback = fallback
+        self.place = place
+        self.values = values
+        self.path = path
+
+    def error(self, message: str, key: str = "") -> None:
+        """Add an error about the table, or about one of its keys."""
+        place = ": ".join(filter(None, (self.place, key)))
+        self._reading.error(place, message, (*self.path, key) if key else self.path)
+
+    def check_keys(self, keys: Iterable[str], owner: str = "") -> None:
+        """Add an error for each key that is none of these. owner: in place of a name that the table lacks."""
+        keys = tuple(keys)
+        for key in self.values:
+            if key not in keys:
+                message = f"there is no entry {key[:_SHOWN]!r}{did_you_mean(key, keys)}"
+                self._reading.error(self.place or owner, message, (*self.path, key))
+
+    def has(self, key: str) -> bool:
+        """Return whether the table, or its fallback, has a value for a key."""
+        return key in self.values or (self._fallback is not None and self._fallback.has(key))
+
+    def take(self, key: str, kind: Kind) -> Any:
+        """Return the value of a key; None if it is missing, or if it does not fit, which adds an error."""
+        if key not in self.values:
+            return None if self._fallback is None else self._fallback.take(key, kind)
+        value = self.values[key]
+        if kind.fits(value):
+            return kind.convert(value)
+        self.error(f"{kind.expected} is expected, not {repr(value)[:_SHOWN]}", key)
+        return None
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value.strip())
+
+
+def listed(value: Any) -> list[Any]:
+    """Return a list as it is, and anything else as a list of it alone."""
+    return value if isinstance(value, list) else [value]
+
+
+def text(expected: str) -> Kind:
+    """A text that is not blank."""
+    return Kind(expected, _is_text)
+
+
+def texts(expected: str) -> Kind:
+    """A text, or a list of them; always read as a tuple."""
+    return Kind(expected, lambda value: all(map(_is_text, listed(value))), lambda value: tuple(listed(value)))
+
+
+def one_of(choices: Iterable[str]) -> Kind:
+    """One of these texts."""
+    choices = tuple(choices)
+    return Kind(" or ".join(map(repr, choices)), lambda value: isinstance(value, str) and value in choices)
+
+
+def _is_number(value: Any) -> bool:
+    if type(value) not in (int, float):
+        return False
+    try:
+        return not math.isnan(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return False
+
+
+BOOLEAN: Final = Kind("true or false", lambda value: isinstance(value, bool))
+TABLE: Final = Kind("a table", lambda value: isinstance(value, dict))
+INTEGER: Final = Kind("a whole number", lambda value: type(value) is int)
+NUMBER: Final = Kind("a number", _is_number, float)
+"""Also `inf`, but not `nan`."""

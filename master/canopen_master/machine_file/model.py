@@ -1,0 +1,96 @@
+"""`MachineFile`: what a machine file says, as plain data. Nothing here is opened or sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from canopen_master.motion.chain import ChainSettings
+from canopen_master.plant import DeviceEntry
+from canopen_proto.drive.settings import AxisSettings
+from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+
+
+@dataclass(frozen=True, slots=True)
+class MasterEntry:
+    """`[master]`. cycle: ns between two SYNCs, on all buses. timeout: ns for one answer of a device. heartbeat_timeout: ns after
+    which a node whose heartbeat stops is lost; 0 = no supervision. grip: None = none."""
+
+    cycle: Time = 10 * MILLISECOND
+    timeout: Time = 500 * MILLISECOND
+    heartbeat_timeout: Time = 0
+    grip: Grip | None = DEFAULT_GRIP
+
+
+@dataclass(frozen=True, slots=True)
+class BusEntry:
+    """`[buses.NAME]`. bitrate: bit/s, if the entry tells it."""
+
+    name: str
+    locator: str
+    bitrate: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NodeEntry:
+    """`[nodes.NAME]`: a device. bus: the name of its bus. device: its file, and how it is simulated; paths are as written."""
+
+    name: str
+    bus: str
+    device: DeviceEntry
+
+    @property
+    def node_id(self) -> int:
+        """1..127."""
+        return self.device.node_ids[0]
+
+
+@dataclass(frozen=True, slots=True)
+class JointEntry:
+    """`[joints.NAME]`: a drive. node: the name of its node."""
+
+    name: str
+    node: str
+    settings: AxisSettings = field(default_factory=AxisSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class ChainEntry:
+    """`[chains.NAME]`: joints that move as one, by name. settings: `cycle_time` is that of `[master]`."""
+
+    name: str
+    joints: tuple[str, ...]
+    settings: ChainSettings = field(default_factory=ChainSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class MachineFile:
+    """A machine. Entries are by name, in the order of the file. state: the file for what simulated devices store, "" for none.
+
+    source: the file, for messages; folder: where it stands: its paths are relative to it.
+    """
+
+    buses: Mapping[str, BusEntry]
+    nodes: Mapping[str, NodeEntry] = field(default_factory=dict)
+    joints: Mapping[str, JointEntry] = field(default_factory=dict)
+    chains: Mapping[str, ChainEntry] = field(default_factory=dict)
+    master: MasterEntry = MasterEntry()
+    state: str = ""
+    source: str = field(default="", compare=False)
+    folder: Path | None = field(default=None, compare=False)
+
+    def path(self, name: str) -> str:
+        """Return the path of a file that the machine file names; a sample's name, and "", stay as they are."""
+        beside = None if self.folder is None or not name else self.folder / name
+        return str(beside) if beside is not None and beside.exists() else name
+
+    def node_of(self, name: str) -> NodeEntry | None:
+        """Return the node of this name, or that of the joint of this name; None if there is neither."""
+        joint = self.joints.get(name)
+        return self.nodes.get(name if joint is None else joint.node)
+
+    def node_at(self, bus: str, node_id: int) -> NodeEntry | None:
+        """Return the node with this node-ID on a bus, or None."""
+        return next((each for each in self.nodes.values() if (each.bus, each.node_id) == (bus, node_id)), None)

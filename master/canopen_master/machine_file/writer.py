@@ -1,0 +1,76 @@
+"""Write machine files. What is the default is left out; the reader gives the same machine back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from canopen_data.durations import duration_text
+from canopen_master.machine_file.kinds import settings_table
+from canopen_master.machine_file.model import BusEntry, ChainEntry, MachineFile, MasterEntry, NodeEntry
+from canopen_master.machine_file.reader import have_files
+from canopen_master.plant import AUTOMATIC
+from canopen_proto.procedures.grip import DEFAULT_GRIP
+from canopen_transports.locator import bitrate_text
+
+
+def machine_text(machine: MachineFile) -> str:
+    """Return the text of a machine file. Raises ModuleNotFoundError without `tomli-w` (the extra `master` has it)."""
+    import tomli_w  # only for those that write
+
+    return tomli_w.dumps(machine_tables(machine))
+
+
+def machine_tables(machine: MachineFile) -> dict[str, Any]:
+    """Return the tables of a machine file, as `tomllib` would give them."""
+    tables = {
+        "master": _master(machine.master),
+        "simulation": {"state": machine.state} if machine.state else {},
+        "buses": {name: _bus(each) for name, each in machine.buses.items()},
+        "nodes": {name: _node(each) for name, each in machine.nodes.items()},
+        "joints": {
+            name: ({} if each.node == name else {"node": each.node}) | settings_table(each.settings)
+            for name, each in machine.joints.items()
+        },
+        "chains": {name: _chain(each, machine) for name, each in machine.chains.items()},
+    }
+    return {name: table for name, table in tables.items() if table}
+
+
+def _master(master: MasterEntry) -> dict[str, Any]:
+    table = {
+        key: duration_text(value)
+        for key in ("cycle", "timeout", "heartbeat_timeout")
+        if (value := getattr(master, key)) != getattr(MasterEntry(), key)
+    }
+    if master.grip is None:
+        return {**table, "grip": False}
+    return table if master.grip == DEFAULT_GRIP else {**table, "grip": settings_table(master.grip)}
+
+
+def _bus(bus: BusEntry) -> dict[str, Any]:
+    locator = {} if bus.locator == bus.name else {"locator": bus.locator}
+    return locator if bus.bitrate is None else {**locator, "bitrate": bitrate_text(bus.bitrate)}
+
+
+def _node(node: NodeEntry) -> dict[str, Any]:
+    device = node.device
+    table = {
+        "bus": node.bus,
+        "id": node.node_id,
+        "file": device.file,
+        "encoding": device.encoding,
+        "overlay": list(device.overlays),
+        "profile": "" if device.profile == AUTOMATIC else device.profile,
+        "shape": device.shape,
+        "script": device.script,
+        "defaults": device.defaults,
+        "values": dict(device.values),
+    }
+    return {key: value for key, value in table.items() if value}
+
+
+def _chain(chain: ChainEntry, machine: MachineFile) -> dict[str, Any]:
+    table = settings_table(chain.settings, "cycle_time", "own_pdos")
+    if chain.settings.own_pdos != have_files(chain.joints, machine.nodes, machine.joints):
+        table["own_pdos"] = chain.settings.own_pdos
+    return {"joints": list(chain.joints), **table}
