@@ -6,7 +6,8 @@
     dictionary.py         its object dictionary, in two shapes
     late_drive.py         a drive that acts late, as real ones do
     profile_modes.py      its profile position and velocity modes
-    synchronous_modes.py  its ip and csp modes: a set-point at each SYNC
+    synchronous_modes.py  its csp mode, and what all modes with a set-point at each SYNC have in common
+    interpolated_position.py   its ip mode: records, sub-modes, buffer
     homing.py             its homing: searches for switches and index pulses
     servo.py              its mechanics: track, lag, limits
     plant.py              a mass under control loops and a limited torque, instead of the lag

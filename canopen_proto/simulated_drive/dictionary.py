@@ -37,6 +37,7 @@ from canopen_proto.dictionary.standard import find_standard, standard_object, st
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
 from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, subindex_of
 from canopen_proto.simulated_drive.homing import METHODS
+from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY
 from canopen_proto.simulated_drive.servo import FALLBACKS, Shape
 
 _EVENT_DRIVEN: Final = 255
@@ -116,7 +117,7 @@ ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
     **OPTION_CODES,
     objects.MOTION_PROFILE_TYPE: (0,),
     objects.HOMING_METHOD: (0, *METHODS),
-    objects.INTERPOLATION_SUB_MODE_SELECT: (0,),
+    objects.INTERPOLATION_SUB_MODE_SELECT: (0, POSITION_AND_VELOCITY),
     objects.INTERPOLATION_TIME_UNITS: range(1, 256),
     objects.INTERPOLATION_TIME_INDEX: range(-6, 1),
     objects.BUFFER_ORGANISATION: range(2),
@@ -197,7 +198,7 @@ def _profile(shape: Shape) -> list[Object]:
         defaults |= {objects.INTERPOLATION_TIME_UNITS: 10, objects.HOMING_METHOD: 35, objects.SHUTDOWN_OPTION_CODE: 1}
     described: dict[int, Object] = {}
     for index in (*_COMMON, *_ONLY[shape]):
-        highest = 1 if index == 0x60C1 else None
+        highest = (2 if shape is Shape.STANDARD else 1) if index == 0x60C1 else None
         described[index] = standard_object(
             index,
             highest=highest,

@@ -36,9 +36,10 @@ from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
 from canopen_proto.simulated_drive.homing import Homing
+from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
 from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
 from canopen_proto.simulated_drive.servo import TORQUE_LIMITS, UNLIMITED, DriveSettings, Servo, Shape
-from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition, InterpolatedPosition
+from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
@@ -157,8 +158,11 @@ class Drive(Machine):
         if not has_value and value != self._servo.parameter(key):  # the value that a file gave it may be written back
             return AbortCode.INVALID_VALUE
         mode = self._mode
-        if key == objects.INTERPOLATION_SET_POINT and isinstance(mode, InterpolatedPosition) and mode.is_full:
+        if isinstance(mode, InterpolatedPosition) and key == mode.record_end and mode.is_full:
             return AbortCode.DEVICE_STATE
+        needs_velocity = key == objects.INTERPOLATION_SUB_MODE_SELECT and value == POSITION_AND_VELOCITY
+        if needs_velocity and objects.INTERPOLATION_VELOCITY not in self.values.dictionary:
+            return AbortCode.INVALID_VALUE
         return None
 
     def written(self, index: int, subindex: int, now: Time) -> None:

@@ -112,6 +112,25 @@ def line(
     return plan.finish(start, plan.position)
 
 
+def passage(
+    start: Time, position: float, velocity: float, target: float, passing: float, duration: float, deceleration: float
+) -> Profile:
+    """Plan one step of an interpolation that passes `target` at the velocity `passing`, `duration` seconds (above 0) from now.
+
+    On the way there are two parabolas, half of the time each. Behind the target it brakes at `deceleration` (above 0).
+    """
+    half = duration / 2.0
+    change = (passing - velocity) / half
+    first = (target - position - velocity * duration) / (half * half) - change / 2.0
+    middle = position + (velocity + 0.5 * first * half) * half
+    plan = _Plan(target, passing)
+    plan.pieces.append((0.0, position, velocity, first))
+    plan.pieces.append((half, middle, velocity + first * half, change - first))
+    plan.time = duration
+    plan.ramp(0.0, deceleration)
+    return plan.finish(start, plan.position)
+
+
 def stop(start: Time, position: float, velocity: float, deceleration: float) -> Profile:
     """Plan to brake to rest at `deceleration` (above 0)."""
     plan = _Plan(position, velocity)

@@ -2,7 +2,7 @@
 
 While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
 object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and gives the mode bits of
-the statusword. Homing has a file of its own (homing.py), and so have ip and csp (synchronous_modes.py).
+the statusword. Homing (homing.py), ip (interpolated_position.py) and csp (synchronous_modes.py) have files of their own.
 
 Profile position: a set-point is taken on the rising edge of bit 4 and acknowledged by bit 12 until bit 4 falls. With bit 5 it
 starts at once; without, it waits until the running one has ended. One set-point can wait; meanwhile bit 12 stays 1, and a further

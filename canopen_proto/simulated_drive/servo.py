@@ -356,11 +356,12 @@ class Servo:
             self._plan(motion.run(self.time, here, now_at, velocity, *rates))
         return velocity
 
-    def interpolate(self, target: float) -> None:
+    def interpolate(self, target: float, passing: int | None = None) -> None:
         """Make one step of ip or csp: reach `target` one interpolation period from now, in a straight line.
 
         An axis that was already moving passes `target` and brakes by the quick stop ramp until the next step comes, since there
-        may be none. A step beyond the drive's speed or acceleration becomes a profile, as fast as allowed; internal_limit is set.
+        may be none. passing: the velocity at `target`; the way there is then no straight line. A step beyond the drive's speed or
+        acceleration becomes a profile, as fast as allowed; internal_limit is set.
         """
         target = self._clip(target)
         period = self.interpolation_period()
@@ -368,18 +369,26 @@ class Servo:
         if self._is_barred(target - here):
             self._stop_at_switch()
             return
-        velocity = (target - here) / period
         fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
         acceleration, deceleration = self.rate(objects.MAX_ACCELERATION), self.rate(objects.MAX_DECELERATION)
-        change = (acceleration if abs(velocity) > abs(now_at) else deceleration) * period
-        if abs(velocity) > fastest or abs(velocity - now_at) > change:
-            self.internal_limit = True
-            self._plan(motion.move(self.time, here, now_at, target, fastest, acceleration, deceleration))
-        else:
+        velocity = (target - here) / period
+        if passing is None:
             passes = velocity * now_at > 0.0 and not self.internal_limit
             leaving = math.copysign(min(abs(velocity), abs(now_at)), velocity) if passes else 0.0
-            self._plan(motion.line(self.time, here, target, period, leaving, self.ramp(2)))
+            change = (acceleration if abs(velocity) > abs(now_at) else deceleration) * period
+            is_allowed = abs(velocity) <= fastest and abs(velocity - now_at) <= change
+            step = motion.line(self.time, here, target, period, leaving, self.ramp(2))
+        else:
+            velocity = 0.0 if self.internal_limit else float(passing)
+            step = motion.passage(self.time, here, now_at, target, velocity, period, self.ramp(2))
+            middle, hardest = step.pieces[1][2], max(abs(step.pieces[0][3]), abs(step.pieces[1][3]))
+            is_allowed = max(abs(velocity), abs(middle)) <= fastest and hardest <= min(acceleration, deceleration)
+        if is_allowed:
+            self._plan(step)
             self._step = self.time + math.ceil(2.0 * period * SECOND), velocity
+        else:
+            self.internal_limit = True
+            self._plan(motion.move(self.time, here, now_at, target, fastest, acceleration, deceleration))
 
     def _is_barred(self, way: float) -> bool:
         """Return whether a limit switch bars the way (of either sign): the axis is on the switch in that direction."""

@@ -1,10 +1,6 @@
-"""The simulated drive's modes that take a set-point at each SYNC: interpolated position (ip), cyclic synchronous position (csp).
+"""The simulated drive's modes that take a set-point at each SYNC: their common part, and cyclic synchronous position (csp).
 
-ip: each SYNC takes one set-point from the buffer; the axis is there one period (60C2h) later. 60C4h sets the buffer. Disabled
-(60C4h:06 = 0, the default), it keeps only the latest set-point. Enabled, it is a FIFO of 60C4h:01 records; if it is full, a new
-set-point is lost (in a ring, the oldest) and reported. **Underrun**: a SYNC finds no set-point while the axis moves. The axis
-stops by the halt option code (605Dh), the mode stops following (see below), and `SetPointUnderrun` is reported. An axis that
-stands needs no set-point: it stays there.
+Interpolated position (ip) is in interpolated_position.py.
 
 csp: each SYNC takes the present value of 607Ah. While the axis moves, a value that was not written since the last SYNC is not
 taken. If the axis then comes to rest farther than 6067h from it, the mode stops following.
@@ -20,46 +16,26 @@ time (1400h:05), whatever it carries. Either way the mode stops following, and t
 after a new rising edge of bit 4. csp follows again at the first SYNC that finds 607Ah where the axis stands (within 6067h), so
 that it never jumps.
 
-Left out: ip sub-modes other than linear (60C0h).
-
 Source: IEC 61800-7-201 (CiA 402-2): interpolated position, cyclic synchronous position. It leaves to the maker what a drive does
 without SYNC.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Final
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import ModeControl, ModeStatus
+from canopen_proto.cia402.modes import ModeStatus
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.communication_objects import CYCLE_PERIOD
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.profile_modes import OperationMode
-from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
+from canopen_proto.simulated_drive.servo import UNLIMITED
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
 """A SYNC that stays away for less is late, not lost: the axis brakes until it comes, then goes on."""
 _MISSED_SYNCS: Final = 3
-
-
-class SetPointUnderrun(Event):
-    """A SYNC found no set-point while the axis moved. The axis stops by the halt option code, and interpolation is over."""
-
-    __slots__ = ()
-
-
-class SetPointLost(Event):
-    """A set-point came while the buffer was full. set_point: the one that is lost."""
-
-    __slots__ = ("set_point",)
-    __match_args__ = ("node_id", "set_point")
-
-    def __init__(self, node_id: int, set_point: int) -> None:
-        self.node_id = node_id
-        self.set_point = set_point
 
 
 class SyncOverdue(Event):
@@ -110,93 +86,6 @@ class SynchronousMode(OperationMode):
         self._stop_following()
         if not self.servo.is_settled:
             self.servo.brake(self.servo.ramp(2))
-
-
-_INTERPOLATE: Final = ModeControl.ENABLE_INTERPOLATION
-
-
-class InterpolatedPosition(SynchronousMode):
-    """Interpolated position mode (ip)."""
-
-    __slots__ = ("_buffer",)
-
-    listens_to = frozenset((objects.INTERPOLATION_SET_POINT, objects.BUFFER_CLEAR))
-
-    def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
-        super().__init__(servo, out, node_id)
-        self._buffer: deque[int] = deque()
-
-    def leave(self) -> None:
-        self._follows = self._warning = False
-        self._buffer.clear()
-        self._show_size()
-
-    def control(self, controlword: int, previous: int) -> None:
-        self.controlword = controlword
-        runs = controlword & _INTERPOLATE and not controlword & ControlBit.HALT
-        ran = previous & _INTERPOLATE and not previous & ControlBit.HALT
-        if runs and not ran:
-            self._begin_following()
-        elif self._follows and not runs:
-            self._follows = False
-            self.due = NEVER
-            self._halt()
-
-    @property
-    def is_full(self) -> bool:
-        """Whether the FIFO takes no further set-point. (A ring takes every one.)"""
-        return self._queues and not self._is_ring and len(self._buffer) >= self._size
-
-    @property
-    def _queues(self) -> bool:
-        """Whether the buffer is enabled; this may be long before the mode acts."""
-        return bool(self.servo.parameter(objects.BUFFER_CLEAR))
-
-    @property
-    def _is_ring(self) -> bool:
-        return self.servo.parameter(objects.BUFFER_ORGANISATION) == 1
-
-    @property
-    def _size(self) -> int:
-        return max(1, self.servo.parameter(objects.MAXIMUM_BUFFER_SIZE)) if self._queues else 1
-
-    def written(self, key: Mux) -> None:
-        if key == objects.INTERPOLATION_SET_POINT:
-            self._push(self.servo.parameter(key))
-        elif not self._queues:
-            self._buffer.clear()
-        self._show_size()
-
-    def _push(self, set_point: int) -> None:
-        buffer = self._buffer
-        if len(buffer) >= self._size:
-            drives_out = self._is_ring or not self._queues
-            lost = buffer.popleft() if drives_out else set_point
-            if self._queues:
-                self.out.events.append(SetPointLost(self.node_id, lost))
-            if not drives_out:
-                return
-        buffer.append(set_point)
-
-    def _show_size(self) -> None:
-        self.servo.store[objects.ACTUAL_BUFFER_SIZE] = len(self._buffer)
-
-    def on_sync(self) -> None:
-        if not self._follows:
-            return
-        servo = self.servo
-        self._await_sync()
-        if self._buffer:
-            servo.interpolate(self._buffer.popleft() + servo.zero)
-            self._show_size()
-        elif servo.moving_at:
-            self._stop_following()
-            self._halt()
-            self.out.events.append(SetPointUnderrun(self.node_id))
-
-    @property
-    def status(self) -> int:
-        return self._follows * ModeStatus.IP_MODE_ACTIVE | self._warning * StatusBit.WARNING | self._reached()
 
 
 class CyclicPosition(SynchronousMode):

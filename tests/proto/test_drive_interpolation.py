@@ -7,8 +7,8 @@ import pytest
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.simulated_drive.interpolated_position import SetPointLost, SetPointUnderrun
 from canopen_proto.simulated_drive.servo import DriveSettings, Shape
-from canopen_proto.simulated_drive.synchronous_modes import SetPointLost, SetPointUnderrun
 from tests.proto.drive_bench import NODE_ID, Bench
 
 ACTIVE, WARNING, REACHED, LIMIT = 12, 7, 10, 11
@@ -259,3 +259,110 @@ def test_the_axis_follows_its_demand_with_a_lag() -> None:
     assert bench.read(0x6062) - bench.position == pytest.approx(50, abs=1)  # 10000 units/s * 5 ms
     assert bench.read(0x60F4) == pytest.approx(50, abs=1)
     assert bench.read(0x6077) == pytest.approx(80, abs=1)  # load and friction
+
+
+def test_a_fifo_shows_how_many_wait_and_where_the_next_goes() -> None:
+    bench = interpolating()
+    bench.sync()
+    bench.write(0x60C4, 1, 6)
+    for number in range(1, 17):
+        bench.write(0x60C1, 1_000 + number, 1)
+        assert (bench.read(0x60C4, 2), bench.read(0x60C4, 4)) == (number, number % 16)
+    bench.sync()
+    assert (bench.read(0x60C4, 2), bench.read(0x60C4, 4)) == (15, 0)
+
+
+def test_in_a_ring_the_position_says_where_records_are_replaced() -> None:
+    """A path that is already in the drive is changed in the middle, without a stop."""
+    bench = interpolating()
+    bench.sync()
+    bench.write(0x60C4, 1, 3)
+    bench.write(0x60C4, 1, 6)
+    for number in range(1, 7):
+        bench.write(0x60C1, 1_000 + 10 * number, 1)
+    bench.write(0x60C4, 3, 4)
+    for target in (1_035, 1_045):
+        bench.write(0x60C1, target, 1)
+    assert (bench.read(0x60C4, 2), bench.read(0x60C4, 4)) == (6, 5)
+    reached = []
+    for _ in range(7):
+        bench.sync()
+        reached.append(bench.position)
+    assert reached == [1_000, 1_010, 1_020, 1_030, 1_035, 1_045, 1_060]
+    assert bench.reported(SetPointLost) == []
+
+
+def test_a_ring_that_was_written_past_its_end_goes_on_behind_it() -> None:
+    bench = interpolating()
+    bench.sync()
+    bench.write(0x60C4, 1, 3)
+    bench.write(0x60C4, 1, 6)
+    target = 1_000
+    for _ in range(40):
+        target += 10
+        bench.put(0x60C1, target, 1)
+        bench.sync()
+    bench.sync()
+    assert bench.position == target
+    assert bench.reported(SetPointLost) == []
+
+
+def test_a_place_beyond_the_waiting_records_leaves_a_gap_in_which_the_axis_stops() -> None:
+    bench = interpolating()
+    bench.sync()
+    bench.write(0x60C4, 1, 3)
+    bench.write(0x60C4, 1, 6)
+    for number in range(1, 4):
+        bench.write(0x60C1, 1_000 + 10 * number, 1)
+    bench.write(0x60C4, 5, 4)
+    bench.write(0x60C1, 1_060, 1)
+    for _ in range(5):
+        bench.sync()
+    assert bench.reported(SetPointUnderrun) == [SetPointUnderrun(NODE_ID)]
+    assert not bench.has(ACTIVE)
+
+
+def test_a_record_of_position_and_velocity_is_passed_at_that_velocity() -> None:
+    bench = Bench(DriveSettings(position=0, lag=0))
+    bench.preset(0x60C2, 10, 1)
+    bench.write(0x60C0, -1)
+    bench.enable(7)
+    bench.control(0x1F)
+    bench.put(0x60C1, 0, 1)
+    bench.put(0x60C1, 0, 2)
+    bench.sync()
+    velocities = []
+    for step in range(1, 30):  # half a t², 100,000 units/s²: each point with the velocity that belongs to it
+        time = step * 0.01
+        bench.put(0x60C1, round(50_000 * time * time), 1)
+        assert bench.read(0x60C4, 2) == 0  # the velocity completes the record
+        bench.put(0x60C1, round(100_000 * time), 2)
+        bench.sync()
+        assert bench.position == round(50_000 * (time - 0.01) ** 2)
+        velocities.append(bench.read(0x606B))
+    assert velocities == [1_000 * step for step in range(29)]
+    bench.run(5)
+    assert bench.read(0x606B) == 28_500  # between two points the velocity grows, too: a line would have one velocity there
+    assert not bench.has(LIMIT)
+    bench.sync(5)
+    bench.sync()
+    assert bench.reported(SetPointUnderrun) == [SetPointUnderrun(NODE_ID)]
+
+
+def test_a_passage_beyond_the_drives_acceleration_is_cut() -> None:
+    bench = Bench(DriveSettings(position=0, lag=0))
+    bench.preset(0x60C2, 10, 1)
+    bench.preset(0x60C5, 50_000)
+    bench.write(0x60C0, -1)
+    bench.enable(7)
+    bench.control(0x1F)
+    bench.put(0x60C1, 5, 1)
+    bench.put(0x60C1, 1_000, 2)
+    bench.sync()
+    assert bench.has(LIMIT)
+
+
+def test_a_drive_without_a_velocity_in_its_record_refuses_that_sub_mode() -> None:
+    bench = Bench(DriveSettings(shape=Shape.SCHUNK_POWERBALL))
+    assert bench.drive.check_write(0x60C0, 0, -1) == AbortCode.INVALID_VALUE
+    assert Bench().drive.check_write(0x60C0, 0, -2) == AbortCode.INVALID_VALUE
