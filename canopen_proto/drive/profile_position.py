@@ -13,13 +13,17 @@ from canopen_proto.drive.failures import LimitReached, accounted, require_refere
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.limits import limits_of
 from canopen_proto.drive.state import enable, set_mode
-from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
+from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
 from canopen_proto.machine import Time
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
+from canopen_proto.remote_node import FRESH
 
 NO_WINDOW: Final = 2**32 - 1
 """0x6067, position window: the drive does not watch it."""
+
+_NO_NEARER: Final = 0.001
+"""A drive comes no nearer to its target if it loses less than this share of its way in `reaction_time`."""
 
 _OTHER_TARGET: Final = "a target within the limit, or another limit"
 
@@ -121,7 +125,7 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
     deadline = (yield from current_time()) + timeout
     while True:
         left = max(0, deadline - (yield from current_time()))
-        statusword = yield from _wait_for_bit(axis, StatusBit.TARGET_REACHED, True, left, "its target position")
+        statusword = yield from _arrival(axis, target, left)
         is_there = yield from _is_at(axis, target)
         if is_there:
             return
@@ -130,6 +134,8 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
         yield from sleep(POLL_INTERVAL)
     position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
     limit = yield from _limit_before(axis, target)
+    if not limit:
+        limit = yield from _switch_before(axis, target - position)
     if not limit and statusword & StatusBit.INTERNAL_LIMIT:
         limit = "an internal limit of the drive is active (bit 11)"
     if limit or (is_there is False and not relative):  # 0x60F2: the drive decides what a relative target counts from
@@ -140,6 +146,40 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
             reason=limit,
             remedy=_OTHER_TARGET,
         )
+
+
+def _arrival(axis: Axis, target: int, timeout: Time) -> Procedure[int]:
+    """Wait until the drive says that it is at its target (bit 10), or shows a limit (bit 11) and comes no nearer; return its
+    statusword. A drive that a limit switch has stopped need not set bit 10."""
+    position = objects.POSITION_ACTUAL_VALUE
+    watch: Watch[int] = Watch(
+        axis, "its target position", mode=Mode.PROFILE_POSITION, stays=State.OPERATION_ENABLED, reads={position: FRESH}
+    )
+    held_since: Time | None = None
+    held_at = 0
+
+    def judge(statusword: int, heard_at: Time) -> int | None:
+        nonlocal held_since, held_at
+        if statusword & StatusBit.TARGET_REACHED:
+            return statusword
+        here = axis.position_counts
+        if not statusword & StatusBit.INTERNAL_LIMIT or here is None or watch.heard(position) is None:
+            held_since = None
+        elif held_since is None or abs(here - held_at) > _NO_NEARER * abs(target - held_at):
+            held_since, held_at = heard_at, here
+        elif heard_at - held_since >= axis.settings.reaction_time:
+            return statusword
+        return None
+
+    return (yield from watch.until(judge, timeout))
+
+
+def _switch_before(axis: Axis, way: int) -> Procedure[str]:
+    """Return the limit switch that holds the axis back from going `way` counts further, in words; "" if there is none."""
+    inputs = yield from read_if_present(axis.node, objects.DIGITAL_INPUTS)
+    side = int(way > 0)
+    is_active = isinstance(inputs, int) and bool(inputs >> side & 1)
+    return f"it stands on its {('negative', 'positive')[side]} limit switch (0x60FD)" if is_active and way else ""
 
 
 def _demand(axis: Axis) -> Procedure[int]:

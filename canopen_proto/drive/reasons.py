@@ -210,15 +210,15 @@ def _name(state: NmtState | None) -> str:
 
 def _limits(view: DriveView) -> list[Reason]:
     found = []
+    inputs = 0 if view.mode == Mode.HOMING else view.inputs or 0
+    for bit, name in enumerate(_SWITCHES):
+        if inputs >> bit & 1:
+            found.append(Reason(f"it stands on its {name} (0x60FD)", "move it the other way"))
     if view.statusword & StatusBit.INTERNAL_LIMIT:
         what = "a limit of its own holds it (bit 11): position 0x607D, speed, torque or current"
         found.append(Reason(what, "a target that leads away from the limit"))
     if view.mode in _FOLLOWING and view.statusword & ModeStatus.FOLLOWING_ERROR:
         found.append(Reason("its following error is too large (bit 13)", "look for a blocked axis; move more slowly"))
-    inputs = 0 if view.mode == Mode.HOMING else view.inputs or 0
-    for bit, name in enumerate(_SWITCHES):
-        if inputs >> bit & 1:
-            found.append(Reason(f"it stands on its {name} (0x60FD)", "move it the other way"))
     return found
 
 

@@ -113,7 +113,7 @@ def test_a_drive_that_is_not_enabled_or_is_halted_never_goes_without_a_reason(
 
 def test_the_order_is_that_of_removal() -> None:
     view = replace(MOVES, statusword=0x0840, controlword=0x0106, mode=0, wanted_mode=0, nmt_state=NmtState.STOPPED, inputs=1)
-    order = ["NMT state", "local control", "no voltage", "not enabled", "halt", "no mode", "limit of its own", "limit switch"]
+    order = ["NMT state", "local control", "no voltage", "not enabled", "halt", "no mode", "limit switch", "limit of its own"]
     found = [each.what for each in reasons(view)]
     places = [next(place for place, what in enumerate(found) if word in what) for word in order]
     assert all(earlier < later for earlier, later in itertools.pairwise(places))
