@@ -5,7 +5,9 @@
     events.py             the events of a simulated drive
     dictionary.py         its object dictionary, in two shapes
     late_drive.py         a drive that acts late, as real ones do
-    profile_modes.py      its profile position and velocity modes
+    modes.py              the modes that it has, and when it takes another one
+    profile_modes.py      the base of its modes of operation; its velocity modes (pv, vl)
+    profile_position.py   its profile position mode
     synchronous_modes.py  its csp mode, and what all modes with a set-point at each SYNC have in common
     interpolated_position.py   its ip mode: records, sub-modes, buffer
     homing.py             its homing: searches for switches and index pulses

@@ -90,10 +90,12 @@ _COMMON: Final = (
     0x603F, 0x6040, 0x6041, 0x6060, 0x6061, 0x6062, 0x6064, 0x6065, 0x6066, 0x6067, 0x6068, 0x606B, 0x606C, 0x6077, 0x607A,
     0x607C, 0x607D, 0x6081, 0x6083, 0x6086, 0x60C0, 0x60C1, 0x60C2, 0x60C4, 0x60F4, 0x60FD, 0x6502,
 )  # fmt: skip
+_VELOCITY_MODE: Final = (0x6042, 0x6043, 0x6044, 0x6046, 0x6048, 0x6049, 0x604A, 0x604B, 0x604C)
 _ONLY: Final = {
     Shape.STANDARD: (
-        0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6072, 0x6073, 0x6074, 0x6075, 0x6076, 0x6078, 0x607F, 0x6084, 0x6085,
-        0x6098, 0x6099, 0x609A, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60FF,
+        0x6007, *_VELOCITY_MODE, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x606D, 0x606E, 0x606F, 0x6070, 0x6072, 0x6073, 0x6074,
+        0x6075, 0x6076, 0x6078, 0x607F, 0x6082, 0x6084, 0x6085, 0x6098, 0x6099, 0x609A, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2,
+        0x60F8, 0x60FF,
     ),
     Shape.SCHUNK_POWERBALL: (0x6042, 0x6098, 0x60B2),
 }  # fmt: skip
@@ -107,7 +109,8 @@ _HEARTBEAT_CONSUMERS: Final = {Shape.STANDARD: 4, Shape.SCHUNK_POWERBALL: 3}
 _RPDO_SUBINDICES: Final = {Shape.STANDARD: (1, 2, 3, 5), Shape.SCHUNK_POWERBALL: (1, 2)}
 """Subindex 5, the event time, lets a drive notice that its RPDO stays away."""
 _TPDO_SUBINDICES: Final = (1, 2, 3, 5, 6)
-_SUPPORTED_MODES: Final = {Shape.STANDARD: 0xE5, Shape.SCHUNK_POWERBALL: 0x43}  # pp pv hm ip csp; pp vl ip
+_SUPPORTED_MODES: Final = {Shape.STANDARD: 0xE7, Shape.SCHUNK_POWERBALL: 0x43}  # pp vl pv hm ip csp; pp vl ip
+_PRODUCT_CODES: Final = {Shape.STANDARD: 0xE5, Shape.SCHUNK_POWERBALL: 0x43}
 _VENDOR_IDS: Final = {Shape.STANDARD: 0, Shape.SCHUNK_POWERBALL: objects.SCHUNK_VENDOR_ID}
 _BUFFER_SIZE: Final = {Shape.STANDARD: 16, Shape.SCHUNK_POWERBALL: 1}
 _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBALL: "Simulated Schunk Powerball joint"}
@@ -152,7 +155,7 @@ def _communication(shape: Shape) -> list[Object]:
         standard_object(indices.PREDEFINED_ERROR_FIELD, highest=8),
         standard_object(indices.CONSUMER_HEARTBEAT_TIME, highest=_HEARTBEAT_CONSUMERS[shape]),
         standard_object(
-            indices.IDENTITY_OBJECT, highest=4, defaults={1: _VENDOR_IDS[shape], 2: _SUPPORTED_MODES[shape], 3: 0x0001_0000, 4: 1}
+            indices.IDENTITY_OBJECT, highest=4, defaults={1: _VENDOR_IDS[shape], 2: _PRODUCT_CODES[shape], 3: 0x0001_0000, 4: 1}
         ),
         standard_object(indices.SDO_SERVER_PARAMETER, highest=2),
     ]

@@ -37,9 +37,8 @@ from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
 from canopen_proto.simulated_drive.homing import Homing
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
-from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfilePosition, ProfileVelocity, Velocity
+from canopen_proto.simulated_drive.modes import changes_mode, modes_of
 from canopen_proto.simulated_drive.servo import TORQUE_LIMITS, UNLIMITED, DriveSettings, Servo, Shape
-from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
@@ -67,6 +66,7 @@ _ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 _STAY_IN_QUICK_STOP: Final = range(STAYS_FROM, STAYS_FROM + 4)
 _SHOWS_FOLLOWING_ERROR: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _INT32: Final = 1 << 31
+_INT16: Final = 1 << 15
 
 
 class Drive(Machine):
@@ -104,15 +104,7 @@ class Drive(Machine):
         self._servo = Servo(values.store, settings)
         common = (self._servo, out, node_id)
         self._homing = Homing(*common)
-        self._modes: dict[int, OperationMode] = {
-            Mode.NO_MODE: OperationMode(*common),
-            Mode.PROFILE_POSITION: ProfilePosition(*common),
-            Mode.VELOCITY: Velocity(*common),
-            Mode.PROFILE_VELOCITY: ProfileVelocity(*common),
-            Mode.HOMING: self._homing,
-            Mode.INTERPOLATED_POSITION: InterpolatedPosition(*common),
-            Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicPosition(*common),
-        }
+        self._modes = modes_of(*common, self._homing)
         self._mode = self._modes[Mode.NO_MODE]
         self._controlword = 0
         self._after_stop: Command | Occurrence | None = None  # to execute when the present ramp has ended
@@ -157,6 +149,8 @@ class Drive(Machine):
         has_value = self._has_mode(value) if is_mode else value in ALLOWED_VALUES.get(key, (value,))
         if not has_value and value != self._servo.parameter(key):  # the value that a file gave it may be written back
             return AbortCode.INVALID_VALUE
+        if is_mode and value != self.mode and not changes_mode(self.settings, self.state, self._controlword):
+            return AbortCode.DEVICE_STATE
         mode = self._mode
         if isinstance(mode, InterpolatedPosition) and key == mode.record_end and mode.is_full:
             return AbortCode.DEVICE_STATE
@@ -301,7 +295,7 @@ class Drive(Machine):
         if command not in options or self._servo.parameter(options[command]) == 0 or not self._servo.is_moving:
             return False
         self._mode.leave()
-        self._servo.brake(self._servo.ramp(1))
+        self._servo.brake(self._mode.ramp(1))
         self._after_stop = command
         return True
 
@@ -342,7 +336,7 @@ class Drive(Machine):
         if option == 0:
             self._servo.release()
         else:
-            self._servo.brake(self._servo.ramp(option))
+            self._servo.brake(self._mode.ramp(option))
         self._after_stop = then
         self._end_stop()
 
@@ -373,15 +367,17 @@ class Drive(Machine):
         if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
             return True
         known = self._servo.store.get(objects.SUPPORTED_DRIVE_MODES)
-        return mode in self._modes and (not isinstance(known, int) or supported(known, mode))
+        return mode in self._modes and (mode < 0 or not isinstance(known, int) or supported(known, mode))
 
     def _select_mode(self) -> None:
-        """Select the mode of 6060h. A mode that the drive lacks (an RPDO can write it) changes nothing, as 6061h shows."""
+        """Select the mode of 6060h. A mode that the drive lacks, or does not take now (an RPDO can write it), changes nothing, as
+        6061h shows."""
         mode = self._servo.parameter(objects.MODES_OF_OPERATION)
-        if mode != self.mode and self._has_mode(mode):
+        takes_it = self._has_mode(mode) and changes_mode(self.settings, self.state, self._controlword)
+        if mode != self.mode and takes_it:
             if self._acts:
                 self._mode.leave()
-                self._servo.brake(self._servo.ramp(1))
+                self._servo.brake(self._mode.ramp(1))
             self.mode = mode
             self._mode = self._modes[mode]
             if self._acts:
@@ -439,6 +435,10 @@ class Drive(Machine):
         store[objects.POSITION_ACTUAL_VALUE] = _wrapped(servo.position - zero)
         store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
         store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
+        if objects.VL_VELOCITY_DEMAND in store:
+            unit = servo.vl_unit * servo.ratio(objects.VL_SET_POINT_FACTOR)
+            store[objects.VL_VELOCITY_DEMAND] = _limited(servo.demand_velocity / unit, _INT16)
+            store[objects.VL_VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity / unit, _INT16)
         store[objects.TORQUE_DEMAND_VALUE], torque = servo.torques
         store[objects.TORQUE_ACTUAL_VALUE] = store[objects.CURRENT_ACTUAL_VALUE] = torque
         store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
@@ -479,6 +479,6 @@ def _wrapped(position: float) -> int:
     return (round(position) + _INT32) % (2 * _INT32) - _INT32
 
 
-def _limited(value: float) -> int:
-    """Return a speed or distance as INTEGER32, clipped to its range."""
-    return round(max(-_INT32, min(_INT32 - 1, value)))
+def _limited(value: float, bound: int = _INT32) -> int:
+    """Return a speed or distance as INTEGER32 (INTEGER16 with that bound), clipped to its range."""
+    return round(max(-bound, min(bound - 1, value)))

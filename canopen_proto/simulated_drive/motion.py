@@ -1,16 +1,17 @@
 """Motion in closed form: trapezoidal profiles and stop ramps that are planned once and can be evaluated at any time.
 
-A `Profile` is a row of pieces of constant acceleration. Its last piece (rest, or constant speed) holds for ever. `move`, `stop`,
-`run`, `line` and `hold` plan a profile from any position *and any velocity*; so a running motion is changed by a new plan from
-its present position. There are no simulation steps: `at(now)` computes the position directly from a few numbers, however old the
-plan is, and always gives the same answer. Arithmetic is float (IEEE 754 double), hence the same on every machine.
+A `Profile` is a row of pieces of constant acceleration. Its last piece (rest, or constant speed) holds for ever. `move`,
+`through`, `stop`, `run`, `line` and `hold` plan a profile from any position *and any velocity*; so a running motion is changed by
+a new plan from its present position. There are no simulation steps: `at(now)` computes the position directly from a few numbers,
+however old the plan is, and always gives the same answer. Arithmetic is float (IEEE 754 double), hence the same on every machine.
 
 A point-to-point move is the time-optimal one within its limits: speed grows by at most `acceleration` and falls by at most
 `deceleration`. If a stop from the present velocity would end beyond the target (or if the axis moves away), it first brakes to
 rest and comes back. If it is faster than `max_velocity`, it first brakes to that.
 
 Units are the caller's (device units, units/s, units/s²). A profile's own time is in seconds since its `start`, the clock's in ns.
-Left out: limited jerk (6086h = 3) and a final velocity other than 0 (6082h).
+`through` passes its target at a given speed instead, and keeps that speed.
+Left out: limited jerk (6086h = 3).
 
 Source: IEC 61800-7-201 (CiA 402-2), profile position mode, linear ramp (6086h = 0).
 """
@@ -168,6 +169,38 @@ def move(
         plan.ramp(max_velocity * direction, deceleration)
     plan.cruise(target - plan.position - _braking_distance(plan.velocity, deceleration))
     plan.ramp(0.0, deceleration)
+    return plan.finish(start, target)
+
+
+def through(
+    start: Time,
+    position: float,
+    velocity: float,
+    target: float,
+    max_velocity: float,
+    acceleration: float,
+    deceleration: float,
+    end_velocity: float,
+) -> Profile:
+    """Plan to go to `target`, pass it at the speed `end_velocity` (0 to max_velocity), and keep that speed. Else as `move`.
+
+    Without room to slow down for that, it passes the target as slowly as it can; without room to speed up, as fast as it can.
+    """
+    plan = _Plan(position, velocity)
+    if velocity * (target - position) < 0.0:
+        plan.ramp(0.0, deceleration)
+    distance, direction = abs(target - plan.position), math.copysign(1.0, target - plan.position)
+    speed = abs(plan.velocity)
+    end = min(end_velocity, math.sqrt(speed * speed + 2.0 * acceleration * distance))  # there may be no room to get faster
+    if speed * speed - end * end > 2.0 * deceleration * distance:  # nor to get slower
+        plan.ramp(direction * math.sqrt(speed * speed - 2.0 * deceleration * distance), deceleration)
+        return plan.finish(start, target)
+    peak_squared = 2.0 * acceleration * distance * deceleration + speed * speed * deceleration + end * end * acceleration
+    peak = min(max_velocity, math.sqrt(peak_squared / (acceleration + deceleration)))
+    plan.ramp(direction * peak, acceleration if peak > speed else deceleration)
+    change = (plan.velocity * plan.velocity - end * end) / (2.0 * deceleration)
+    plan.cruise(target - plan.position - direction * change)
+    plan.ramp(direction * end, deceleration)
     return plan.finish(start, target)
 
 

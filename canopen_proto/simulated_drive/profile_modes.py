@@ -1,28 +1,59 @@
-"""The modes of operation of the simulated drive: profile position and the velocity modes.
+"""The base of the simulated drive's modes of operation, and its velocity modes: profile velocity (pv), velocity (vl).
 
 While operation is enabled, the drive hands its inputs to one `OperationMode`: `control` for each controlword, `written` for an
 object that changed, `on_sync`, and `tick` when time has passed. The mode plans motions on the `Servo` and gives the mode bits of
-the statusword. Homing (homing.py), ip (interpolated_position.py) and csp (synchronous_modes.py) have files of their own.
+the statusword. The other modes have files of their own: profile_position.py, homing.py, interpolated_position.py and
+synchronous_modes.py.
 
-Profile position: a set-point is taken on the rising edge of bit 4 and acknowledged by bit 12 until bit 4 falls. With bit 5 it
-starts at once; without, it waits until the running one has ended. One set-point can wait; meanwhile bit 12 stays 1, and a further
-edge is not taken. Halt stops the axis and keeps the set-point, which continues when halt ends.
+pv: follows 60FFh as soon as it is written, with the ramps of 6083h and 6084h. Bit 10: the velocity has been within 606Dh of the
+target for 606Eh. Bit 12: it has been below 606Fh for 6070h. Bit 13: it is further from the demand than 60F8h.
 
-Left out: change on set-point (bit 9), end velocity (6082h).
+vl: 6042h, times the set-point factor 604Bh, is a velocity in the user's unit; times the dimension factor 604Ch, it is one in
+revolutions of the motor per minute. 6046h limits it in the user's unit: a velocity below the minimum becomes the minimum, so that
+6042h = 0 does not stop a drive that has one. Ramps: 6048h up, 6049h down, 604Ah for a quick stop.
 
-Source: IEC 61800-7-201 (CiA 402-2): profile position, velocity, profile velocity.
+    bit 6   0: the ramp's input is 0, so that it goes to rest by 6049h
+    bit 5   0: the ramp's output stays at its present value
+    bit 4   0: the axis goes to rest by 604Ah. The standard leaves this to the maker
+    bit 8   1: the axis stops, by 605Dh
+
+A turn of the motor is 608Fh; without it, 60 counts, so that one revolution per minute is one count per second.
+
+Source: IEC 61800-7-201 (CiA 402-2): profile velocity; velocity, whose functions (limit, ramp, factors) are from memory.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+import math
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl, ModeStatus
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import MILLISECOND, NEVER, Outbox, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
+from canopen_proto.simulated_drive.servo import Servo
+
+
+class Dwell:
+    """Whether something has lasted long enough."""
+
+    __slots__ = ("_since",)
+
+    def __init__(self) -> None:
+        self._since: Time | None = None
+
+    def end(self) -> None:
+        """Begin from the start: it does not last."""
+        self._since = None
+
+    def lasts(self, holds: bool, now: Time, duration: Time) -> bool:
+        """Return whether it has held for `duration` ns without a break, and holds now."""
+        if not holds:
+            self._since = None
+            return False
+        if self._since is None:
+            self._since = now
+        return now - self._since >= duration
 
 
 class OperationMode:
@@ -89,132 +120,32 @@ class OperationMode:
     def is_halted(self) -> bool:
         return bool(self.controlword & ControlBit.HALT)
 
+    def ramp(self, option: int) -> float:
+        """Return the deceleration of an option code in this mode; see `Servo.ramp`."""
+        return self.servo.ramp(option)
+
     def _halt(self) -> None:
-        self.servo.brake(self.servo.ramp(self.servo.parameter(objects.HALT_OPTION_CODE)))
+        self.servo.brake(self.ramp(self.servo.parameter(objects.HALT_OPTION_CODE)))
 
     def _reached(self) -> int:
         return StatusBit.TARGET_REACHED if self.servo.is_settled else 0
 
 
-class _SetPoint(NamedTuple):
-    """A set-point, with the values of its objects at the time when it was given."""
-
-    target: float  # on the track
-    velocity: float
-    acceleration: float
-    deceleration: float
-
-
-class ProfilePosition(OperationMode):
-    """Profile position mode (pp)."""
-
-    __slots__ = ("_acknowledged", "_goal", "_in_window_since", "_next", "_reached_target", "_running")
-
-    def enter(self) -> None:
-        self._running: _SetPoint | None = None
-        self._next: _SetPoint | None = None
-        self._goal = self.servo.demand_position
-        self._acknowledged = False
-        self._reached_target = True
-        self._in_window_since: Time | None = None
-
-    def control(self, controlword: int, previous: int) -> None:
-        self.controlword = controlword
-        rising, falling = controlword & ~previous, previous & ~controlword
-        if rising & ModeControl.NEW_SET_POINT:
-            self._take(self._given(controlword), bool(controlword & ModeControl.CHANGE_SET_IMMEDIATELY))
-        self._ready_for_next()
-        if rising & ControlBit.HALT:
-            self._halt()
-        elif falling & ControlBit.HALT and self._running is not None:
-            self._start(self._running)
-
-    def _given(self, controlword: int) -> _SetPoint:
-        servo = self.servo
-        target = float(servo.parameter(objects.TARGET_POSITION))
-        if controlword & ModeControl.RELATIVE:
-            last = self._next or self._running
-            bases = (last.target if last else self._goal, servo.demand_position, servo.position, self._goal)
-            target += bases[servo.parameter(objects.POSITIONING_OPTION_CODE) & 3]
-        else:
-            target += servo.zero
-        rates = (objects.PROFILE_VELOCITY, objects.PROFILE_ACCELERATION, objects.PROFILE_DECELERATION)
-        return _SetPoint(target, *(servo.rate(key) for key in rates))
-
-    def _take(self, set_point: _SetPoint, immediately: bool) -> None:
-        if immediately or self._running is None:
-            self._next = None
-            self._start(set_point)
-        elif self._next is None:
-            self._next = set_point
-        else:
-            return  # no room, as bit 12 shows
-        self._acknowledged = True
-
-    def _start(self, set_point: _SetPoint) -> None:
-        self._running = set_point
-        self._reached_target = False
-        self._in_window_since = None
-        if not self.is_halted:
-            self._goal = self.servo.move_to(*set_point)
-
-    def _ready_for_next(self) -> None:
-        if self._next is None and not self.controlword & ModeControl.NEW_SET_POINT:
-            self._acknowledged = False
-
-    def tick(self) -> None:
-        servo = self.servo
-        if self.is_halted:
-            return
-        if self._running is not None and servo.at_rest:
-            self._running = None
-            if self._next is not None:
-                following, self._next = self._next, None
-                self._start(following)
-                self._ready_for_next()
-        self._watch_window()
-
-    def _watch_window(self) -> None:
-        """Show "target reached" once the axis has been within 6067h of the target for 6068h."""
-        servo = self.servo
-        window = servo.parameter(objects.POSITION_WINDOW)
-        if window == UNLIMITED:
-            within = self._running is None
-        else:
-            within = self._running is None and abs(self._goal - servo.position) < window + 0.5  # positions are shown rounded
-        if not within:
-            self._in_window_since = None
-            self._reached_target = False
-            return
-        if self._in_window_since is None:
-            self._in_window_since = servo.time
-        if servo.time - self._in_window_since >= servo.parameter(objects.POSITION_WINDOW_TIME) * MILLISECOND:
-            self._reached_target = True
-
-    @property
-    def status(self) -> int:
-        reached = self.servo.is_settled if self.is_halted else self._reached_target
-        return reached * StatusBit.TARGET_REACHED | self._acknowledged * ModeStatus.SET_POINT_ACKNOWLEDGE
-
-    @property
-    def is_waiting(self) -> bool:
-        return not self._reached_target and not self.is_halted
-
-    @property
-    def awaits_end(self) -> bool:
-        return self._next is not None and not self.is_halted
-
-
 class ProfileVelocity(OperationMode):
     """Profile velocity mode (pv): follows 60FFh as soon as it is written, with the ramps of 6083h and 6084h."""
 
-    __slots__ = ("_speed", "_target")
+    __slots__ = ("_is_slow", "_reached_target", "_speed", "_target", "_threshold", "_window")
 
     listens_to = frozenset((objects.TARGET_VELOCITY,))
 
     def enter(self) -> None:
         self._target = 0.0
         self._speed = 0.0
+        self._window, self._threshold = Dwell(), Dwell()
+        self._watch()
+
+    def leave(self) -> None:
+        self._reached_target = False  # the drive brakes, and goes on showing the bits of this mode
 
     def control(self, controlword: int, previous: int) -> None:
         self.controlword = controlword
@@ -223,46 +154,102 @@ class ProfileVelocity(OperationMode):
             self._halt()
         else:
             self._follow()
+        self._watch()
 
     def written(self, key: Mux) -> None:
         self._follow()
-
-    def _commanded(self) -> float:
-        return float(self.servo.parameter(objects.TARGET_VELOCITY))
+        self._watch()
 
     def _follow(self) -> None:
         if self.is_halted:
             return
-        target = self._commanded()
+        target = float(self.servo.parameter(objects.TARGET_VELOCITY))
         if target != self._target:
             self._target = target
-            servo = self.servo
-            servo.internal_limit = False
-            rates = servo.rate(objects.PROFILE_ACCELERATION), servo.rate(objects.PROFILE_DECELERATION)
-            self._speed = servo.run(target, *rates)
+            rates = self.servo.rate(objects.PROFILE_ACCELERATION), self.servo.rate(objects.PROFILE_DECELERATION)
+            self._speed = self.servo.run(target, *rates)
 
     def tick(self) -> None:
         self.servo.internal_limit = self._target != 0.0 and self.servo.at_rest  # it stands at a software limit
+        self._watch()
+
+    def _watch(self) -> None:
+        """Compare the velocity with the windows of 606Dh and 606Fh."""
+        servo = self.servo
+        near = abs(servo.velocity - self._speed) <= servo.parameter(objects.VELOCITY_WINDOW)
+        near = near and abs(servo.demand_velocity - self._speed) < 1.0
+        slow = abs(servo.velocity) <= servo.parameter(objects.VELOCITY_THRESHOLD)
+        self._reached_target = self._window.lasts(near, servo.time, servo.parameter(objects.VELOCITY_WINDOW_TIME) * MILLISECOND)
+        time = servo.parameter(objects.VELOCITY_THRESHOLD_TIME) * MILLISECOND
+        self._is_slow = self._threshold.lasts(slow, servo.time, time)
 
     @property
     def status(self) -> int:
-        stands = not self.servo.is_moving
-        reached = self.servo.is_settled if self.is_halted else abs(self.servo.demand_velocity - self._speed) < 1.0
-        return reached * StatusBit.TARGET_REACHED | stands * ModeStatus.SPEED_ZERO
-
-
-class Velocity(ProfileVelocity):
-    """Velocity mode (vl) of frequency converters: follows 6042h while bits 4, 5 and 6 of the controlword allow it."""
-
-    __slots__ = ()
-
-    listens_to = frozenset((objects.VL_TARGET_VELOCITY,))
-    _THROUGH: Final = ModeControl.ENABLE_RAMP | ModeControl.UNLOCK_RAMP | ModeControl.REFERENCE_RAMP
-
-    def _commanded(self) -> float:
-        through = self.controlword & self._THROUGH == self._THROUGH
-        return float(self.servo.parameter(objects.VL_TARGET_VELOCITY)) if through else 0.0
+        servo = self.servo
+        reached = servo.is_settled if self.is_halted else self._reached_target
+        slips = abs(servo.demand_velocity - servo.velocity) > servo.parameter(objects.MAX_SLIPPAGE)
+        return reached * StatusBit.TARGET_REACHED | self._is_slow * ModeStatus.SPEED_ZERO | slips * ModeStatus.MAX_SLIPPAGE
 
     @property
-    def status(self) -> int:
-        return 0
+    def is_waiting(self) -> bool:
+        return not self.is_halted and not (self._reached_target and (self._is_slow or self._speed != 0.0))
+
+
+class Velocity(OperationMode):
+    """Velocity mode (vl) of frequency converters; see this module's text."""
+
+    __slots__ = ("_ramp",)
+
+    listens_to = frozenset((objects.VL_TARGET_VELOCITY, objects.VL_VELOCITY_MIN_AMOUNT, objects.VL_VELOCITY_MAX_AMOUNT))
+
+    def enter(self) -> None:
+        self._ramp = 0.0, 0.0  # the velocity to which the present ramp leads, and its rate
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        if controlword & ~previous & ControlBit.HALT:
+            self.enter()
+            self._halt()
+        else:
+            self._follow()
+
+    def written(self, key: Mux) -> None:
+        self._follow()
+
+    def _follow(self) -> None:
+        """Plan the ramp that the control bits and 6042h ask for, unless it is the present one."""
+        word, servo = self.controlword, self.servo
+        if self.is_halted:
+            return
+        up, down = self._rate(objects.VL_VELOCITY_ACCELERATION), self._rate(objects.VL_VELOCITY_DECELERATION)
+        speed = 0.0
+        if not word & ModeControl.ENABLE_RAMP:
+            up = down = self._rate(objects.VL_VELOCITY_QUICK_STOP)
+        elif not word & ModeControl.UNLOCK_RAMP:
+            speed = servo.demand_velocity
+        elif word & ModeControl.REFERENCE_RAMP:
+            speed = self._limited(servo.parameter(objects.VL_TARGET_VELOCITY) * servo.ratio(objects.VL_SET_POINT_FACTOR))
+            speed *= servo.vl_unit
+        if self._ramp != (speed, down):
+            self._ramp = speed, down
+            servo.run(speed, up, down)
+
+    def _limited(self, velocity: float) -> float:
+        """Return a velocity in the user's unit within 6046h, with its sign; one of 0 counts as positive."""
+        low = self.servo.parameter(objects.VL_VELOCITY_MIN_AMOUNT)
+        high = self.servo.parameter(objects.VL_VELOCITY_MAX_AMOUNT)
+        amount = min(max(abs(velocity), low), high)
+        self.servo.internal_limit = amount != abs(velocity)
+        return math.copysign(amount, velocity)
+
+    def _rate(self, delta_speed: Mux) -> float:
+        """Return a ramp of 6048h to 604Ah, delta speed / delta time; a time of 0 means as fast as the drive can."""
+        servo = self.servo
+        time = servo.parameter(Mux(delta_speed + 1))
+        if not time:
+            return servo.rate(objects.MAX_ACCELERATION)
+        return max(1.0, servo.parameter(delta_speed) * abs(servo.vl_unit) / time)
+
+    def ramp(self, option: int) -> float:
+        keys = {1: objects.VL_VELOCITY_DECELERATION, 2: objects.VL_VELOCITY_QUICK_STOP}
+        return self._rate(keys[option]) if option in keys else self.servo.ramp(option)

@@ -29,6 +29,7 @@ from enum import Enum
 from typing import Final
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -66,6 +67,16 @@ FALLBACKS: Final[dict[Mux, int]] = {
     objects.MOTOR_RATED_TORQUE: 10_000,
     objects.POSITIVE_TORQUE_LIMIT: 3_000,
     objects.NEGATIVE_TORQUE_LIMIT: 3_000,
+    objects.VELOCITY_WINDOW: 100,
+    objects.VELOCITY_THRESHOLD: 10,
+    objects.MAX_SLIPPAGE: 2**31 - 1,
+    objects.VL_VELOCITY_MAX_AMOUNT: 2**32 - 1,
+    objects.VL_VELOCITY_ACCELERATION: 100_000,
+    Mux(objects.VL_VELOCITY_ACCELERATION + 1): 1,
+    objects.VL_VELOCITY_DECELERATION: 100_000,
+    Mux(objects.VL_VELOCITY_DECELERATION + 1): 1,
+    objects.VL_VELOCITY_QUICK_STOP: 400_000,
+    Mux(objects.VL_VELOCITY_QUICK_STOP + 1): 1,
 }
 """The values of objects that a drive's dictionary lacks (the Schunk shape has few); also the standard shape's defaults."""
 
@@ -104,6 +115,7 @@ _STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error
 _RATED_TORQUE: Final = 1000
 _MILLI: Final = 1e-3
 _INT16: Final = 1 << 15
+_NO_TURN: Final = 60.0  # units in a turn of a motor that does not tell (608Fh): a revolution per minute is a unit per second
 
 
 class Shape(Enum):
@@ -147,6 +159,11 @@ class DriveSettings:
     constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
     to 1 s. unset: muxes of objects that count as not set if they are 0. mechanics: the mass that moves, in place of `lag` and
     `load`.
+
+    set_points: how many set-points of profile position can wait behind the one that runs; 0: none, and each has to come with bit
+    5, as in Synapticon's drives. mode_change_state: the highest state in which it takes another mode (6060h), of Switch on
+    disabled, Ready to switch on, Switched on, Operation enabled. changes_mode_halted: whether it does so while bit 8 of the
+    controlword is set; Engel's drives do not. own_modes: modes of its maker, below 0; it stands in them.
     """
 
     shape: Shape = Shape.STANDARD
@@ -159,6 +176,10 @@ class DriveSettings:
     unset: frozenset[Mux] = frozenset()
     reaction: Time = 0
     mechanics: Mechanics | None = None
+    set_points: int = 1
+    mode_change_state: State = State.OPERATION_ENABLED
+    changes_mode_halted: bool = True
+    own_modes: frozenset[int] = frozenset()
 
 
 class Servo:
@@ -227,6 +248,17 @@ class Servo:
         if option == 1:
             return self.rate(objects.PROFILE_DECELERATION)
         return self.rate(objects.MAX_DECELERATION if option in (3, 4) else objects.QUICK_STOP_DECELERATION)
+
+    def ratio(self, key: Mux) -> float:
+        """Return an object's subindex 1 / subindex 2; 1 if one of them is missing or 0."""
+        numerator, denominator = self.parameter(key), self.parameter(Mux(key + 1))
+        return numerator / denominator if numerator and denominator else 1.0
+
+    @property
+    def vl_unit(self) -> float:
+        """One velocity unit of vl in units/s: the dimension factor 604Ch, in revolutions of the motor per minute."""
+        turn = self.ratio(objects.POSITION_ENCODER_RESOLUTION)
+        return self.ratio(objects.VL_DIMENSION_FACTOR) * (turn if turn > 1.0 else _NO_TURN) / 60.0
 
     def limits(self) -> tuple[float, float]:
         """Return the software position limits (607Dh) on the track; infinite if the lower is not below the upper one (off)."""
@@ -326,17 +358,33 @@ class Servo:
             plant.limit_torque(lowest * per_mille, highest * per_mille)
             self._wake(plant)
 
-    def move_to(self, target: float, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
+    def move_to(
+        self,
+        target: float,
+        velocity: float,
+        acceleration: float,
+        deceleration: float,
+        *,
+        limited: bool = True,
+        end_velocity: float = 0.0,
+    ) -> float:
         """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target. A limit
-        switch may too; the target that is not reached is returned then."""
+        switch may too; the target that is not reached is returned then.
+
+        end_velocity: pass the target at this speed, and keep it. An axis that a software limit holds stops there all the same.
+        """
         speed = min(velocity, self.rate(objects.MAX_PROFILE_VELOCITY))
+        wanted = target
         if limited:
             target = self._clip(target)
         here, now_at = self.demand_position, self.demand_velocity
+        rates = self._clip_rates(acceleration, deceleration)
         if self._is_barred(target - here):
             self._stop_at_switch()
-            return target
-        self._plan(motion.move(self.time, here, now_at, target, speed, *self._clip_rates(acceleration, deceleration)))
+        elif end_velocity and target == wanted:
+            self._plan(motion.through(self.time, here, now_at, target, speed, *rates, min(end_velocity, speed)))
+        else:
+            self._plan(motion.move(self.time, here, now_at, target, speed, *rates))
         return target
 
     def run(self, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:

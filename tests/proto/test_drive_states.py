@@ -325,8 +325,8 @@ def test_what_the_drive_holds_may_be_written_back_though_it_lacks_it() -> None:
     [
         (0x6060, 0, 1, None),
         (0x6060, 0, 0, None),
-        (0x6060, 0, 2, AbortCode.INVALID_VALUE),  # vl: not in 6502h
-        (0x6060, 0, 4, AbortCode.INVALID_VALUE),
+        (0x6060, 0, 2, None),
+        (0x6060, 0, 4, AbortCode.INVALID_VALUE),  # tq: not in 6502h
         (0x6060, 0, -1, AbortCode.INVALID_VALUE),
         (0x6098, 0, 33, None),
         (0x6098, 0, 36, AbortCode.INVALID_VALUE),

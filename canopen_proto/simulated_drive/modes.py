@@ -1,0 +1,46 @@
+"""The modes of operation that a simulated drive has, and when it takes another one."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import ControlBit, State
+from canopen_proto.machine import Outbox
+from canopen_proto.simulated_drive.homing import Homing
+from canopen_proto.simulated_drive.interpolated_position import InterpolatedPosition
+from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfileVelocity, Velocity
+from canopen_proto.simulated_drive.profile_position import ProfilePosition
+from canopen_proto.simulated_drive.servo import DriveSettings, Servo
+from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition
+
+_POWER: Final = {
+    State.READY_TO_SWITCH_ON: 1,
+    State.SWITCHED_ON: 2,
+    State.OPERATION_ENABLED: 3,
+    State.QUICK_STOP_ACTIVE: 3,
+    State.FAULT_REACTION_ACTIVE: 3,
+}
+"""How near a state is to Operation enabled; 0 for all others."""
+
+
+def modes_of(servo: Servo, out: Outbox, node_id: int, homing: Homing) -> dict[int, OperationMode]:
+    """Return the modes that a drive can be in, by number; which of them it has, 6502h says."""
+    common = (servo, out, node_id)
+    return {
+        Mode.NO_MODE: OperationMode(*common),
+        Mode.PROFILE_POSITION: ProfilePosition(*common),
+        Mode.VELOCITY: Velocity(*common),
+        Mode.PROFILE_VELOCITY: ProfileVelocity(*common),
+        Mode.HOMING: homing,
+        Mode.INTERPOLATED_POSITION: InterpolatedPosition(*common),
+        Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicPosition(*common),
+        **{mode: OperationMode(*common) for mode in servo.settings.own_modes},
+    }
+
+
+def changes_mode(settings: DriveSettings, state: State, controlword: int) -> bool:
+    """Return whether a drive takes another mode in this state, after this controlword."""
+    if controlword & ControlBit.HALT and not settings.changes_mode_halted:
+        return False
+    return _POWER.get(state, 0) <= _POWER.get(settings.mode_change_state, 0)
