@@ -11,6 +11,7 @@
     synchronous_modes.py  its csp mode, and what all modes with a set-point at each SYNC have in common
     interpolated_position.py   its ip mode: records, sub-modes, buffer
     homing.py             its homing: searches for switches and index pulses
+    fallbacks.py          the values of objects that its dictionary lacks
     servo.py              its mechanics: track, lag, limits
     plant.py              a mass under control loops and a limited torque, instead of the lag
     motion.py             closed-form motion profiles

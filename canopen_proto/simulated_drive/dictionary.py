@@ -16,7 +16,7 @@ the predefined connection set.
 As in the files of real drives, the shapes differ in how a drive notices that its master is gone. Standard: SYNC period, four
 heartbeat consumers, event times of RPDOs, 6007. Powerball: three heartbeat consumers, guarding, no 6007.
 
-The defaults of speeds and ramps are those of servo.FALLBACKS: an arm's joint in millidegrees.
+The defaults of speeds and ramps are those of fallbacks.FALLBACKS: an arm's joint in millidegrees.
 
 Sources: CiA 301 v4.2.0, 7.5.2; CiA 402-4 (PDO mapping); the manual's files.
 """
@@ -36,9 +36,10 @@ from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
 from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, subindex_of
+from canopen_proto.simulated_drive.fallbacks import FALLBACKS
 from canopen_proto.simulated_drive.homing import METHODS
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY
-from canopen_proto.simulated_drive.servo import FALLBACKS, Shape
+from canopen_proto.simulated_drive.servo import Shape
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1

@@ -35,10 +35,11 @@ from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
+from canopen_proto.simulated_drive.fallbacks import TORQUE_LIMITS
 from canopen_proto.simulated_drive.homing import Homing
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
 from canopen_proto.simulated_drive.modes import changes_mode, modes_of
-from canopen_proto.simulated_drive.servo import TORQUE_LIMITS, UNLIMITED, DriveSettings, Servo, Shape
+from canopen_proto.simulated_drive.servo import UNLIMITED, DriveSettings, Servo, Shape
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
@@ -72,7 +73,7 @@ _INT16: Final = 1 << 15
 class Drive(Machine):
     """A simulated drive. Nothing happens before `reset`, which is its power-on.
 
-    values: of a dictionary such as `drive_dictionary` makes; objects that it lacks have the values of servo.FALLBACKS. state,
+    values: of a dictionary such as `drive_dictionary` makes; objects that it lacks have the values of fallbacks.FALLBACKS. state,
     mode: as statusword and 6061h show them.
     """
 

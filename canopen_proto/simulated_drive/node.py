@@ -19,8 +19,9 @@ from canopen_proto.pdo.consumer import PdoOverdue
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, StatuswordChanged
+from canopen_proto.simulated_drive.fallbacks import UNSET_BY_ZERO
 from canopen_proto.simulated_drive.late_drive import LateDrive
-from canopen_proto.simulated_drive.servo import UNSET_BY_ZERO, DriveSettings, Shape
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

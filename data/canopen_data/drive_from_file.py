@@ -25,7 +25,8 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.multiplexer import mux, split_mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import FALLBACKS, Shape
+from canopen_proto.simulated_drive.fallbacks import FALLBACKS
+from canopen_proto.simulated_drive.servo import Shape
 
 SHOWN: Final = (
     objects.ERROR_CODE,

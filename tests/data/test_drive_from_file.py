@@ -12,8 +12,9 @@ from canopen_proto.cia402 import objects
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
+from canopen_proto.simulated_drive.fallbacks import FALLBACKS, UNSET_BY_ZERO
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import FALLBACKS, UNSET_BY_ZERO, DriveSettings, Shape
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape
 from tests.proto.device_bench import START, DeviceBench
 
 BASE = [standard_object(index) for index in (0x1000, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x6081, 0x6065, 0x6502)]
@@ -48,7 +49,7 @@ def test_what_the_file_does_not_say_is_filled_in() -> None:
     dictionary, filled = drive_dictionary_of(ObjectDictionary(BASE), Shape.STANDARD)
     assert {variable.mux: variable.default for variable in filled} == {
         0x1000_00: 0x0002_0192,
-        objects.SUPPORTED_DRIVE_MODES: 0xE5,
+        objects.SUPPORTED_DRIVE_MODES: 0xE7,
         objects.PROFILE_VELOCITY: 20_000,
         objects.FOLLOWING_ERROR_WINDOW: 10_000,
     }
@@ -104,7 +105,7 @@ def test_a_drive_shows_the_zeros_of_its_file_and_moves_all_the_same() -> None:
 def test_supported_modes_of_zero_are_filled_in() -> None:
     dictionary, filled = drive_dictionary_of(ObjectDictionary([*BASE[:-1], standard_object(0x6502, 0)]), Shape.STANDARD)
     assert 0x6502 in {variable.index for variable in filled}
-    assert dictionary.variable(0x6502).default == 0xE5
+    assert dictionary.variable(0x6502).default == 0xE7
 
 
 @pytest.mark.parametrize("base", [BASE, BASE[:-1]], ids=["", "without 6502h"])
