@@ -36,6 +36,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
+from canopen_proto.drive.foreign import COMMANDS, foreign_command
 from canopen_proto.drive.set_points import SET_POINT_OF, SetPoint
 from canopen_proto.drive.settings import MILLIDEGREES_PER_RADIAN as MILLIDEGREES_PER_RADIAN
 from canopen_proto.drive.settings import SCHUNK_POWERBALL as SCHUNK_POWERBALL
@@ -116,6 +117,7 @@ class Axis:
             if SET_POINT_OF[mode] in node.dictionary:
                 self.select_set_point(mode)
         node.commanded |= {objects.CONTROLWORD, *SET_POINT_OF.values()}
+        node.overhearing.listen(COMMANDS)
         node.add_listener(self._on_values, self._on_boot)
 
     @property
@@ -226,6 +228,7 @@ class Axis:
             rpdo=None if producer is None else producer.number,
             emcy=self.node.emcy.last,
             has_lost_reference=self.has_lost_reference,
+            foreign=foreign_command(self.node, self.controlword if self.is_commanded else None, self.selected_mode),
             is_heard=objects.STATUSWORD in self._heard_at,
         )
 

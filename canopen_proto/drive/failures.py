@@ -173,12 +173,14 @@ def state_lost(axis: Axis, state: State, goal: str) -> StateLost:
 
 def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
     """Return the error to raise for a drive that left `mode`."""
-    return ModeLost(
-        axis,
-        f"left {mode_name(mode)} while waiting for {goal}",
-        reason=f"0x6061 shows {mode_name(axis.mode or 0)}",
-        remedy="find out which other master writes its mode of operation (0x6060)",
+    view = axis.view()
+    reason, remedy = (
+        f"0x6061 shows {mode_name(axis.mode or 0)}",
+        "find out which other master writes its mode of operation (0x6060)",
     )
+    if view.foreign is not None:
+        reason = f"{view.foreign}"
+    return ModeLost(axis, f"left {mode_name(mode)} while waiting for {goal}", reason=reason, remedy=remedy, view=view)
 
 
 def is_loss_of(node: RemoteNode, report: Event) -> bool:

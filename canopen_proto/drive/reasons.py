@@ -18,8 +18,9 @@ from typing import Any, Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name, supported
-from canopen_proto.cia402.states import COMMAND_BITS, FAULT_STATES, ControlBit, State, StatusBit
+from canopen_proto.cia402.states import FAULT_STATES, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.foreign import COMPARED
 from canopen_proto.drive.units import read_number
 from canopen_proto.drive.view import DriveBit, DriveView, command_text
 from canopen_proto.error_codes import error_text
@@ -54,8 +55,6 @@ _OBEYS: Final = (
 _BY_PDO: Final = (Mode.INTERPOLATED_POSITION, *_OBEYS)
 """The modes whose set-points come by PDO."""
 _TO_A_POSITION: Final[tuple[int, ...]] = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
-_COMPARED: Final = COMMAND_BITS & ~ControlBit.FAULT_RESET
-"""The bits of a controlword in which the drive's own differs only if it did not get ours: a drive may clear the others."""
 
 
 class Reason(NamedTuple):
@@ -126,6 +125,8 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
     if view.state is State.UNKNOWN:
         what = f"its statusword 0x{view.statusword:04X} fits no state"
         return (*found, Reason(what, "look whether it is a drive by CiA 402, and this is its statusword"))
+    if view.foreign is not None:
+        found.append(Reason(str(view.foreign), "end the other master, or leave the drive to it"))
     if not view.statusword & StatusBit.REMOTE:
         found.append(Reason("it is under local control (bit 9, remote, is 0)", "give the fieldbus control, at the drive"))
     if view.safe_torque_off is not None:
@@ -168,7 +169,7 @@ def _command(view: DriveView) -> list[Reason]:
     word, sent = view.controlword, view.commanded
     if word is None:
         return []
-    is_ours = sent is None or not (word ^ sent) & (_COMPARED | ControlBit.HALT)
+    is_ours = sent is None or not (word ^ sent) & COMPARED
     if word & ControlBit.HALT and (is_ours or (sent is not None and sent & ControlBit.HALT)):
         return [Reason("its controlword commands a halt (bit 8)", "a command without bit 8", True)]
     if is_ours or sent is None:

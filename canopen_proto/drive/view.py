@@ -8,11 +8,13 @@ from typing import Final, NamedTuple
 from canopen_proto.cia402.modes import describe_command, describe_status, mode_name
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.emcy import EmcyReceived
-from canopen_proto.machine import LocalProtocolError
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.nmt import NmtState
 
 _BITS: Final = 64
+RECENT: Final = 5 * SECOND
+"""A command of another master that is older than this explains nothing."""
 
 
 class DriveBit(NamedTuple):
@@ -39,6 +41,18 @@ class DriveBit(NamedTuple):
         return f"bit {self.bit} of {mux_text(self.mux)} is {self.value}"
 
 
+class ForeignCommand(NamedTuple):
+    """What another master commanded. words: such as "commanded 0x0006 (shutdown)". age: ns before the drive was last heard.
+    source: "SDO", or "RPDO 0x203"."""
+
+    words: str
+    age: Time
+    source: str
+
+    def __str__(self) -> str:
+        return f"another master {self.words} {self.age / MILLISECOND:.0f} ms ago by {self.source}"
+
+
 @dataclass(frozen=True, slots=True)
 class DriveView:
     """What is known of a drive, by the values of its objects of CiA 402. None: it lacks the object, or it was not heard.
@@ -46,7 +60,8 @@ class DriveView:
     statusword: 0 if it was never heard, and `is_heard` is False. controlword, wanted_mode: 0x6040 and 0x6060 as the drive has
     them. commanded, selected_mode: as this master sent them last. rpdo: number of the live RPDO that carries the controlword.
     emcy: the last emergency. nmt_state: None: it was never heard. safe_torque_off, brake: the bit of the settings that shows
-    that torque is off, or that the brake holds; None if it does not show it. is_homed: None if it does not matter.
+    that torque is off, or that the brake holds; None if it does not show it. is_homed: None if it does not matter. foreign: a
+    command of another master that contradicts ours.
     """
 
     statusword: int = 0
@@ -66,6 +81,7 @@ class DriveView:
     brake: DriveBit | None = None
     is_homed: bool | None = None
     has_lost_reference: bool = False
+    foreign: ForeignCommand | None = None
     is_heard: bool = True
 
     @property

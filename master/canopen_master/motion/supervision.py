@@ -102,4 +102,6 @@ def foreign_commands(device: Device, bus: Bus) -> str:
         time = bus.network.last_heard_of(key)
         if time is not None and now - time <= RECENT:
             heard.append(f"{what} {(now - time) / MILLISECOND:.0f} ms ago")
-    return f"somebody else commands this bus: {', '.join(heard)}" if heard else ""
+    foreign = device.axis.view().foreign
+    named = [] if foreign is None else [str(foreign)]
+    return "; ".join((*named, f"somebody else commands this bus: {', '.join(heard)}")) if heard else "".join(named)

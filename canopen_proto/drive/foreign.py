@@ -1,0 +1,43 @@
+"""Commands of another master to a drive, heard on the bus: its controlword and its mode of operation."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import mode_name
+from canopen_proto.cia402.states import COMMAND_BITS, ControlBit
+from canopen_proto.drive.view import RECENT, ForeignCommand, command_text
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER
+from canopen_proto.machine import NEVER
+from canopen_proto.overhearing import Overheard
+from canopen_proto.remote_node import RemoteNode
+
+COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
+"""The objects whose writes by another master are heard."""
+COMPARED: Final = COMMAND_BITS & ~ControlBit.FAULT_RESET | ControlBit.HALT
+"""The bits in which two controlwords contradict each other; a drive may clear the others by itself."""
+
+
+def foreign_command(node: RemoteNode, controlword: int | None, mode: int | None) -> ForeignCommand | None:
+    """Return the last command of another master that contradicts ours, and is not older than RECENT; None if there is none.
+
+    controlword, mode: as we sent them last; None: we sent none, and nothing can contradict it.
+    """
+    now = max(node.heard_at.values(), default=-NEVER)
+    found: list[tuple[Overheard, str]] = []
+    word = node.overhearing.last(objects.CONTROLWORD)
+    if word is not None and controlword is not None:
+        if not isinstance(word.value, int):
+            found.append((word, "sent it a PDO"))
+        elif (word.value ^ controlword) & COMPARED:
+            found.append((word, f"commanded {command_text(word.value)}"))
+    selected = node.overhearing.last(objects.MODES_OF_OPERATION)
+    if selected is not None and isinstance(selected.value, int) and mode is not None and selected.value != mode:
+        found.append((selected, f"selected {mode_name(selected.value)}"))
+    recent = [(heard, words) for heard, words in found if now - heard.time <= RECENT]
+    if not recent:
+        return None
+    (time, key, _), words = max(recent, key=lambda each: each[0].time)
+    source = "SDO" if key == SDO_CLIENT_TO_SERVER + node.node_id else f"RPDO 0x{key:03X}"
+    return ForeignCommand(words, max(0, now - time), source)

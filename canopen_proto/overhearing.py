@@ -1,0 +1,106 @@
+"""`Overhearing`: commands of other masters to one node: objects that somebody else writes by SDO or by an RPDO.
+
+A participant does not receive its own frames. So an SDO request to the node, or an RPDO of it, that comes at all is another
+master's. Only these frames are received here. The last write of each object that matters is kept; of an RPDO the last frame is,
+and its meaning is worked out only when it is asked for.
+
+RPDOs are listened to on the CAN-IDs of those that we send ourselves, and on the four of the predefined connection set. The
+meaning is known of those that we send. Left out: writes of more than four bytes, and of an SDO channel other than the first.
+
+Source: CiA 301 v4.2.0, 7.2.4.3.3 (SDO download initiate), 7.3.3 (predefined connection set).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Final, NamedTuple
+
+from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.frame import RPDO1, RPDO2, RPDO3, RPDO4, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
+from canopen_proto.machine import Machine, Outbox, Time
+from canopen_proto.multiplexer import Mux, mux, split_mux
+from canopen_proto.pdo.producer import PdoProducer
+
+_SPECIFIER: Final = 0xE0
+_INITIATE_DOWNLOAD: Final = 0x20
+_EXPEDITED: Final = 0x02
+_SIZE_SHOWN: Final = 0x01
+
+
+class Overheard(NamedTuple):
+    """A write by another master. time: when it came. key: of its frame. value: None if what it wrote is not known."""
+
+    time: Time
+    key: RoutingKey
+    value: Value | None
+
+
+class Overhearing(Machine):
+    """Hears the commands of other masters to one node; see this module's text. Hears nothing until `listen`."""
+
+    __slots__ = ("_dictionary", "_node_id", "_pdos", "_rpdos", "_sdo_key", "_wanted", "_written")
+
+    def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary, rpdos: Mapping[int, PdoProducer]) -> None:
+        """rpdos: those that we send to the node; call `renew` when they change."""
+        super().__init__(out)
+        self._node_id = node_id
+        self._dictionary = dictionary
+        self._rpdos = rpdos
+        self._sdo_key = RoutingKey(SDO_CLIENT_TO_SERVER + node_id)
+        self._wanted: set[Mux] = set()
+        self._written: dict[Mux, Overheard] = {}
+        self._pdos: dict[RoutingKey, tuple[Time, bytes]] = {}
+
+    def listen(self, muxes: Collection[Mux]) -> None:
+        """Hear writes of these objects, too."""
+        self._wanted.update(muxes)
+        self._reroute()
+
+    def renew(self) -> None:
+        """Hear the RPDOs that we send now."""
+        if self._wanted:
+            self._reroute()
+
+    def last(self, wanted: Mux) -> Overheard | None:
+        """Return the last write of an object; None if there was none. An RPDO of unknown mapping counts: it may be one."""
+        found = self._written.get(wanted)
+        known = {producer.key: producer for producer in self._rpdos.values()}
+        for key, (time, data) in self._pdos.items():
+            producer = known.get(key)
+            if found is not None and found.time > time:
+                continue
+            if producer is None:
+                found = Overheard(time, key, None)
+            elif (position := producer.mapping.position_of(wanted)) is not None:
+                try:
+                    found = Overheard(time, key, producer.mapping.unpack(data)[position])
+                except ValueRangeError:
+                    found = Overheard(time, key, None)
+        return found
+
+    def can_ids(self) -> Iterable[RoutingKey]:
+        if not self._wanted:
+            return ()
+        ours = [producer.key for producer in self._rpdos.values() if producer.key is not None]
+        return (self._sdo_key, *(RoutingKey(base + self._node_id) for base in (RPDO1, RPDO2, RPDO3, RPDO4)), *ours)
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Keep a command. Frames of other kinds change nothing."""
+        data = frame.data
+        if frame.key != self._sdo_key:
+            self._pdos[frame.key] = now, data
+        elif len(data) == 8 and data[0] & _SPECIFIER == _INITIATE_DOWNLOAD:
+            which = mux(data[1] | data[2] << 8, data[3])
+            if which in self._wanted:
+                self._written[which] = Overheard(now, frame.key, self._value(which, data))
+
+    def _value(self, which: Mux, data: bytes) -> Value | None:
+        variable = self._dictionary.get(*split_mux(which))
+        if variable is None or not data[0] & _EXPEDITED:
+            return None
+        unused = data[0] >> 2 & 3 if data[0] & _SIZE_SHOWN else 4 - (variable.bit_length or 32) // 8
+        try:
+            return variable.decode(data[4 : 8 - unused])
+        except ValueRangeError:
+            return None
