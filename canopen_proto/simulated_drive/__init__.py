@@ -10,6 +10,7 @@
     profile_position.py   its profile position mode
     synchronous_modes.py  its csp mode, and what all modes with a set-point at each SYNC have in common
     interpolated_position.py   its ip mode: records, sub-modes, buffer
+    torque_modes.py       its tq, csv and cst modes
     homing.py             its homing: searches for switches and index pulses
     fallbacks.py          the values of objects that its dictionary lacks
     servo.py              its mechanics: track, lag, limits

@@ -14,7 +14,7 @@ events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.
 - Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
   3; this follows CiA 402.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
 
-Left out: torque modes, csv, jerk.
+Left out: jerk.
 
 Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option codes.
 """

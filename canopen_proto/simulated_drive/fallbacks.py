@@ -38,6 +38,8 @@ FALLBACKS: Final[dict[Mux, int]] = {
     objects.MOTOR_RATED_TORQUE: 10_000,
     objects.POSITIVE_TORQUE_LIMIT: 3_000,
     objects.NEGATIVE_TORQUE_LIMIT: 3_000,
+    objects.TORQUE_SLOPE: 1_000,
+    objects.MAX_MOTOR_SPEED: 100,
     objects.VELOCITY_WINDOW: 100,
     objects.VELOCITY_THRESHOLD: 10,
     objects.MAX_SLIPPAGE: 2**31 - 1,
@@ -78,5 +80,7 @@ UNSET_BY_ZERO: Final = frozenset({
     objects.VL_VELOCITY_QUICK_STOP,
     *TORQUE_LIMITS,
     objects.MOTOR_RATED_TORQUE,
+    objects.TORQUE_SLOPE,
+    objects.MAX_MOTOR_SPEED,
 })  # fmt: skip
 """Objects that would keep a drive from moving if they were 0: if its file says 0, the drive uses FALLBACKS."""

@@ -13,6 +13,7 @@ from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfileVe
 from canopen_proto.simulated_drive.profile_position import ProfilePosition
 from canopen_proto.simulated_drive.servo import DriveSettings, Servo
 from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition
+from canopen_proto.simulated_drive.torque_modes import CyclicTorque, CyclicVelocity, ProfileTorque
 
 _POWER: Final = {
     State.READY_TO_SWITCH_ON: 1,
@@ -32,9 +33,12 @@ def modes_of(servo: Servo, out: Outbox, node_id: int, homing: Homing) -> dict[in
         Mode.PROFILE_POSITION: ProfilePosition(*common),
         Mode.VELOCITY: Velocity(*common),
         Mode.PROFILE_VELOCITY: ProfileVelocity(*common),
+        Mode.TORQUE: ProfileTorque(*common),
         Mode.HOMING: homing,
         Mode.INTERPOLATED_POSITION: InterpolatedPosition(*common),
         Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicPosition(*common),
+        Mode.CYCLIC_SYNCHRONOUS_VELOCITY: CyclicVelocity(*common),
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicTorque(*common),
         **{mode: OperationMode(*common) for mode in servo.settings.own_modes},
     }
 

@@ -2,9 +2,14 @@
 
     position loop (P)  -> velocity loop (PI) -> torque, limited -> current loop (first-order lag) -> mass, friction, load
          ^ demand of the profile, and its velocity and acceleration as feed-forward
+                          ^ velocity offset        ^ torque offset, or the target torque
 
 `Mechanics` has the numbers; `Plant` is the state: position, velocity, torque. So following error, overshoot and torque are those
-of a second-order system, and a drive at its torque limit falls behind its demand.
+of a second-order system, and a drive at its torque limit falls behind its demand. `Control` says which loops are closed.
+
+**A torque has no speed of its own.** In torque control the velocity loop only guards: it takes back torque as the axis comes near
+`fastest`, or so near to an end of its range that the quick stop ramp is needed to stop there. The standard has 6080h for that
+(max motor speed: protects the motor) and leaves to the maker how it limits; drives have objects of their own for it, too.
 
 **Steps.** The state is integrated in steps of PERIOD on a grid of the clock, and only there. `advance` may be called at any
 times: the result is the same to the last bit. Friction is taken implicitly, so that a body at rest sticks until more than the
@@ -23,6 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 from typing import Final
 
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Time
@@ -35,7 +41,16 @@ STANDSTILL: Final = 1.0
 """Units/s below which an axis counts as standing."""
 _NEAR: Final = 0.5  # units: an encoder would show that the axis has arrived
 _STEADY: Final = 1e-9  # N·m of change in a step: the loops have come to rest
+_SETTLED: Final = 1e-4  # of the peak torque: what an axis that has arrived may still change in a step
 _STEP: Final = PERIOD / SECOND
+
+
+class Control(Enum):
+    """The outermost loop that is closed."""
+
+    POSITION = "position"
+    VELOCITY = "velocity"
+    TORQUE = "torque"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +87,11 @@ class Plant:
     """The state of the mass and of its loops; see this module's text. Call `wake` after each change from outside.
 
     position, velocity: units, units/s, at `time`. torque, torque_demand: N·m. is_saturated: the torque is at its limit. rests:
-    nothing changes any more, so that no step is needed.
+    nothing changes any more, so that no step is needed. velocity_offset, torque_offset: added in front of the velocity loop and
+    behind it, units/s and N·m.
+
+    In torque control the demand goes to target_torque by torque_slope (N·m, N·m/s). lowest, highest: the ends of the range, with
+    the ramp that stops there (units/s²); fastest: units/s.
     """
 
     __slots__ = (
@@ -82,22 +101,32 @@ class Plant:
         "_integral",
         "_integral_gain",
         "_position_gain",
+        "_ramped",
         "_share",
         "_velocity_feed_forward",
         "_velocity_gain",
         "_viscous",
+        "control",
+        "fastest",
+        "highest",
         "highest_torque",
         "is_blocked",
         "is_powered",
         "is_saturated",
+        "lowest",
         "lowest_torque",
         "mechanics",
         "position",
+        "ramp",
         "rests",
+        "target_torque",
         "time",
         "torque",
         "torque_demand",
+        "torque_offset",
+        "torque_slope",
         "velocity",
+        "velocity_offset",
     )
 
     def __init__(self, mechanics: Mechanics, position: float) -> None:
@@ -117,6 +146,11 @@ class Plant:
         self._acceleration_gain = mechanics.acceleration_feed_forward * self._inertia
         self._share = 1.0 - math.exp(-_STEP / mechanics.torque_lag) if mechanics.torque_lag > 0.0 else 1.0
         self._integral = 0.0
+        self._ramped = 0.0
+        self.control = Control.POSITION
+        self.velocity_offset = self.torque_offset = self.target_torque = 0.0
+        self.torque_slope = self.fastest = self.ramp = self.highest = math.inf
+        self.lowest = -math.inf
         self.time: Time = -NEVER
         self.position = position
         self.velocity = 0.0
@@ -140,8 +174,15 @@ class Plant:
         """Switch the power on (the brake opens, the loops start) or off (no torque at once; the brake closes)."""
         self.is_powered = is_powered
         self.is_saturated = False
-        self.torque = self.torque_demand = self._integral = 0.0
+        self.torque = self.torque_demand = self._integral = self._ramped = 0.0
         self._coulomb = self.mechanics.coulomb_friction + (0.0 if is_powered else self.mechanics.brake_torque)
+
+    def close(self, control: Control) -> None:
+        """Close the loops of a kind of control, without offsets. The torque goes on from the present one."""
+        if control is not self.control:
+            self.control = control
+            self._integral = self._ramped = self.torque_demand
+        self.velocity_offset = self.torque_offset = 0.0
 
     def block(self, is_blocked: bool) -> None:
         """Hold the mass where it is, or free it."""
@@ -161,32 +202,66 @@ class Plant:
         return self.position + self.velocity * ((now - self.time) / SECOND)
 
     def _step(self, demand: Profile) -> None:
-        torque_before, error = self.torque, 0.0
+        torque_before, has_arrived, is_ramping = self.torque, not self.is_powered, False
         if self.is_powered:
-            error = self._control(demand)
+            if self.control is Control.TORQUE:
+                wanted = self._guard(self._ramp_torque() + self.torque_offset)
+                is_ramping = self._ramped != self.target_torque
+            else:
+                wanted, has_arrived = self._regulate(demand)
+            self.torque_demand = wanted
+            self.torque += (wanted - self.torque) * self._share
         self._move()
         self.time += PERIOD
+        change = abs(self.torque - torque_before)
         self.rests = (
-            (not self.is_powered or demand.at_rest(self.time))
+            not is_ramping
+            and (not self.is_powered or demand.at_rest(self.time))
             and abs(self.velocity) < STANDSTILL
-            and (abs(error) < _NEAR or abs(self.torque - torque_before) < _STEADY)
+            and ((has_arrived and change < _SETTLED * self.mechanics.peak_torque) or change < _STEADY)
         )
         if self.rests:
             self.velocity = 0.0
+            self.torque = self.torque_demand
 
-    def _control(self, demand: Profile) -> float:
-        """Run the loops once: from the demand to the torque. Return the following error."""
+    def _regulate(self, demand: Profile) -> tuple[float, bool]:
+        """Run position and velocity loop once. Return the torque that they ask for, and whether the axis is at its demand."""
         position, velocity, acceleration = demand.at(self.time)
-        error = position - self.position
-        gap = self._position_gain * error + self._velocity_feed_forward * velocity - self.velocity
-        wanted = self._velocity_gain * gap + self._integral + self._acceleration_gain * acceleration
+        error, added = 0.0, self.torque_offset
+        if self.control is Control.POSITION:
+            error = position - self.position
+            velocity *= self._velocity_feed_forward
+            added += self._acceleration_gain * acceleration
+        gap = self._position_gain * error + velocity + self.velocity_offset - self.velocity
+        wanted = self._velocity_gain * gap + self._integral + added
         given = min(max(wanted, self.lowest_torque), self.highest_torque)
         self.is_saturated = given != wanted
         if (wanted - given) * gap <= 0.0:  # at the limit, the integral must not grow further (anti-windup)
             self._integral += self._integral_gain * gap * _STEP
-        self.torque_demand = given
-        self.torque += (given - self.torque) * self._share
-        return error
+        return given, abs(error) < _NEAR
+
+    def _ramp_torque(self) -> float:
+        """Return the torque on its way to the target."""
+        change = self.torque_slope * _STEP
+        self._ramped = min(max(self.target_torque, self._ramped - change), self._ramped + change)
+        return self._ramped
+
+    def _guard(self, torque: float) -> float:
+        """Return the torque within its limits, and less where the axis becomes too fast or comes to an end of its range."""
+        gain = self._velocity_gain
+        up = gain * (self._speed_before(self.highest - self.position) - self.velocity)
+        down = gain * (-self._speed_before(self.position - self.lowest) - self.velocity)
+        given = min(max(torque, down, self.lowest_torque), up, self.highest_torque)
+        given = max(given, self.lowest_torque)
+        self.is_saturated = given != torque
+        return given
+
+    def _speed_before(self, distance: float) -> float:
+        """Return how fast the axis may be so far from an end of its range; below 0: it must come back."""
+        by_loop = self._position_gain * distance
+        if distance <= 0.0:
+            return max(by_loop, -self.fastest)
+        return min(self.fastest, math.sqrt(2.0 * self.ramp * distance), by_loop)
 
     def _move(self) -> None:
         """Move the mass by one step: friction implicitly, the position by the mean of both velocities."""

@@ -7,6 +7,9 @@ A `Servo` has a demand (a `motion.Profile`) and an actual position that follows 
 - With `DriveSettings.mechanics`, as a mass under control loops and a limited torque (`plant.py`). That costs 10 to 20 ms of
   computing for each second in which the axis moves.
 
+A torque moves nothing but a mass. So a drive with the lag gets the default `Mechanics` when a torque is commanded, and keeps them
+until it has come to rest in another mode.
+
 Positions inside are those of the track. The user's are `track position - zero`; homing sets `zero`. Rates and speeds come from
 the object dictionary at the moment of planning, in units, units/s and units/s² (one count is one user-defined unit). If the
 dictionary lacks an object, or an object in `DriveSettings.unset` is 0, the value in fallbacks.py is used. Any other speed or rate
@@ -35,7 +38,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive import motion
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
-from canopen_proto.simulated_drive.plant import STANDSTILL, Mechanics, Plant
+from canopen_proto.simulated_drive.plant import STANDSTILL, Control, Mechanics, Plant
 
 UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
@@ -237,8 +240,15 @@ class Servo:
         self.position, self.velocity = plant.position_at(self.time), plant.velocity
         if not self.is_powered:
             self.demand_position, self.demand_velocity = self.position, 0.0
+        elif plant.control is not Control.POSITION:
+            self.demand_position = self.position
+            if plant.control is Control.TORQUE:
+                self.demand_velocity = self.velocity
         has_arrived = not self.is_blocked or abs(self.following_error) < 1.0
         self.is_settled = plant.rests and has_arrived
+        if self.is_settled and self.settings.mechanics is None and plant.control is not Control.TORQUE:
+            self._plant = None
+            self.position, self.velocity = self.demand_position, 0.0
 
     @property
     def at_rest(self) -> bool:
@@ -274,8 +284,20 @@ class Servo:
         torque = round(max(-_RATED_TORQUE, min(_RATED_TORQUE, self.settings.load + _STIFFNESS * self.following_error)))
         return torque, torque
 
+    @property
+    def fastest(self) -> float:
+        """The highest speed, units/s: 607Fh, and with a mass also 6080h, which is in revolutions per minute."""
+        speed = self.rate(objects.MAX_PROFILE_VELOCITY)
+        if self._plant is None:
+            return speed
+        return min(speed, self.rate(objects.MAX_MOTOR_SPEED) / 60.0 * 2.0 * math.pi * self._plant.mechanics.units_per_radian)
+
+    def torque_of(self, per_mille: float) -> float:
+        """Return a torque, per mille of the rated torque 6076h (which is in mN·m), in N·m."""
+        return per_mille * self.rate(objects.MOTOR_RATED_TORQUE) * _MILLI * _MILLI
+
     def _per_mille(self, torque: float) -> int:
-        """Return a torque in N·m per mille of the rated torque 6076h, which is in mN·m; clipped to INTEGER16."""
+        """Return a torque in N·m per mille of the rated torque, clipped to INTEGER16."""
         return round(max(-_INT16, min(_INT16 - 1, torque * 1e6 / self.rate(objects.MOTOR_RATED_TORQUE))))
 
     def limit_torque(self) -> None:
@@ -285,8 +307,7 @@ class Servo:
             both = min(self.parameter(objects.MAX_TORQUE), self.parameter(objects.MAX_CURRENT))
             highest = max(0, min(both, self.parameter(objects.POSITIVE_TORQUE_LIMIT)))
             lowest = -max(0, min(both, self.parameter(objects.NEGATIVE_TORQUE_LIMIT)))
-            per_mille = self.rate(objects.MOTOR_RATED_TORQUE) * _MILLI * _MILLI
-            plant.limit_torque(lowest * per_mille, highest * per_mille)
+            plant.limit_torque(self.torque_of(lowest), self.torque_of(highest))
             self._wake(plant)
 
     def move_to(
@@ -304,7 +325,7 @@ class Servo:
 
         end_velocity: pass the target at this speed, and keep it. An axis that a software limit holds stops there all the same.
         """
-        speed = min(velocity, self.rate(objects.MAX_PROFILE_VELOCITY))
+        speed = min(velocity, self.fastest)
         wanted = target
         if limited:
             target = self._clip(target)
@@ -318,9 +339,20 @@ class Servo:
             self._plan(motion.move(self.time, here, now_at, target, speed, *rates))
         return target
 
-    def run(self, velocity: float, acceleration: float, deceleration: float, *, limited: bool = True) -> float:
-        """Go at a velocity for ever, or to the software limit in that direction. Return the velocity, as limited by 607Fh."""
-        fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
+    def run(
+        self,
+        velocity: float,
+        acceleration: float,
+        deceleration: float,
+        *,
+        limited: bool = True,
+        control: Control = Control.POSITION,
+    ) -> float:
+        """Go at a velocity for ever, or to the software limit in that direction. Return the velocity, as limited by `fastest`.
+
+        control: VELOCITY lets a mass that was held up go on from where it is; POSITION makes it catch up.
+        """
+        fastest = self.fastest
         velocity = max(-fastest, min(fastest, velocity))
         if self._is_barred(velocity):
             self._stop_at_switch()
@@ -330,9 +362,9 @@ class Servo:
         low, high = self.limits()
         bound = max(high, here) if velocity > 0 else min(low, here)
         if velocity and limited and math.isfinite(bound):
-            self._plan(motion.move(self.time, here, now_at, bound, abs(velocity), *rates))
+            self._plan(motion.move(self.time, here, now_at, bound, abs(velocity), *rates), control)
         else:
-            self._plan(motion.run(self.time, here, now_at, velocity, *rates))
+            self._plan(motion.run(self.time, here, now_at, velocity, *rates), control)
         return velocity
 
     def interpolate(self, target: float, passing: int | None = None) -> None:
@@ -348,7 +380,7 @@ class Servo:
         if self._is_barred(target - here):
             self._stop_at_switch()
             return
-        fastest = self.rate(objects.MAX_PROFILE_VELOCITY)
+        fastest = self.fastest
         acceleration, deceleration = self.rate(objects.MAX_ACCELERATION), self.rate(objects.MAX_DECELERATION)
         velocity = (target - here) / period
         if passing is None:
@@ -381,6 +413,36 @@ class Servo:
         harder = abs(acceleration) if velocity * acceleration < 0.0 else 0.0
         self.brake(max(self.ramp(2), harder))
         self.is_stopped_by_switch = self.has_met_switch = True
+
+    def push(self, target: float, slope: float = math.inf) -> None:
+        """Command a torque, per mille of the rated torque; it is reached by `slope`, per mille per second.
+
+        The axis moves as the torque makes it, up to `fastest` and to the software limits.
+        """
+        if self._is_barred(target):
+            self._stop_at_switch()
+            return
+        plant = self._plant
+        if plant is None:
+            plant = self._plant = Plant(Mechanics(), self.position)
+            plant.velocity = self.velocity
+            plant.power(True)
+            plant.block(self.is_blocked)
+            self.limit_torque()
+        if plant.control is not Control.TORQUE:
+            plant.lowest, plant.highest = -math.inf, math.inf
+        low, high = self.limits()  # an axis that is already beyond one may stay there and come back, but is not pushed
+        plant.lowest = min(low, max(self.position, plant.lowest))
+        plant.highest = max(high, min(self.position, plant.highest))
+        self._plan(motion.hold(self.time, self.position), Control.TORQUE)
+        self.demand_velocity = self.velocity  # a brake that follows at once begins with it
+        plant.target_torque, plant.torque_slope = self.torque_of(target), self.torque_of(slope)
+        plant.fastest, plant.ramp = self.fastest, self.ramp(2)
+
+    def feed_forward(self, velocity: float, torque: float) -> None:
+        """Add to the demand of velocity (units/s) and torque (per mille) until the next plan. The lag has no loops to add to."""
+        if self._plant is not None:
+            self._plant.velocity_offset, self._plant.torque_offset = velocity, self.torque_of(torque)
 
     def brake(self, deceleration: float) -> None:
         """Stop with this ramp."""
@@ -425,12 +487,13 @@ class Servo:
             return self._step[1]
         return self.demand_velocity
 
-    def _plan(self, profile: motion.Profile) -> None:
+    def _plan(self, profile: motion.Profile, control: Control = Control.POSITION) -> None:
         self.demand = profile
         self.demand_position, self.demand_velocity, _ = profile.at(self.time)
         self.is_settled = self.is_stopped_by_switch = self.has_met_switch = False
         self._step = None
         if self._plant is not None:
+            self._plant.close(control)
             self._wake(self._plant)
 
     def _wake(self, plant: Plant) -> None:

@@ -2,8 +2,9 @@
 
 Interpolated position (ip) is in interpolated_position.py.
 
-csp: each SYNC takes the present value of 607Ah. While the axis moves, a value that was not written since the last SYNC is not
-taken. If the axis then comes to rest farther than 6067h from it, the mode stops following.
+csp: each SYNC takes the present value of 607Ah + 60B0h; 60B1h and 60B2h feed velocity and torque forward, if there is a mass.
+While the axis moves, a value of 607Ah that was not written since the last SYNC is not taken. If the axis then comes to rest
+farther than 6067h from it, the mode stops following.
 
 **No axis stops dead.** An axis that passes a set-point brakes behind it by the quick stop ramp (6085h) until the next SYNC
 (`Servo.interpolate`). So it brakes as soon as one SYNC, or one target of csp, is missing.
@@ -113,7 +114,7 @@ class CyclicPosition(SynchronousMode):
         if self.is_halted:
             return
         servo = self.servo
-        target = servo.parameter(objects.TARGET_POSITION) + servo.zero
+        target = servo.parameter(objects.TARGET_POSITION) + servo.parameter(objects.POSITION_OFFSET) + servo.zero
         if not self._follows:
             if not (servo.is_settled and self._is_near(target)):
                 return
@@ -121,6 +122,7 @@ class CyclicPosition(SynchronousMode):
         self._await_sync()
         if self._is_new or (not servo.moving_at and self._is_near(target)):
             servo.interpolate(target)
+            servo.feed_forward(servo.parameter(objects.VELOCITY_OFFSET), servo.parameter(objects.TORQUE_OFFSET))
         elif not servo.moving_at:  # it has braked and stopped far beyond the last target
             self._stop_following()
         self._is_new = False

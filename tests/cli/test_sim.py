@@ -163,7 +163,7 @@ def test_profiles(run: Run) -> None:
 
 
 def test_what_is_filled_in_and_what_does_not_work_is_told(run: Run, tmp_path: Path) -> None:
-    assert "node 5: supported_drive_modes (0x6502:00) = 231" in run("sim", "drive.eds", "--id", "5", "-v", *SHORT).err
+    assert "node 5: supported_drive_modes (0x6502:00) = 1007" in run("sim", "drive.eds", "--id", "5", "-v", *SHORT).err
     many = IO.replace("SupportedObjects=3", "SupportedObjects=11") + "".join(
         f"[180{n}]\nParameterName=TPDO\nObjectType=9\nSubNumber=1\n[180{n}sub0]\nParameterName=n\nDataType=5\nAccessType=ro\n"
         for n in range(8)

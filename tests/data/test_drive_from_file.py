@@ -49,7 +49,7 @@ def test_what_the_file_does_not_say_is_filled_in() -> None:
     dictionary, filled = drive_dictionary_of(ObjectDictionary(BASE), Shape.STANDARD)
     assert {variable.mux: variable.default for variable in filled} == {
         0x1000_00: 0x0002_0192,
-        objects.SUPPORTED_DRIVE_MODES: 0xE7,
+        objects.SUPPORTED_DRIVE_MODES: 0x3EF,
         objects.PROFILE_VELOCITY: 20_000,
         objects.FOLLOWING_ERROR_WINDOW: 10_000,
     }
@@ -105,7 +105,7 @@ def test_a_drive_shows_the_zeros_of_its_file_and_moves_all_the_same() -> None:
 def test_supported_modes_of_zero_are_filled_in() -> None:
     dictionary, filled = drive_dictionary_of(ObjectDictionary([*BASE[:-1], standard_object(0x6502, 0)]), Shape.STANDARD)
     assert 0x6502 in {variable.index for variable in filled}
-    assert dictionary.variable(0x6502).default == 0xE7
+    assert dictionary.variable(0x6502).default == 0x3EF
 
 
 @pytest.mark.parametrize("base", [BASE, BASE[:-1]], ids=["", "without 6502h"])

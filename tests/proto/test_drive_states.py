@@ -326,7 +326,7 @@ def test_what_the_drive_holds_may_be_written_back_though_it_lacks_it() -> None:
         (0x6060, 0, 1, None),
         (0x6060, 0, 0, None),
         (0x6060, 0, 2, None),
-        (0x6060, 0, 4, AbortCode.INVALID_VALUE),  # tq: not in 6502h
+        (0x6060, 0, 11, AbortCode.INVALID_VALUE),  # cstca: not in 6502h
         (0x6060, 0, -1, AbortCode.INVALID_VALUE),
         (0x6098, 0, 33, None),
         (0x6098, 0, 36, AbortCode.INVALID_VALUE),
@@ -348,7 +348,7 @@ def test_values_that_the_drive_lacks_are_refused(index: int, subindex: int, valu
 def test_a_mode_that_a_pdo_brings_and_the_drive_lacks_changes_nothing() -> None:
     bench = Bench()
     bench.enable(1)
-    bench.put(0x6060, 4)
+    bench.put(0x6060, 11)
     assert bench.read(0x6061) == 1
     bench.put(0x6060, -7)
     assert bench.read(0x6061) == 1
