@@ -65,8 +65,17 @@ def halt(axis: Axis) -> Procedure[None]:
     and is not enabled yet, is watched for `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced:
     by the halt, or by a word that keeps a disabled drive in its state. Any later command without bit 8 ends the halt. The wait
     lasts as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout if the drive still moves and did not become
-    slower within a step, or if it shows no state for `reaction_time`; SdoFailed, NodeLost.
+    slower within a step, or if it shows no state for `reaction_time`; SdoFailed, NodeLost. A halt that is cancelled is not
+    taken back: it begins again, as the clean-up.
     """
+    try:
+        yield from _stop(axis)
+    except Cancelled:
+        yield from _stop(axis)
+        raise
+
+
+def _stop(axis: Axis) -> Procedure[None]:
     yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
     try:
         statusword = yield from read_statusword(axis)

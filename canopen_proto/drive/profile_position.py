@@ -49,12 +49,12 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     if not axis.has_lost_reference:
         start = yield from _demand(axis)
         _require_within_limits(axis, start, counts + (start if relative else 0))
-    if axis.mode != Mode.PROFILE_POSITION:
-        yield from halt(axis)
-    yield from set_mode(axis, Mode.PROFILE_POSITION)
-    yield from enable(axis)
     relation = ModeControl.RELATIVE if relative else 0
     try:
+        if axis.mode != Mode.PROFILE_POSITION:
+            yield from halt(axis)
+        yield from set_mode(axis, Mode.PROFILE_POSITION)
+        yield from enable(axis)
         if relative and axis.controlword & ControlBit.HALT:
             # The drive may count from the target that the halt kept: so first make its present position the target.
             yield from _give_set_point(axis, (yield from _demand(axis)), 0)

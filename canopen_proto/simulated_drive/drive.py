@@ -34,7 +34,7 @@ from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
-from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
+from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import TORQUE_LIMITS
 from canopen_proto.simulated_drive.homing import Homing
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
@@ -384,7 +384,9 @@ class Drive(Machine):
             if self._acts:
                 self._mode.enter()
                 self._mode.control(self._controlword, self._controlword)
-        self._put(objects.MODES_OF_OPERATION_DISPLAY, self.mode)
+        if self.values.store.get(objects.MODES_OF_OPERATION_DISPLAY) != self.mode:
+            self._put(objects.MODES_OF_OPERATION_DISPLAY, self.mode)
+            self.out.events.append(ModeChanged(self.node_id, self.mode))
 
     # ---- time, and the values in the store ----
 

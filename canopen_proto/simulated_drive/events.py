@@ -30,6 +30,17 @@ class StatuswordChanged(Event):
         self.statusword = statusword
 
 
+class ModeChanged(Event):
+    """The drive shows another mode of operation in 6061h than before."""
+
+    __slots__ = ("mode",)
+    __match_args__ = ("node_id", "mode")
+
+    def __init__(self, node_id: int, mode: int) -> None:
+        self.node_id = node_id
+        self.mode = mode
+
+
 class DriveFault(Event):
     """A fault has occurred. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
 

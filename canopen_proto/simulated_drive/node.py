@@ -1,15 +1,15 @@
 """`DriveNode`: a simulated drive on the bus, which is a `LocalNode` with a `Drive` as its application.
 
 The node acts on the drive's events: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, and a fault reset clears it. A
-statusword that changes sends the event-driven TPDOs that carry it; so does entering Operational. The node tells the drive of an
-overdue RPDO.
+statusword or a shown mode that changes sends the event-driven TPDOs that carry it; so does entering Operational. The node tells
+the drive of an overdue RPDO.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
+from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
@@ -18,7 +18,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
-from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, StatuswordChanged
+from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import UNSET_BY_ZERO
 from canopen_proto.simulated_drive.late_drive import LateDrive
 from canopen_proto.simulated_drive.servo import DriveSettings, Shape
@@ -47,6 +47,7 @@ class DriveNode(LocalNode):
                 DriveFault: self._on_fault,
                 DriveFaultCleared: self._on_fault_cleared,
                 StatuswordChanged: self._on_statusword,
+                ModeChanged: self._on_mode,
                 PdoOverdue: self._on_rpdo_overdue,
             }
         )
@@ -74,6 +75,9 @@ class DriveNode(LocalNode):
 
     def _on_statusword(self, change: StatuswordChanged, now: Time) -> None:
         self.pdos.trigger(STATUSWORD, now)
+
+    def _on_mode(self, change: ModeChanged, now: Time) -> None:
+        self.pdos.trigger(MODES_OF_OPERATION_DISPLAY, now)
 
     def _on_rpdo_overdue(self, overdue: PdoOverdue, now: Time) -> None:
         self._on_pdo_error(overdue, now)

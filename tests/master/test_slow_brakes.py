@@ -13,10 +13,11 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.servo import DriveSettings, Track
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 SPEED = 50_000
+ENDLESS = Track(positive_limit=1e9)
 
 
 async def running(master: Master) -> None:
@@ -33,7 +34,7 @@ async def running(master: Master) -> None:
 @virtual_time
 @pytest.mark.parametrize("ramp", [8_000, 16_000, 500_000])
 async def test_a_drive_that_brakes_for_seconds_stands_when_the_master_has_gone(ramp: int) -> None:
-    async with simulated(makers=standard_drives(5)) as host:
+    async with simulated(makers=standard_drives(5, settings=DriveSettings(track=ENDLESS))) as host:
         (node,) = drives(host)
         node.values.store[PROFILE_DECELERATION] = ramp
         async with open_master(BUS) as master:
@@ -46,7 +47,7 @@ async def test_a_drive_that_brakes_for_seconds_stands_when_the_master_has_gone(r
 
 @virtual_time
 async def test_a_procedure_that_was_cancelled_has_halted_its_drive_when_it_returns() -> None:
-    async with simulated(makers=standard_drives(5)) as host:
+    async with simulated(makers=standard_drives(5, settings=DriveSettings(track=ENDLESS))) as host:
         (node,) = drives(host)
         node.values.store[PROFILE_DECELERATION] = 16_000
         async with open_master(BUS) as master:
@@ -62,7 +63,7 @@ async def test_a_procedure_that_was_cancelled_has_halted_its_drive_when_it_retur
 @virtual_time
 async def test_a_drive_that_answers_and_goes_on_is_told_soon() -> None:
     """It acts 2.9 s late on whatever it is told."""
-    makers = standard_drives(5, settings=DriveSettings(reaction=2900 * MILLISECOND))
+    makers = standard_drives(5, settings=DriveSettings(reaction=2900 * MILLISECOND, track=ENDLESS))
     async with simulated(makers=makers):
         with pytest.raises(HaltNotConfirmed):
             async with open_master(BUS) as master:
@@ -74,7 +75,7 @@ async def test_a_drive_that_answers_and_goes_on_is_told_soon() -> None:
 
 @virtual_time
 async def test_a_drive_that_is_dead_keeps_nobody_waiting() -> None:
-    async with simulated(makers=standard_drives(5)) as host:
+    async with simulated(makers=standard_drives(5, settings=DriveSettings(track=ENDLESS))) as host:
         with pytest.raises(HaltNotConfirmed):
             async with open_master(BUS) as master:
                 await running(master)

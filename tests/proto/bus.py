@@ -76,11 +76,10 @@ class Bus:
         self.events: list[Event] = []  # of all participants, in order
         self.on_event: Callable[[Event], object] | None = None  # the host: may give commands to machines
         self._random = seed if isinstance(seed, random.Random) else random.Random(seed)
-        self._delay = delay
         self._late = late
         self._pause = pause
         self._frame_time = frame_time
-        self._odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
+        self.disturb(delay, loss, copies, late_copies, reordering)
         self._fates: Iterator[Fate] = iter(fates)
         self._on_the_way: list[tuple[Time, int, Outbox, Frame]] = []
         self._count = 0
@@ -90,6 +89,18 @@ class Bus:
         """Couple a machine or a network to the bus; it comes back, so that the call can stand around its construction."""
         self.machines.append(machine)
         return machine
+
+    def disturb(
+        self,
+        delay: tuple[Time, Time],
+        loss: float = 0.0,
+        copies: float = 0.0,
+        late_copies: float = 0.0,
+        reordering: float = 0.0,
+    ) -> None:
+        """From now on, frames have these fates and delays."""
+        self._delay = delay
+        self._odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
 
     def detach(self, machine: Machine | Network) -> None:
         """The machine vanishes from the bus (a cable is pulled)."""

@@ -10,17 +10,18 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import Axis
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
 from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.drive import Drive
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
 from tests.builds import replaces_what_is_compiled
 from tests.proto.rig import Rig
 
 SPEED = 50_000
+ENDLESS = Track(positive_limit=1e9)
 
 
 def running(rig: Rig, ramp: int) -> None:
@@ -49,12 +50,24 @@ HIDDEN = {
 @pytest.mark.parametrize("reaction", [0, 500 * MILLISECOND])
 @pytest.mark.parametrize("ramp", [5_000, 10_000, 16_000, 500_000])
 def test_a_drive_that_brakes_is_waited_for_whatever_its_ramp(ramp: int, reaction: int) -> None:
-    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=reaction))
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=reaction, track=ENDLESS))
     running(rig, ramp)
     began = rig.bus.now
     rig.run(drive.halt(rig.axis))
     assert speed_of(rig) == 0
     assert rig.bus.now - began == pytest.approx(SPEED / ramp * SECOND + reaction, abs=100 * MILLISECOND)
+
+
+@pytest.mark.parametrize("after", [0, 300, 20_000])
+def test_a_halt_that_is_cancelled_halts_all_the_same(after: int) -> None:
+    """after: its cancellation, in us."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    running(rig, 500_000)
+    request = rig.master.run(drive.halt(rig.axis), rig.bus.now)
+    rig.bus.run(after * MICROSECOND)
+    rig.master.cancel(request, rig.bus.now)
+    assert isinstance(rig.outcome(request), ProcedureCancelled)
+    assert speed_of(rig) == 0
 
 
 @pytest.mark.parametrize("told", HIDDEN)
@@ -99,7 +112,7 @@ def test_the_halt_of_a_dead_drive_holds_up_nobody() -> None:
 
 
 def test_a_drive_that_goes_on_as_before_is_told_within_reaction_and_halt_time() -> None:
-    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=2900 * MILLISECOND))
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=2900 * MILLISECOND, track=ENDLESS))
     rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
     rig.run(drive.enable(rig.axis))
     rig.run(write(rig.remote, "0x60FF", SPEED))
