@@ -56,6 +56,11 @@ def mode_name(mode: int) -> str:
     return f"{'manufacturer’s' if mode < 0 else 'reserved'} mode {mode}"
 
 
+def short_name(mode: int) -> str:
+    """Return the standard's short name of a mode: "csp"; the number for a mode that has none."""
+    return _SHORT_NAMES.get(mode, str(mode))
+
+
 class ModeControl:
     """Bits of the controlword whose meaning depends on the mode."""
 

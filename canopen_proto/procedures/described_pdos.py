@@ -1,12 +1,11 @@
 """The PDOs that a device's own file describes: an EDS by its defaults, a DCF by its configured values.
 
 The PDO parameters of a dictionary (0x1400 to 0x1BFF) say which settings the device has, or shall have. `described_pdos` reads
-them from the dictionary and sends nothing. `exchange_described` first reads the device's settings. If they differ from the file,
-it writes the file's to the device (`configure_pdo`). Then it exchanges the PDO. So a device that was configured before is only
-read.
+them from the dictionary and sends nothing. `exchange_pdos` first reads the device's settings. If they differ, it writes the ones
+that are wanted to the device (`configure_pdo`). Then it exchanges the PDO. So a device that was configured before is only read.
 
-Only useful PDOs are exchanged: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry our
-commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
+`choose_pdos` takes the useful ones: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry
+our commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
 
 Impossible entries of a file (an object that does not exist, more than 64 bits) are left out: lint reports them.
 
@@ -15,16 +14,18 @@ Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Final, NamedTuple
+from collections.abc import Collection, Iterable
+from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
-from canopen_proto.multiplexer import Mux, mapped, mux
+from canopen_proto.multiplexer import Mux, mapped, mux, split_mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, PdoSettings, place_of
 from canopen_proto.procedures.configure_pdo import configure_pdo, read_pdo
-from canopen_proto.procedures.steps import Procedure, act
+from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.steps import Procedure, SdoFailed, act
 from canopen_proto.remote_node import RemoteNode
 
 EACH_SYNC: Final = 1
@@ -68,48 +69,50 @@ def choose_pdos(
     return chosen, missing
 
 
-class Exchanged(NamedTuple):
-    """The result of `exchange_described`. missing: muxes of commands that no RPDO carries."""
-
-    pdos: list[PdoSettings]
-    missing: list[Mux]
-
-    @property
-    def cyclic(self) -> dict[Mux, int]:
-        """The objects that the device sends at SYNCs: mux -> n for "at every n-th SYNC"."""
-        tpdos = (each for each in self.pdos if each.direction is Direction.TPDO and each.transmission_type in CYCLIC_TYPES)
-        cyclic: dict[Mux, int] = {}
-        for tpdo in tpdos:
-            for each in _muxes(tpdo):
-                cyclic[each] = min(tpdo.transmission_type, cyclic.get(each, CYCLIC_TYPES.stop))
-        return cyclic
+def cyclic_objects(pdos: Iterable[PdoSettings]) -> dict[Mux, int]:
+    """Return the objects that a device with these PDOs sends at SYNCs: mux -> n for "at every n-th SYNC"."""
+    tpdos = (each for each in pdos if each.direction is Direction.TPDO and each.transmission_type in CYCLIC_TYPES)
+    cyclic: dict[Mux, int] = {}
+    for tpdo in tpdos:
+        for each in _muxes(tpdo):
+            cyclic[each] = min(tpdo.transmission_type, cyclic.get(each, CYCLIC_TYPES.stop))
+    return cyclic
 
 
-def exchange_described(node: RemoteNode, commands: Collection[Mux], feedback: Collection[Mux]) -> Procedure[Exchanged]:
-    """Exchange the useful PDOs of the node's dictionary; see `choose_pdos`.
+def exchange_pdos(node: RemoteNode, pdos: Iterable[PdoSettings], *, sends_at_sync: bool = True) -> Procedure[None]:
+    """Exchange these PDOs with the node; each is configured first if the node's settings differ.
 
     The node should be Pre-operational: most devices accept new settings only then. An RPDO is not sent before
-    `RemoteNode.enable_rpdo`. An event-driven RPDO (types 254 and 255), which acts as soon as it comes, is sent at each SYNC too.
-    Raises SdoFailed, StrangePdo or UnexpectedLength if the device's settings cannot be read; PdoRefused if the device refuses the
-    file's.
+    `RemoteNode.enable_rpdo`. sends_at_sync: an event-driven RPDO (types 254 and 255), which acts as soon as it comes, is sent at
+    each SYNC too; else only when it is triggered. Raises SdoFailed, StrangePdo or UnexpectedLength if the node's settings cannot
+    be read; PdoRefused if the node refuses these.
     """
-    chosen, missing = choose_pdos(described_pdos(node.dictionary, node.node_id), commands, feedback)
-    for settings in chosen:
+    for settings in pdos:
         present = yield from read_pdo(node, settings.direction, settings.number)
         if present != settings:
             yield from configure_pdo(node, settings)
-        yield from act(lambda now, settings=settings: _exchange(node, settings, now))  # type: ignore[misc]
-    return Exchanged(chosen, missing)
+        yield from act(lambda now, settings=settings: _exchange(node, settings, sends_at_sync, now))  # type: ignore[misc]
 
 
-def _exchange(node: RemoteNode, settings: PdoSettings, now: int) -> None:
+def read_commanded(node: RemoteNode, keys: Iterable[Mux]) -> Procedure[None]:
+    """Read the present values of objects that an RPDO is going to carry, so that it sends these. 0 is sent for an object that
+    cannot be read, such as a write-only command. Call it before the RPDO is exchanged. Raises SdoFailed if nobody answers."""
+    for key in keys:
+        try:
+            yield from read_if_present(node, split_mux(key))
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise
+
+
+def _exchange(node: RemoteNode, settings: PdoSettings, sends_at_sync: bool, now: int) -> None:
     mapping, key = _mapping_of(settings, node.dictionary), key_of_cob_id(settings.cob_id)
     assert mapping is not None  # described_pdos has checked it
     if settings.direction is Direction.TPDO:
         node.add_tpdo(settings.number, key, mapping, now)
     else:
         kind = settings.transmission_type
-        node.add_rpdo(settings.number, key, mapping, kind if kind in CYCLIC_TYPES else EACH_SYNC)
+        node.add_rpdo(settings.number, key, mapping, EACH_SYNC if sends_at_sync and kind not in CYCLIC_TYPES else kind)
 
 
 def _mapping_of(settings: PdoSettings, dictionary: ObjectDictionary) -> Mapping | None:
@@ -134,5 +137,10 @@ def _initial(dictionary: ObjectDictionary, index: int, subindex: int, node_id: i
     return value if isinstance(value, int) else None
 
 
+def muxes_of(entries: Iterable[int]) -> set[Mux]:
+    """Return the objects that mapping entries name."""
+    return {mux(index, subindex) for index, subindex, _ in map(mapped, entries)}
+
+
 def _muxes(pdo: PdoSettings) -> set[Mux]:
-    return {mux(index, subindex) for index, subindex, _ in map(mapped, pdo.entries)}
+    return muxes_of(pdo.entries)

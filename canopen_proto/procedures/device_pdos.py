@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.machine import Time
@@ -19,8 +18,8 @@ from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import Mapping, MappingError, entries_of
 from canopen_proto.pdo.settings import PdoSettings, place_of
 from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
-from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, described_pdos
-from canopen_proto.procedures.objects import ABSENT, read_if_present
+from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, described_pdos, read_commanded
+from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
 from canopen_proto.remote_node import RemoteNode
 
@@ -93,12 +92,7 @@ def _exchange(node: RemoteNode, settings: PdoSettings) -> Procedure[None]:
 
         yield from act(receive)
         return
-    for entry in mapping.components:
-        try:
-            yield from read_if_present(node, (entry.index, entry.subindex))
-        except SdoFailed as failed:
-            if failed.origin is not AbortOrigin.PEER:
-                raise  # else it cannot be read (a write-only command, say), and 0 is sent for it
+    yield from read_commanded(node, mapping.muxes)
     yield from act(lambda now: node.add_rpdo(settings.number, key, mapping, kind if kind in CYCLIC_TYPES else EACH_SYNC))
 
 

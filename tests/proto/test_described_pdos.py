@@ -24,7 +24,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.described_pdos import Exchanged, choose_pdos, described_pdos, exchange_described
+from canopen_proto.procedures.described_pdos import choose_pdos, cyclic_objects, described_pdos, exchange_pdos
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
@@ -121,13 +121,15 @@ class Scene:
         self.bus.run(SECOND)
 
     def exchange(self) -> list[int]:
+        """Exchange what our dictionary describes; return the commands that no RPDO carries."""
+        described = described_pdos(self.node.dictionary, 5)
+        self.pdos, missing = choose_pdos(described, COMMANDS, (STATUSWORD, POSITION_ACTUAL_VALUE))
         before = len(self.bus.sent)
-        request_id = self.master.run(exchange_described(self.node, COMMANDS, (STATUSWORD, POSITION_ACTUAL_VALUE)), self.bus.now)
+        request_id = self.master.run(exchange_pdos(self.node, self.pdos), self.bus.now)
         self.bus.run(5 * SECOND)
-        (outcome,) = [each for each in self.bus.events if isinstance(each, ProcedureFinished) and each.request_id == request_id]
+        assert any(isinstance(each, ProcedureFinished) and each.request_id == request_id for each in self.bus.events)
         self.written = [frame for _, frame in self.bus.sent[before:] if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
-        self.exchanged: Exchanged = outcome.result
-        return self.exchanged.missing
+        return list(missing)
 
 
 def test_a_device_that_has_them_is_only_read() -> None:
@@ -135,7 +137,7 @@ def test_a_device_that_has_them_is_only_read() -> None:
     assert scene.exchange() == []
     assert scene.written == []
     assert (list(scene.node.rpdos), list(scene.node.tpdos)) == ([1], [1])
-    assert scene.exchanged.cyclic == dict.fromkeys((STATUSWORD, TORQUE_ACTUAL_VALUE, POSITION_ACTUAL_VALUE), 1)
+    assert cyclic_objects(scene.pdos) == dict.fromkeys((STATUSWORD, TORQUE_ACTUAL_VALUE, POSITION_ACTUAL_VALUE), 1)
 
 
 def test_a_device_that_has_others_is_set_up() -> None:
@@ -146,7 +148,7 @@ def test_a_device_that_has_others_is_set_up() -> None:
     values = scene.device.values
     assert [values.store[0x1A0000 | subindex] for subindex in range(3)] == [2, 0x60410010, 0x60640020]
     assert (values.store[0x180002], values.store[0x140002]) == (255, 255)
-    assert not scene.exchanged.cyclic
+    assert not cyclic_objects(scene.pdos)
     assert scene.node.rpdos[1].transmission_type == 1  # we send it at each SYNC, whenever the device acts
 
 

@@ -1,0 +1,379 @@
+"""How a drive follows set-points by its dictionary alone: the mode, its PDOs, what goes by SDO, or why it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import pytest
+
+from canopen_proto import indices
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.dictionary import Access, Direction, ObjectDictionary
+from canopen_proto.dictionary.values import Values
+from canopen_proto.drive.motion_plan import MotionPlan, NoMotionPlan, exchange_planned, plan_motion
+from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
+from canopen_proto.network import Network
+from canopen_proto.pdo.rules import PdoRules
+from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.runner import ProcedureFinished
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.servo import Shape
+from tests.proto.bus import Bus
+
+NODE = 5
+CYCLE = 10 * MILLISECOND
+CONTROLWORD, SET_POINT, TARGET = 0x6040_0010, 0x60C1_0120, 0x607A_0020
+STATUSWORD, POSITION, DISPLAY, VELOCITY = 0x6041_0010, 0x6064_0020, 0x6061_0008, 0x606C_0020
+MODES = {Mode.PROFILE_POSITION: 0x01, Mode.INTERPOLATED_POSITION: 0x41, Mode.CYCLIC_SYNCHRONOUS_POSITION: 0xC1}
+
+Changes = Mapping[int, Mapping[str, Any]]
+
+
+STANDARD = drive_dictionary(Shape.STANDARD)
+TELLS: Changes = {mux(0x1802, 2): {"default": 1}}
+"""TPDO 3, with statusword and position, is sent at each SYNC."""
+
+
+def changed(changes: Changes, *, without: Collection[int] = (), base: ObjectDictionary = STANDARD) -> ObjectDictionary:
+    """A drive's dictionary with other fields of some variables (by mux), and without some objects."""
+    described = {index: each for index, each in base.objects.items() if index not in without}
+    for key, fields in changes.items():
+        index, subindex = index_of(Mux(key)), subindex_of(Mux(key))
+        variables = dict(described[index].variables)
+        variables[subindex] = replace(variables[subindex], **fields)
+        described[index] = replace(described[index], variables=MappingProxyType(variables))
+    return ObjectDictionary(described.values(), source="test.eds")
+
+
+def fixed(first: int, count: int = 4) -> dict[int, dict[str, Any]]:
+    """PDOs from a communication record on whose mapping cannot be changed."""
+    return {mux(first + 0x200 + number): {"access": Access.RO} for number in range(count)}
+
+
+def supports(modes: int) -> dict[int, dict[str, Any]]:
+    return {objects.SUPPORTED_DRIVE_MODES: {"default": modes}}
+
+
+def unmappable(*keys: int) -> dict[int, dict[str, Any]]:
+    return {key: {"pdo_mappable": False} for key in keys}
+
+
+NOTHING_MAPPABLE = unmappable(
+    *(objects.CONTROLWORD, objects.STATUSWORD, objects.TARGET_POSITION, objects.INTERPOLATION_SET_POINT),
+    *(objects.POSITION_ACTUAL_VALUE, objects.MODES_OF_OPERATION_DISPLAY, objects.VELOCITY_ACTUAL_VALUE),
+    *(objects.ERROR_CODE, objects.TORQUE_ACTUAL_VALUE, objects.MODES_OF_OPERATION),
+)
+
+
+def without_pdos(*, except_rpdos: Iterable[int] = (), except_tpdos: Iterable[int] = ()) -> set[int]:
+    kept = {0x1400 + number - 1 for number in except_rpdos} | {0x1800 + number - 1 for number in except_tpdos}
+    first = {0x1400 + number for number in range(4)} | {0x1800 + number for number in range(4)}
+    return {index + offset for index in first - kept for offset in (0, 0x200)}
+
+
+def empty_pdos() -> dict[int, dict[str, Any]]:
+    return {mux(first + number): {"default": 0} for first in (0x1600, 0x1A00) for number in range(4)}
+
+
+def plan(dictionary: ObjectDictionary, **options: Any) -> MotionPlan:
+    made = plan_motion(dictionary, NODE, CYCLE, **options)
+    assert_writable(made)
+    return made
+
+
+def assert_writable(made: MotionPlan) -> None:
+    """Each write of a plan is one that a device with this dictionary takes, by the rules of CiA 301."""
+    values = Values(made.dictionary, made.node_id)
+    rules = PdoRules(values, ())
+    for index, subindex, data in made.steps:
+        variable = made.dictionary.at(index, subindex)
+        assert variable.access.writable, variable
+        value = variable.decode(data)
+        assert rules.check_write(index, subindex, value) is None, (variable, data)
+        values.store[variable.mux] = value
+
+
+def pdos(made: MotionPlan) -> dict[str, tuple[int, ...]]:
+    return {f"{pdo.direction}{pdo.number}": pdo.entries for pdo in made.pdos}
+
+
+# ---- the mode ----
+
+
+def test_the_best_mode_that_the_drive_has() -> None:
+    for mode, modes in MODES.items():
+        made = plan(changed(supports(modes)))
+        assert made.mode is mode
+        assert [each.mode for each in made.rejected] == [each for each in reversed(MODES) if each > mode]
+
+
+def test_what_the_drive_shows_goes_before_the_file() -> None:
+    made = plan(changed(supports(0xC1)), modes=0x41)
+    assert made.mode is Mode.INTERPOLATED_POSITION
+    assert made.rejected[0].reason == "0x6502 of the drive lists pp, ip"
+    assert "0x6502 of the drive lists pp, ip" in made.reason
+
+
+def test_without_0x6502_profile_position_is_assumed_and_others_may_be_wished() -> None:
+    dictionary = changed({}, without=[0x6502])
+    assert plan(dictionary).mode is Mode.PROFILE_POSITION
+    assert "0x6502" in plan(dictionary).reason
+    assert plan(dictionary, wish=Mode.CYCLIC_SYNCHRONOUS_POSITION).mode is Mode.CYCLIC_SYNCHRONOUS_POSITION
+    assert plan(dictionary, modes=0xC1).mode is Mode.CYCLIC_SYNCHRONOUS_POSITION
+
+
+@pytest.mark.parametrize(
+    ("changes", "without", "reason"),
+    [
+        ({objects.MODES_OF_OPERATION: {"low_limit": -1, "high_limit": 7}}, (), "takes -1 to 7, not 8"),
+        ({}, (indices.COB_ID_SYNC,), "no 0x1005"),
+        ({objects.INTERPOLATION_TIME_UNITS: {"high_limit": 1}}, (), "0x60C2 cannot be set to a cycle of 10 ms"),
+        ({objects.INTERPOLATION_TIME_INDEX: {"access": Access.CONST}}, (), "0x60C2 cannot be set to a cycle of 10 ms"),
+        ({objects.TARGET_POSITION: {"access": Access.RO}}, (), "it takes no set-points"),
+    ],
+)
+def test_why_not_cyclic_synchronous_position(changes: Changes, without: Collection[int], reason: str) -> None:
+    dictionary = changed(supports(0x80) | dict(changes), without=without)
+    with pytest.raises(NoMotionPlan) as refused:
+        plan(dictionary)
+    assert reason in refused.value.obstacles[0].reason
+    assert [each.mode for each in refused.value.obstacles] == list(reversed(MODES))
+    assert all(text in str(refused.value) for text in ("test.eds", "csp: ", "ip: ", "pp: "))
+
+
+def test_limits_that_exclude_each_other_are_none() -> None:
+    made = plan(changed({objects.MODES_OF_OPERATION: {"low_limit": 0, "high_limit": -1}}))
+    assert made.mode is Mode.CYCLIC_SYNCHRONOUS_POSITION
+
+
+def test_an_interpolation_that_only_its_maker_knows() -> None:
+    changes = {objects.INTERPOLATION_SUB_MODE_SELECT: {"low_limit": -1, "high_limit": -1}} | supports(0x41)
+    made = plan(changed(changes))
+    assert made.mode is Mode.PROFILE_POSITION
+    assert "only the maker's own interpolation" in made.rejected[1].reason
+
+
+def test_a_wish_for_a_mode_without_positions() -> None:
+    with pytest.raises(NoMotionPlan, match="it takes no positions"):
+        plan(changed({}), wish=Mode.HOMING)
+
+
+# ---- its PDOs ----
+
+
+def test_pdos_that_carry_what_is_needed_stay_as_they_are() -> None:
+    made = plan(changed(supports(0x41) | TELLS))
+    assert pdos(made)["RPDO4"] == (CONTROLWORD, SET_POINT)
+    assert made.steps == []
+    assert made.written == ()
+    assert "as it is" in made.describe()
+    assert "to be written" not in made.describe()
+
+
+def test_an_rpdo_of_another_type_becomes_synchronous_and_keeps_its_objects() -> None:
+    made = plan(changed(supports(0x41) | {0x1403_02: {"default": 255}} | TELLS))
+    assert [(pdo.number, pdo.transmission_type, pdo.entries) for pdo in made.written] == [(4, 1, (CONTROLWORD, SET_POINT))]
+
+
+def test_an_event_driven_rpdo_that_cannot_be_changed_is_sent_at_each_sync() -> None:
+    made = plan(changed(supports(0x41) | {0x1403_02: {"default": 255, "access": Access.RO}} | fixed(0x1400) | TELLS))
+    assert made.mode is Mode.INTERPOLATED_POSITION
+    assert [pdo.number for pdo in made.pdos if pdo.direction is Direction.RPDO] == [4]
+    assert made.steps == []
+
+
+def test_a_mapping_to_be_written() -> None:
+    made = plan(changed(empty_pdos()))
+    assert pdos(made) == {"RPDO1": (CONTROLWORD, TARGET), "TPDO1": (STATUSWORD, POSITION, DISPLAY)}
+    assert {pdo.transmission_type for pdo in made.pdos} == {1}
+    assert [pdo.cob_id & 0x7FF for pdo in made.pdos] == [0x205, 0x185]
+    assert made.commands_by_sdo == (objects.MODES_OF_OPERATION,)
+    assert made.watched_by_sdo == ()
+    assert made.describe().count("to be written") == 2
+    first, *_, last = made.steps
+    assert first == (0x1400, 1, (COB_ID_INVALID | 0x205).to_bytes(4, "little"))  # the device's own CAN-ID, destroyed
+    assert last[:2] == (0x1800, 1)
+
+
+def test_no_more_than_eight_bytes_and_what_matters_most_first() -> None:
+    made = plan(changed(empty_pdos() | unmappable(objects.MODES_OF_OPERATION_DISPLAY)))
+    assert pdos(made)["TPDO1"] == (STATUSWORD, POSITION, 0x603F_0010)
+    assert made.watched_by_sdo == (objects.MODES_OF_OPERATION_DISPLAY,)
+
+
+def test_the_only_rpdo_is_given_another_mapping() -> None:
+    left = without_pdos(except_rpdos=[1], except_tpdos=[1])
+    made = plan(changed({mux(0x1600, 0): {"default": 1}}, without=left))
+    assert pdos(made)["RPDO1"] == (CONTROLWORD, TARGET)
+
+
+def test_too_few_places_in_a_mapping() -> None:
+    only_one = {mux(0x1600 + number, 2): {"access": Access.RO} for number in range(4)}
+    with pytest.raises(NoMotionPlan) as refused:
+        plan(changed(empty_pdos() | only_one | supports(0x80)))
+    assert "RPDO 4 has room for 1 objects" in refused.value.obstacles[0].reason
+
+
+def test_a_fixed_mapping_without_the_set_point() -> None:
+    made = plan(changed(supports(0xC1) | fixed(0x1400) | {mux(0x1602): {"default": 1, "access": Access.RO}}))
+    assert made.mode is Mode.INTERPOLATED_POSITION  # RPDO 4 carries it
+    assert "RPDO 3 has a fixed mapping" in made.rejected[0].reason
+
+
+def test_what_no_rpdo_may_carry() -> None:
+    made = plan(changed(empty_pdos() | unmappable(objects.TARGET_POSITION)))
+    assert made.mode is Mode.INTERPOLATED_POSITION
+    assert "(PDOMapping)" in made.rejected[0].reason
+    # in profile position the target goes by SDO instead
+    slow = plan(changed(empty_pdos() | unmappable(objects.TARGET_POSITION)), wish=Mode.PROFILE_POSITION)
+    assert pdos(slow)["RPDO1"] == (CONTROLWORD,)
+    assert slow.commands_by_sdo == (objects.TARGET_POSITION, objects.MODES_OF_OPERATION)
+
+
+def test_a_set_point_by_pdo_and_a_controlword_by_sdo() -> None:
+    made = plan(changed(empty_pdos() | unmappable(objects.CONTROLWORD)))
+    assert pdos(made)["RPDO1"] == (TARGET,)
+    assert made.commands_by_sdo == (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
+
+
+@pytest.mark.parametrize("without", [(), without_pdos()])
+def test_a_drive_without_any_pdo_moves_slowly_by_sdo(without: Collection[int]) -> None:
+    changes = NOTHING_MAPPABLE if without else NOTHING_MAPPABLE | empty_pdos()
+    made = plan(changed(changes, without=without))
+    assert made.mode is Mode.PROFILE_POSITION
+    assert made.is_slow
+    assert made.pdos == ()
+    assert made.commands_by_sdo == (objects.CONTROLWORD, objects.TARGET_POSITION, objects.MODES_OF_OPERATION)
+    assert made.watched_by_sdo == (objects.STATUSWORD, objects.POSITION_ACTUAL_VALUE, objects.MODES_OF_OPERATION_DISPLAY)
+
+
+def test_an_rpdo_that_nothing_else_needs_goes_before_one_in_use() -> None:
+    free = {mux(0x1602): {"default": 0}, mux(0x1402, 1): {"default": COB_ID_INVALID | 0x400}}
+    made = plan(changed(supports(0x80) | free | TELLS))
+    assert [pdo.number for pdo in made.written] == [1]  # it carries only the controlword, which stays in it
+    made = plan(changed(supports(0x80) | free | {mux(0x1600, 1): {"default": VELOCITY}} | TELLS))
+    assert [pdo.number for pdo in made.written] == [3]
+    assert made.written[0].cob_id == 0x405
+
+
+def test_slow_set_points_by_an_event_driven_rpdo() -> None:
+    made = plan(changed(supports(0x01) | empty_pdos() | {mux(0x1400, 2): {"default": 254}}))
+    assert [(pdo.number, pdo.transmission_type) for pdo in made.pdos] == [(1, 254), (1, 1)]
+    assert "event-driven" in made.describe()
+
+
+def test_a_dictionary_without_sync_has_event_driven_pdos() -> None:
+    made = plan(changed(supports(0xC1) | empty_pdos(), without=[indices.COB_ID_SYNC]))
+    assert {pdo.transmission_type for pdo in made.pdos} == {255}
+    assert made.cyclic == {}
+    assert set(made.watched_by_sdo) >= {objects.STATUSWORD, objects.POSITION_ACTUAL_VALUE}
+
+
+def test_the_can_ids_of_another_node() -> None:
+    """A file that was exported from node 32: its PDOs would collide with those of each drive that has the same file."""
+    changes = {
+        mux(first + number, 1): {"default": base + 0x100 * number + 32, "adds_node_id": False}
+        for first, base in ((0x1400, 0x200), (0x1800, 0x180))
+        for number in range(4)
+    }
+    made = plan(changed(changes))
+    assert [pdo.cob_id & 0x7FF for pdo in made.pdos] == [0x405, 0x285]
+    assert [(str(pdo.direction), pdo.number) for pdo in made.destroyed] == [
+        *(("RPDO", number) for number in (1, 2, 4)),
+        *(("TPDO", number) for number in (1, 3, 4)),
+    ]
+    assert all(pdo.cob_id & COB_ID_INVALID for pdo in made.destroyed)
+    stuck = plan(changed(changes | {mux(0x1803, 1): {**changes[mux(0x1803, 1)], "access": Access.RO}}))
+    assert any("TPDO 4 has CAN-ID 0x4A0 of another node" in note for note in stuck.notes)
+
+
+def test_two_pdos_with_one_can_id_are_not_used() -> None:
+    doubled = {mux(0x1402, 1): {"default": 0x500, "adds_node_id": True}}  # that of RPDO 4
+    made = plan(changed(doubled))
+    assert [(pdo.number, pdo.cob_id) for pdo in made.pdos if pdo.direction is Direction.RPDO] == [(1, 0x205)]
+    with pytest.raises(NoMotionPlan, match="RPDO 3 cannot have CAN-ID 0x505: another one has it"):
+        plan(changed(supports(0x80) | doubled, without=without_pdos(except_rpdos=[3, 4])))
+
+
+def test_objects_that_an_rpdo_carries_besides() -> None:
+    made = plan(drive_dictionary(Shape.SCHUNK_POWERBALL))
+    assert made.extras == (objects.VL_TARGET_VELOCITY,)
+    assert "0x6042" in made.describe()
+
+
+def test_dummy_entries_stay() -> None:
+    with_dummy = {mux(0x1603): {"default": 3}, mux(0x1603, 2): {"default": 0x0006_0010}, mux(0x1603, 3): {"default": SET_POINT}}
+    made = plan(changed(supports(0x41) | with_dummy | TELLS))
+    assert pdos(made)["RPDO4"] == (CONTROLWORD, 0x0006_0010, SET_POINT)
+    assert "16 bits empty" in made.describe()
+
+
+# ---- the drive gets them ----
+
+
+class Scene:
+    """A device and its master, which has read another file."""
+
+    def __init__(self, device: ObjectDictionary, made: MotionPlan) -> None:
+        self.bus = Bus(0)
+        master, other = Network(), Network()
+        self.node = RemoteNode(master.out, NODE, made.dictionary)
+        self.device = LocalNode(other.out, NODE, device)
+        master.attach(self.node)
+        other.attach(self.device)
+        self.bus.attach(master)
+        self.bus.attach(other)
+        self.device.boot(self.bus.now)
+        self.bus.run(SECOND)
+        before = len(self.bus.sent)
+        request_id = master.run(exchange_planned(self.node, made), self.bus.now)
+        self.bus.run(5 * SECOND)
+        assert any(isinstance(each, ProcedureFinished) and each.request_id == request_id for each in self.bus.events)
+        frames = [frame for _, frame in self.bus.sent[before:]]
+        self.written = [frame for frame in frames if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
+
+    def settings(self, direction: Direction, number: int) -> PdoSettings:
+        store = self.device.values.store
+        first = (0x1400 if direction is Direction.RPDO else 0x1800) + number - 1
+        count = store[mux(first + 0x200)]
+        assert isinstance(count, int)
+        found: list[int] = []
+        for key in (mux(first, 1), mux(first, 2), *(mux(first + 0x200, each + 1) for each in range(count))):
+            value = store[key]
+            assert isinstance(value, int)
+            found.append(value)
+        return PdoSettings(number, direction, found[0], found[1], tuple(found[2:]))
+
+
+def test_the_device_gets_the_plan_and_is_only_read_the_second_time() -> None:
+    made = plan(changed(empty_pdos()))
+    scene = Scene(made.dictionary, made)
+    assert [scene.settings(pdo.direction, pdo.number) for pdo in made.pdos] == list(made.pdos)
+    assert len(scene.written) == len(made.steps)
+    has_it = changed(supports(0x41) | TELLS)
+    assert Scene(has_it, plan(has_it)).written == []
+
+
+def test_a_device_with_can_ids_of_its_own_keeps_them() -> None:
+    foreign = {mux(0x1801, 1): {"default": 0x2A0, "adds_node_id": False}}
+    made = plan(changed(foreign | supports(0x41) | TELLS))
+    assert len(made.destroyed) == 1
+    scene = Scene(made.dictionary, made)
+    assert scene.settings(Direction.TPDO, 2).cob_id == COB_ID_INVALID | 0x2A0
+    scene = Scene(changed(supports(0x41) | TELLS), made)
+    assert not scene.settings(Direction.TPDO, 2).cob_id & COB_ID_INVALID
+    assert scene.written == []
+
+
+def test_what_an_rpdo_carries_besides_is_sent_back() -> None:
+    made = plan(drive_dictionary(Shape.SCHUNK_POWERBALL))
+    device = changed({objects.VL_TARGET_VELOCITY: {"default": 77}}, base=drive_dictionary(Shape.SCHUNK_POWERBALL))
+    assert Scene(device, made).node.values.store[objects.VL_TARGET_VELOCITY] == 77
