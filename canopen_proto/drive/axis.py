@@ -292,12 +292,12 @@ class Axis:
     # ---- set-points: what the RPDO behind the next SYNC takes along ----
 
     def select_set_point(self, mode: int) -> None:
-        """Make position set-points go into the object of this mode: 0x60C1:01 in ip, 0x607A in csp.
+        """Make position set-points go into the object of this mode: 0x60C1:01 in ip, 0x607A in csp and pp.
 
         0x60C1:01 is the one from the beginning, if the dictionary has it. The image of the other one is left as it is. A mode
         without position set-points changes nothing.
         """
-        if mode in (Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION):
+        if mode in (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION):
             self._position = self._set_point_at(SET_POINT_OF[mode])
 
     def _set_point_at(self, mux: Mux) -> SetPoint:

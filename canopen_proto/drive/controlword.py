@@ -64,7 +64,7 @@ def bring(axis: Axis, mux: Mux, value: int) -> Procedure[None]:
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
         yield from act(lambda now: axis.put(mux, value, now))
         # An RPDO of transmission type n leaves at every n-th SYNC.
-        if (yield from _syncs_passed(axis, max(1, producer.transmission_type) + 1)):
+        if (yield from syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
     yield from write(node, mux, value)
 
@@ -77,7 +77,7 @@ def command_held(axis: Axis, controlword: int) -> Procedure[None]:
     yield from act(lambda now: axis.node.replace_held(objects.CONTROLWORD, controlword, now))
 
 
-def _syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
+def syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
     """Wait for that many SYNCs; return False if one does not come within SYNC_ALIVE."""
     node = axis.node
 

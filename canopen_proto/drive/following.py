@@ -19,7 +19,8 @@ begins. Such a bit counts only after it was seen 0 (bit 13 is reserved in interp
 **Following error.** `error` is the set-point of a cycle minus the position of the same cycle: a set-point sent behind SYNC n is
 reached at SYNC n + `lag`, whose PDO shows it. This pairing may be some cycles wrong: adapters hold frames back, and drives buffer
 set-points. So the limit is compared with the distance from the position to the nearest set-point, up to UNCERTAIN cycles earlier
-or later.
+or later. A drive in profile position has a profile of its own, and may be further behind (`slack`): it is seen that much later
+that such a drive has stopped.
 
 Values that no PDO carries (`unsent`) must be read: `read_unsent` does that. `following_limit` finds the limit.
 
@@ -39,7 +40,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import ModeStatus, mode_name
+from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
@@ -172,18 +173,20 @@ class Following:
         *,
         cyclic: Mapping[Mux, int],
         lag: int = LAG,
+        slack: int = UNCERTAIN,
         silent_syncs: int = SILENT_SYNCS,
     ) -> None:
         """Watch the drive from now on. It must already follow set-points (bit 12), and stand at the present one.
 
         limit: of the following error, in the user's unit. mode: the mode of operation that 0x6061 has to show. cyclic: as for
-        `expect`. lag: SYNCs from sending a set-point to reaching it. silent_syncs: unanswered SYNCs in a row that make the drive
+        `expect`. lag: SYNCs from sending a set-point to reaching it. slack: further SYNCs that the drive may be behind;
+        more than UNCERTAIN for a drive with a profile of its own. silent_syncs: unanswered SYNCs in a row that make the drive
         count as silent.
         """
         self._limit, self._mode, self._lag = limit, mode, lag
         self._silent_syncs = silent_syncs
         self.expect(cyclic)
-        self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + UNCERTAIN + 1)
+        self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + slack + 1)
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
         self._flawless = None
@@ -248,7 +251,7 @@ class Following:
         is_limited = bool(news & StatusBit.INTERNAL_LIMIT)
         if axis.state is not State.OPERATION_ENABLED:
             self.lose(f"left operation enabled by itself: {axis.state}")
-        elif not word & _FOLLOWS:
+        elif not word & _FOLLOWS and self._mode != Mode.PROFILE_POSITION:  # there, bit 12 is part of a handshake
             self.lose("no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)")
         elif news & ModeStatus.FOLLOWING_ERROR:
             self.lose("reports a following error: bit 13 of its statusword is 1")

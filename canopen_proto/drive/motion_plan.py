@@ -31,6 +31,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, mode_name, short_name, supported, supported_modes
 from canopen_proto.datatypes import range_of
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
+from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
@@ -63,12 +64,8 @@ from canopen_proto.procedures.pdo_slots import (
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, download, upload
 from canopen_proto.remote_node import RemoteNode
 
-SET_POINTS: Final = {
-    Mode.CYCLIC_SYNCHRONOUS_POSITION: objects.TARGET_POSITION,
-    Mode.INTERPOLATED_POSITION: objects.INTERPOLATION_SET_POINT,
-    Mode.PROFILE_POSITION: objects.TARGET_POSITION,
-}
-"""The modes in which a drive can follow set-points, the best first, and the object that takes the set-point."""
+MODES: Final = (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION, Mode.PROFILE_POSITION)
+"""The modes in which a drive can follow positions, the best first."""
 
 FEEDBACK: Final = (
     objects.STATUSWORD, objects.POSITION_ACTUAL_VALUE, objects.MODES_OF_OPERATION_DISPLAY, objects.VELOCITY_ACTUAL_VALUE,
@@ -115,7 +112,7 @@ class MotionPlan:
     @property
     def set_point(self) -> Mux:
         """The object that takes the set-points."""
-        return SET_POINTS[self.mode]
+        return SET_POINT_OF[self.mode]
 
     @property
     def is_slow(self) -> bool:
@@ -136,7 +133,7 @@ class MotionPlan:
     @property
     def extras(self) -> tuple[Mux, ...]:
         """Other objects that its RPDOs carry: they are read first, and sent back as the drive shows them."""
-        ours = {objects.CONTROLWORD, *SET_POINTS.values()}
+        ours = {objects.CONTROLWORD, *SET_POINT_OF.values()}
         return tuple(sorted(self._carried(Direction.RPDO) - ours))
 
     @property
@@ -195,7 +192,7 @@ def plan_motion(
     told = _told_modes(dictionary, modes)
     slots = {direction: slots_of(dictionary, node_id, direction) for direction in Direction}
     rejected: list[Obstacle] = []
-    for mode in SET_POINTS if wish is None else (wish,):
+    for mode in MODES if wish is None else (wish,):
         obstacle = _mode_obstacle(dictionary, mode, told, cycle_time, is_wished=wish is not None)
         if not obstacle:
             chosen = _pdos_for(dictionary, node_id, mode, slots)
@@ -261,14 +258,14 @@ def _short_names(modes: int) -> str:
 
 def _mode_obstacle(dictionary: ObjectDictionary, mode: Mode, told: _Told, cycle_time: Time, *, is_wished: bool) -> str:
     """Return why a drive cannot be in a mode; empty if it can, as far as its dictionary tells."""
-    if mode not in SET_POINTS:
+    if mode not in MODES:
         return "it takes no positions as set-points"
     if told.modes is not None and not supported(told.modes, mode):
         return f"0x6502 of {told.source} lists {_short_names(told.modes)}"
-    for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, SET_POINTS[mode]):
+    for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, SET_POINT_OF[mode]):
         if split_mux(key) not in dictionary:
             return f"it has no {mux_text(key)}"
-    selected, set_point = (dictionary.at(*split_mux(key)) for key in (objects.MODES_OF_OPERATION, SET_POINTS[mode]))
+    selected, set_point = (dictionary.at(*split_mux(key)) for key in (objects.MODES_OF_OPERATION, SET_POINT_OF[mode]))
     if not _may_be(selected, mode):
         return f"{selected.label} takes {selected.low_limit} to {selected.high_limit}, not {int(mode)}"
     if range_of(set_point.data_type) is None or not set_point.access.writable:
@@ -317,7 +314,7 @@ def _pdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: _Sl
 
 
 def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot]) -> list[PdoSettings] | str:
-    commands = (objects.CONTROLWORD, SET_POINTS[mode])
+    commands = (objects.CONTROLWORD, SET_POINT_OF[mode])
     is_cyclic = mode is not Mode.PROFILE_POSITION
     present = existing(slots, has_sync=has_sync(dictionary))
     if is_cyclic:  # one set-point each SYNC; an event-driven RPDO can be sent at each SYNC
@@ -328,14 +325,14 @@ def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: li
         return chosen
     entries = {key: entry_of(dictionary, key, Direction.RPDO) for key in commands}
     wanted = as_fit(entry for entry, _ in entries.values() if entry is not None)
-    carries_set_point = SET_POINTS[mode] in muxes_of(wanted)
+    carries_set_point = SET_POINT_OF[mode] in muxes_of(wanted)
     if carries_set_point or (wanted and not is_cyclic and objects.CONTROLWORD in missing):
         settings, obstacles = remapped(slots, node_id, wanted, is_synchronous=is_cyclic)
         if settings is not None:
             return [settings]
     else:
-        obstacles = [entries[SET_POINTS[mode]][1]]
-    if is_cyclic and SET_POINTS[mode] in missing:
+        obstacles = [entries[SET_POINT_OF[mode]][1]]
+    if is_cyclic and SET_POINT_OF[mode] in missing:
         return "; ".join(obstacles) or "it has no RPDO"
     return chosen
 

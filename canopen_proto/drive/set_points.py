@@ -1,6 +1,7 @@
-"""The objects that carry a drive's set-points and offsets, one a SYNC, in each cyclic mode.
+"""The objects that carry a drive's set-points and offsets, one a SYNC, in each cyclic mode, and in slow pp.
 
     mode        set-point              offsets that the drive adds to it
+    pp          607A    position       -      (a target of the drive's own profile; see slow_position.py)
     ip          60C1:01 position       -
     csp         607A    position       60B0 position, 60B1 velocity, 60B2 torque (feed-forward)
     csv         60FF    velocity       60B1 velocity, 60B2 torque
@@ -24,6 +25,7 @@ from canopen_proto.dictionary import Variable
 from canopen_proto.multiplexer import Mux
 
 SET_POINT_OF: Final[Mapping[int, Mux]] = {
+    Mode.PROFILE_POSITION: objects.TARGET_POSITION,
     Mode.INTERPOLATED_POSITION: objects.INTERPOLATION_SET_POINT,
     Mode.CYCLIC_SYNCHRONOUS_POSITION: objects.TARGET_POSITION,
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY: objects.TARGET_VELOCITY,

@@ -229,7 +229,8 @@ class Demonstration:
             axes[joint.name] = replace(axis, counts_per_unit=scale or axis.counts_per_unit, max_speed=max_speed)
             if file is not None:
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
-        settings = ChainSettings(cycle_time=self.plan.cycle / SECOND, own_pdos=bool(self.plan.files))
+        cycle_time = self.plan.cycle / SECOND
+        settings = ChainSettings(cycle_time=cycle_time, mode=None) if self.plan.files else ChainSettings(cycle_time=cycle_time)
         chain = master.chain(description, settings, axes=axes)
         self._devices, self._halts = chain.devices, master.halts
         self._latest = [(0.0, 0.0)] * len(chain.devices)
@@ -284,7 +285,7 @@ class Demonstration:
     async def _move(self, arm: Chain, view: DemoView) -> None:
         """Send the path: one set-point for each joint in each cycle."""
         plan = self.plan
-        await arm.enable_interpolated_position()
+        await arm.follow()
         step = view.begin("move", "", progress=0.0)
         for device in arm.devices:
             device.following.largest_error = 0.0

@@ -69,10 +69,18 @@ def test_only_one_joint_of_a_file(run: Run, tmp_path: Path) -> None:
     assert outcome.status == 0, outcome.err
 
 
-def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, tmp_path: Path) -> None:
+def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
     outcome = run("demo", *TWO, "--eds", written(tmp_path / "drive.dcf", values={0x160000: 1}))
+    assert outcome.status == 0, outcome.err
+    store = fleets[0].drives[3].values.store
+    assert [store[0x160000], store[0x160001], store[0x160002]] == [2, 0x60400010, 0x60C10120]  # it has got another mapping
+
+
+def test_a_file_of_a_drive_that_takes_no_set_points(run: Run, tmp_path: Path) -> None:
+    outcome = run("demo", *TWO, "--eds", written(tmp_path / "drive.dcf", Shape.STANDARD, values={0x650200: 0x24}))
     assert outcome.status == 12
-    assert "carries the set-points (0x60C1:01)" in outcome.err
+    assert "csp: 0x6502 of the drive lists pv, hm" in outcome.err
+    assert "pp: 0x6502" in outcome.err
 
 
 def test_a_file_of_no_drive(run: Run) -> None:

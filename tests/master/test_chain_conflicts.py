@@ -53,7 +53,7 @@ async def test_what_a_chain_is_not_ready_for() -> None:
         await arm.initialise()
         with pytest.raises(ChainError, match="it is ready") as caught:
             arm.set_positions([0])
-        assert caught.value.tries == ("await chain.enable_interpolated_position()",)
+        assert caught.value.tries == ("await chain.follow()",)
         async with trio.open_nursery() as nursery:
             nursery.start_soon(arm.home)
             await trio.testing.wait_all_tasks_blocked()

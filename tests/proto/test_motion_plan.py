@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import replace
-from types import MappingProxyType
+from collections.abc import Collection
 from typing import Any
 
 import pytest
@@ -18,7 +16,7 @@ from canopen_proto.drive.motion_plan import MotionPlan, NoMotionPlan, exchange_p
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
+from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.pdo.rules import PdoRules
 from canopen_proto.pdo.settings import PdoSettings
@@ -27,60 +25,23 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.servo import Shape
 from tests.proto.bus import Bus
+from tests.proto.drive_dictionaries import (
+    NOTHING_MAPPABLE,
+    TELLS,
+    Changes,
+    changed,
+    empty_pdos,
+    fixed,
+    supports,
+    unmappable,
+    without_pdos,
+)
 
 NODE = 5
 CYCLE = 10 * MILLISECOND
 CONTROLWORD, SET_POINT, TARGET = 0x6040_0010, 0x60C1_0120, 0x607A_0020
 STATUSWORD, POSITION, DISPLAY, VELOCITY = 0x6041_0010, 0x6064_0020, 0x6061_0008, 0x606C_0020
 MODES = {Mode.PROFILE_POSITION: 0x01, Mode.INTERPOLATED_POSITION: 0x41, Mode.CYCLIC_SYNCHRONOUS_POSITION: 0xC1}
-
-Changes = Mapping[int, Mapping[str, Any]]
-
-
-STANDARD = drive_dictionary(Shape.STANDARD)
-TELLS: Changes = {mux(0x1802, 2): {"default": 1}}
-"""TPDO 3, with statusword and position, is sent at each SYNC."""
-
-
-def changed(changes: Changes, *, without: Collection[int] = (), base: ObjectDictionary = STANDARD) -> ObjectDictionary:
-    """A drive's dictionary with other fields of some variables (by mux), and without some objects."""
-    described = {index: each for index, each in base.objects.items() if index not in without}
-    for key, fields in changes.items():
-        index, subindex = index_of(Mux(key)), subindex_of(Mux(key))
-        variables = dict(described[index].variables)
-        variables[subindex] = replace(variables[subindex], **fields)
-        described[index] = replace(described[index], variables=MappingProxyType(variables))
-    return ObjectDictionary(described.values(), source="test.eds")
-
-
-def fixed(first: int, count: int = 4) -> dict[int, dict[str, Any]]:
-    """PDOs from a communication record on whose mapping cannot be changed."""
-    return {mux(first + 0x200 + number): {"access": Access.RO} for number in range(count)}
-
-
-def supports(modes: int) -> dict[int, dict[str, Any]]:
-    return {objects.SUPPORTED_DRIVE_MODES: {"default": modes}}
-
-
-def unmappable(*keys: int) -> dict[int, dict[str, Any]]:
-    return {key: {"pdo_mappable": False} for key in keys}
-
-
-NOTHING_MAPPABLE = unmappable(
-    *(objects.CONTROLWORD, objects.STATUSWORD, objects.TARGET_POSITION, objects.INTERPOLATION_SET_POINT),
-    *(objects.POSITION_ACTUAL_VALUE, objects.MODES_OF_OPERATION_DISPLAY, objects.VELOCITY_ACTUAL_VALUE),
-    *(objects.ERROR_CODE, objects.TORQUE_ACTUAL_VALUE, objects.MODES_OF_OPERATION),
-)
-
-
-def without_pdos(*, except_rpdos: Iterable[int] = (), except_tpdos: Iterable[int] = ()) -> set[int]:
-    kept = {0x1400 + number - 1 for number in except_rpdos} | {0x1800 + number - 1 for number in except_tpdos}
-    first = {0x1400 + number for number in range(4)} | {0x1800 + number for number in range(4)}
-    return {index + offset for index in first - kept for offset in (0, 0x200)}
-
-
-def empty_pdos() -> dict[int, dict[str, Any]]:
-    return {mux(first + number): {"default": 0} for first in (0x1600, 0x1A00) for number in range(4)}
 
 
 def plan(dictionary: ObjectDictionary, **options: Any) -> MotionPlan:

@@ -30,7 +30,6 @@ from canopen_master.motion.set_point_check import check_limits
 from canopen_master.silence import missing_frame
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.drive.axis import AxisSettings
@@ -125,9 +124,9 @@ class DirectDrive:
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
             )
         self._end_following()
-        limit = await self._run(follow(self._device, self.interval * MILLISECOND, sends_itself=True))
+        followed = await self._run(follow(self._device, self.interval * MILLISECOND, sends_itself=True))
         following = self._device.following
-        following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=self._cyclic, lag=1, silent_syncs=SILENT_SYNCS)
+        following.begin(followed.limit, followed.mode, cyclic=self._cyclic, lag=1, silent_syncs=SILENT_SYNCS)
         self._taken.clear()
         self._on_sync()
         self._is_following, self._lost = True, None

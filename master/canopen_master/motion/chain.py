@@ -52,10 +52,11 @@ from canopen_master.motion.joint_procedures import (
 )
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant import Participant
+from canopen_proto.cia402.modes import Mode, short_name
 from canopen_proto.drive import enable, halt, home, reset_fault, select_standing_mode
 from canopen_proto.drive.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId, Time
-from canopen_proto.procedures.described_pdos import described_pdos
+from canopen_proto.pdo.settings import place_of
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 
@@ -73,24 +74,35 @@ class ChainState(enum.Enum):
     READY = "ready"
     """All joints are in Operation enabled."""
     FOLLOWING = "following"
-    """In interpolated position mode: set-points are sent behind each SYNC."""
+    """Set-points are sent behind each SYNC; a slow joint is given the newest one as its target."""
     HALTED = "halted"
     """Halted; it follows no set-points."""
     FAULT = "fault"
     """Stopped because a joint failed."""
 
 
+_CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
+"""The states from which a chain can home, or follow set-points."""
+
+
 @dataclass(frozen=True, slots=True)
 class ChainSettings:
-    """cycle_time: seconds between two SYNCs. rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have
-    them declared to the devices (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the
-    joint's own dictionary describes (an EDS, a DCF), if it does, and set the device up like that where it is not. max_step: the
+    """cycle_time: seconds between two SYNCs. mode: in which the joints follow set-points: ip, csp, or pp, which is slow (see
+    canopen_proto.drive.slow_position). None: the best one for each joint, by its own dictionary; own_pdos is implied.
+
+    rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have them declared to the devices
+    (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the joint's own dictionary (an EDS, a
+    DCF) has PDOs for, by a plan (canopen_proto.drive.motion_plan), and set the device up like that where it is not; a joint whose
+    dictionary has no PDO exchanges rpdo and tpdo, unless mode is None. `Device.plan` is that plan.
+
+    max_step: the
     largest step of a set-point from one cycle to the next, in the user's unit, besides what the joint's own limits allow; None
     for no such limit. max_missed_cycles: in a row, until the chain is halted. max_silent_cycles: in a row, of a joint that does
     not send its PDO, until the chain is stopped; and 20 ms at least, since adapters hold frames back.
     """
 
     cycle_time: float = 0.01
+    mode: Mode | None = Mode.INTERPOLATED_POSITION
     rpdo: str = "schunk_default_rPDO"
     tpdo: str = "schunk_default_tPDO"
     define_pdos: bool = False
@@ -215,19 +227,31 @@ class Chain:
         await self._for_all("home", lambda device: home(device.axis))
 
     async def enable_interpolated_position(self) -> None:
-        """Let all joints follow set-points from where they stand. They need not be homed before.
+        """Do as `follow`, for a chain whose mode is ip: the manual's name. Raises ChainError for a chain with another mode."""
+        self._require("enable interpolated position", *_CAN_MOVE)
+        if self.settings.mode is not Mode.INTERPOLATED_POSITION:
+            modes = ", ".join(f"{device.name} in {short_name(self._mode_of(device))}" for device in self.devices)
+            failed, seen = f"chain {self.name} cannot enable interpolated position", f"its joints follow set-points: {modes}"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("await chain.follow()",))
+        await self._follow("enable interpolated position")
+
+    async def follow(self) -> None:
+        """Let all joints follow set-points from where they stand, each in its mode. They need not be homed before.
 
         A chain that already follows set-points is halted first. Raises ChainError if a drive does not stand, lacks the mode, or
         has lost its reference (see `recover`).
         """
-        await self._require_standing("enable interpolated position")
+        await self._follow("follow set-points")
+
+    async def _follow(self, what: str) -> None:
+        await self._require_standing(what)
         self._end_following(ChainState.READY)
         cycle_time = round(self.settings.cycle_time * SECOND)
-        limits = await self._for_all("enable interpolated position", lambda device: follow(device, cycle_time))
+        followed = await self._for_all(what, lambda device: follow(device, cycle_time, self._mode_of(device)))
         if self.state is not ChainState.READY:  # a joint failed just now
             raise self._stop_reason()
         self._set_points.begin()
-        self._supervision.begin_following(limits, self.settings.max_silent_cycles)
+        self._supervision.begin_following(followed, self.settings.max_silent_cycles)
         self.state, self._followed = ChainState.FOLLOWING, True
 
     async def halt(self) -> None:
@@ -251,7 +275,7 @@ class Chain:
         followed = self._followed
         await self.initialise()
         if followed:
-            await self.enable_interpolated_position()
+            await self.follow()
 
     async def shut_down(self) -> None:
         """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop). SYNC ends with the last chain.
@@ -304,9 +328,11 @@ class Chain:
 
     def _prepare(self, device: Device) -> Procedure[None]:
         dictionary, settings = device.node.dictionary, self.settings
-        if settings.own_pdos and described_pdos(dictionary, device.node.node_id):
-            exchange = exchange_own(device)
+        has_pdos = any(place_of(index) is not None for index in dictionary.objects)
+        if settings.mode is None or (settings.own_pdos and has_pdos):
+            exchange = exchange_own(device, round(settings.cycle_time * SECOND), settings.mode)
         else:
+            device.plan = None
             pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
             exchange = exchange_named(device, pdos, settings.define_pdos)
         return prepare(device, exchange, self._heartbeat_timeout)
@@ -334,6 +360,12 @@ class Chain:
             for other in errors[1:]:
                 errors[0].add_note(str(other))
             raise errors[0]
+
+    def _mode_of(self, device: Device) -> Mode:
+        """The mode in which a joint follows set-points; of a chain that is not initialised, ip if its plan is to choose."""
+        if device.plan is not None:
+            return device.plan.mode
+        return Mode.INTERPOLATED_POSITION if self.settings.mode is None else self.settings.mode
 
     # ---- state ----
 
@@ -365,16 +397,15 @@ class Chain:
             lost = next((device for device in self.devices if device.axis.has_lost_reference), None)
             if self.state is ChainState.READY and lost is not None:
                 raise reference_lost(self.name, what, lost)
-            step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.enable_interpolated_position()"
+            step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.follow()"
             failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
 
     async def _require_standing(self, what: str) -> None:
         """Halt the chain and wait until the joints stand. Raises unless the chain can then do `what`."""
-        states = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
-        self._require(what, *states)
+        self._require(what, *_CAN_MOVE)
         await self._joints_halted(what)
-        self._require(what, *states)  # another task may have been quicker
+        self._require(what, *_CAN_MOVE)  # another task may have been quicker
 
     def _require_same_cycle(self) -> None:
         """Raise ChainError if other chains run with another cycle: SYNC is one for all chains."""

@@ -55,7 +55,7 @@ def reference_lost(chain: str, operation: str, device: Device) -> ChainError:
         joint=device.name,
         seen="it was homed, and then reset or without power, or homed without success: its positions mean something else now",
         tries=(
-            "await chain.home(), then await chain.enable_interpolated_position()",
+            "await chain.home(), then await chain.follow()",
             "AxisSettings(keeps_reference=True) if it has an absolute encoder",
         ),
     )
@@ -67,13 +67,13 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
         CHAIN_HALTED,
         chain,
         f"chain {chain} was halted {why}",
-        tries=("await chain.enable_interpolated_position() starts where the joints stand",),
+        tries=("await chain.follow() starts where the joints stand",),
     )
 
 
 def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> ChainFault:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
-    home_again = ", chain.home() and chain.enable_interpolated_position()" if device.axis.has_lost_reference else ""
+    home_again = ", chain.home() and chain.follow()" if device.axis.has_lost_reference else ""
     return ChainFault(
         chain,
         device.name,

@@ -16,6 +16,7 @@ from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.limits import limits_of
+from canopen_proto.drive.motion_plan import MotionPlan
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.multiplexer import Mux
@@ -28,8 +29,9 @@ E = TypeVar("E", bound=Event)
 
 class Device:
     """A joint; see this module's text. axis: the core's view of the drive. cyclic: the objects that it sends at every n-th SYNC
-    (mux -> n), which show that it is alive; without any, only its heartbeat does. following: whether the joint follows its
-    set-points. limits: for its set-points; the drive's own are read each time that it begins to follow set-points.
+    (mux -> n), which show that it is alive; without any, only its heartbeat does. plan: how it follows set-points, once
+    `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. following: whether the joint follows its set-points.
+    limits: for its set-points; the drive's own are read each time that it begins to follow set-points.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
@@ -39,6 +41,7 @@ class Device:
         self.node = node
         self.axis = axis
         self.cyclic: Mapping[Mux, int] = {}
+        self.plan: MotionPlan | None = None
         self.following = Following(axis)
         self.sdo_round_trips = 0
         self.limits = limits_of(axis)

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from canopen_master.motion.device import Device
 from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary import Direction, Key, PdoDescription
-from canopen_proto.drive import engage_brake, halt, shut_down, start_interpolation
-from canopen_proto.drive.following import following_limit
+from canopen_proto.drive import engage_brake, halt, shut_down, start_cyclic_position, start_interpolation
+from canopen_proto.drive.following import UNCERTAIN, following_limit
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import Limit, read_limits
+from canopen_proto.drive.motion_plan import exchange_planned, plan_motion
+from canopen_proto.drive.slow_position import profile_lag, start_slow_position
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.procedures.configure_pdo import define_pdo
-from canopen_proto.procedures.described_pdos import exchange_described
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 
@@ -29,13 +31,6 @@ HEARTBEAT: Final = "0x1017"
 HEARTBEATS_PER_TIMEOUT: Final = 3
 """One lost or late frame does not make a lost node."""
 MAX_HEARTBEAT_MS: Final = 0xFFFF
-DRIVE_COMMANDS: Final = (objects.CONTROLWORD, objects.INTERPOLATION_SET_POINT)
-"""The objects that a chain sends to its joints in each cycle."""
-DRIVE_FEEDBACK: Final = (
-    objects.STATUSWORD, objects.MODES_OF_OPERATION_DISPLAY, objects.ERROR_CODE,
-    objects.POSITION_ACTUAL_VALUE, objects.VELOCITY_ACTUAL_VALUE, objects.TORQUE_ACTUAL_VALUE,
-)  # fmt: skip
-"""The objects that it hears from them."""
 
 
 class JointFailed(ProcedureError):
@@ -96,13 +91,18 @@ def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: boo
             yield from act(lambda now, description=description: node.add_pdo(description, now))  # type: ignore[misc]
 
 
-def exchange_own(device: Device) -> Procedure[None]:
-    """Exchange the PDOs that the joint's own dictionary describes; one of them must carry the set-points."""
-    exchanged = yield from exchange_described(device.node.remote, DRIVE_COMMANDS, DRIVE_FEEDBACK)
-    if objects.INTERPOLATION_SET_POINT in exchanged.missing:
-        source = device.node.dictionary.source or "its dictionary"
-        raise ProcedureError(f"no RPDO that {source} describes for node {device.node.node_id} carries the set-points (0x60C1:01)")
-    device.cyclic = exchanged.cyclic
+def exchange_own(device: Device, cycle_time: Time, mode: Mode | None) -> Procedure[None]:
+    """Plan by the joint's own dictionary how it follows set-points, and exchange the PDOs of that plan (`device.plan`).
+
+    cycle_time: ns. mode: None lets the plan choose. The modes are those that the drive shows in 0x6502, else the file's. Raises
+    NoMotionPlan.
+    """
+    node = device.node.remote
+    modes = yield from read_if_present(node, objects.SUPPORTED_DRIVE_MODES)
+    told = modes if isinstance(modes, int) and modes else None
+    plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=told, wish=mode)
+    yield from exchange_planned(node, plan)
+    device.plan, device.cyclic = plan, plan.cyclic
 
 
 def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
@@ -123,16 +123,32 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
                 raise
 
 
-def follow(device: Device, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[Limit]:
-    """Halt the joint, read its limits, and let it follow set-points from where it stands. Returns how far off them it may be.
+class Followed(NamedTuple):
+    """How a joint follows set-points, for its watch (`Following.begin`). limit: how far off it may be. slack: in cycles."""
 
-    cycle_time: ns.
+    limit: Limit
+    mode: Mode
+    slack: int = UNCERTAIN
+
+
+def follow(
+    device: Device, cycle_time: Time, mode: Mode = Mode.INTERPOLATED_POSITION, *, sends_itself: bool = False
+) -> Procedure[Followed]:
+    """Halt the joint, read its limits, and let it follow set-points from where it stands.
+
+    cycle_time: ns. mode: csp, ip, or pp, in which a joint follows slowly.
     """
-    yield from halt(device.axis)
-    device.limits = yield from read_limits(device.axis)
-    limit = yield from following_limit(device.axis, device.limits)
-    yield from start_interpolation(device.axis, cycle_time, sends_itself=sends_itself)
-    return limit
+    axis = device.axis
+    yield from halt(axis)
+    device.limits = yield from read_limits(axis)
+    limit = yield from following_limit(axis, device.limits)
+    if mode is Mode.PROFILE_POSITION:
+        lag = yield from profile_lag(axis)
+        yield from start_slow_position(axis)
+        return Followed(limit, mode, UNCERTAIN - (-lag // cycle_time))
+    start = start_cyclic_position if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION else start_interpolation
+    yield from start(axis, cycle_time, sends_itself=sends_itself)
+    return Followed(limit, mode)
 
 
 def stop(device: Device) -> Procedure[None]:

@@ -19,18 +19,22 @@ from typing import Final
 
 from canopen_master.bus import Bus
 from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import Followed
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import AxisStateChanged
 from canopen_proto.drive.following import FollowingLost, read_unsent
-from canopen_proto.drive.limits import Limit
+from canopen_proto.drive.slow_position import feed_targets
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.procedures.steps import all_of
 
 RECENT: Final = 1 * SECOND
 """A command of another master within this time may be the reason why a joint does not follow."""
+
+_SLOW: Final = Mode.PROFILE_POSITION
 
 SILENT: Final = (
     "its power is off, its cable is loose, or it was stopped; or it does not send its PDO at each SYNC (then "
@@ -49,25 +53,27 @@ class Supervision:
         self._participant = participant
         self._devices = devices
         self._failed = failed
-        self._reading: RequestId | None = None
+        self._beside: RequestId | None = None  # what goes by SDO beside the cycle
         self.is_on = False
         for device in devices:
             kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeGuardingLost, NodeBooted)
             device.node.watch(kinds, partial(self._on_event, device))
 
-    def begin_following(self, limits: Sequence[Limit], silent_cycles: int) -> None:
-        """Watch joints that now follow set-points. limits: of their following errors. silent_cycles: see ChainSettings."""
-        for device, limit in zip(self._devices, limits, strict=True):
-            device.following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic=device.cyclic, silent_syncs=silent_cycles)
-        self._reading, _ = self._participant.launch(read_unsent([device.following for device in self._devices]))
+    def begin_following(self, followed: Sequence[Followed], silent_cycles: int) -> None:
+        """Watch joints that now follow set-points, and give the slow ones their targets. silent_cycles: see ChainSettings."""
+        for device, (limit, mode, slack) in zip(self._devices, followed, strict=True):
+            device.following.begin(limit, mode, cyclic=device.cyclic, slack=slack, silent_syncs=silent_cycles)
+        slow = [device.following for device, each in zip(self._devices, followed, strict=True) if each.mode is _SLOW]
+        reading = read_unsent([device.following for device in self._devices])
+        self._beside, _ = self._participant.launch(all_of(reading, *map(feed_targets, slow)))
 
     def end_following(self) -> None:
         """Stop watching: the joints no longer follow set-points."""
         for device in self._devices:
             device.following.end()
-        reading, self._reading = self._reading, None
-        if reading is not None:
-            self._participant.take_back(reading)
+        beside, self._beside = self._beside, None
+        if beside is not None:
+            self._participant.take_back(beside)
 
     def _on_event(
         self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeGuardingLost | NodeBooted
