@@ -2,6 +2,7 @@
 
     node.py               `DriveNode`: the simulated drive on the bus
     drive.py              `Drive`: its state machine, and what it shows
+    settings.py           its settings: shape, track, mechanics, delays
     events.py             the events of a simulated drive
     dictionary.py         its object dictionary, in two shapes
     late_drive.py         a drive that acts late, as real ones do

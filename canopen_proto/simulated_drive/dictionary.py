@@ -1,7 +1,7 @@
 """The object dictionaries of the simulated drives.
 
-Two shapes, see `servo.Shape`. Both have the communication objects of CiA 301 with four RPDOs and four TPDOs, whose COB-IDs follow
-the predefined connection set.
+Two shapes, see `settings.Shape`. Both have the communication objects of CiA 301 with four RPDOs and four TPDOs, whose COB-IDs
+follow the predefined connection set.
 
              standard (CiA 402 default mapping where it has one)   Schunk Powerball (the manual's PDOs.csv)
     RPDO1    6040                                                  6040, 6042, 60C1:01, type 1 (6042: the manual's 16-bit filler)
@@ -39,7 +39,7 @@ from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, s
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
 from canopen_proto.simulated_drive.homing import METHODS
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1

@@ -39,7 +39,8 @@ from canopen_proto.simulated_drive.fallbacks import TORQUE_LIMITS
 from canopen_proto.simulated_drive.homing import Homing
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
 from canopen_proto.simulated_drive.modes import changes_mode, modes_of
-from canopen_proto.simulated_drive.servo import UNLIMITED, DriveSettings, Servo, Shape
+from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""

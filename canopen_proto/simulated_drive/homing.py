@@ -33,7 +33,8 @@ from canopen_proto.cia402.modes import HOMING_BITS, HomingStatus, ModeControl
 from canopen_proto.cia402.states import ControlBit
 from canopen_proto.machine import Event, Outbox
 from canopen_proto.simulated_drive.profile_modes import OperationMode
-from canopen_proto.simulated_drive.servo import Servo, Shape, Track
+from canopen_proto.simulated_drive.servo import Servo
+from canopen_proto.simulated_drive.settings import Shape, Track
 
 
 class HomingFinished(Event):

@@ -14,7 +14,7 @@ from canopen_proto.dictionary.values import Values
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.multiplexer import Mux, mux, split_mux
 from canopen_proto.simulated_drive.drive import STEP, Drive
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 
 _COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
 

@@ -11,7 +11,8 @@ from canopen_proto.simulated_drive.homing import Homing
 from canopen_proto.simulated_drive.interpolated_position import InterpolatedPosition
 from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfileVelocity, Velocity
 from canopen_proto.simulated_drive.profile_position import ProfilePosition
-from canopen_proto.simulated_drive.servo import DriveSettings, Servo
+from canopen_proto.simulated_drive.servo import Servo
+from canopen_proto.simulated_drive.settings import DriveSettings
 from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition
 from canopen_proto.simulated_drive.torque_modes import CyclicTorque, CyclicVelocity, ProfileTorque
 

@@ -21,7 +21,7 @@ from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import UNSET_BY_ZERO
 from canopen_proto.simulated_drive.late_drive import LateDrive
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

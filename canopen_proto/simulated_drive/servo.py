@@ -27,18 +27,16 @@ Source: IEC 61800-7-201 (CiA 402-2), position control function, homing mode.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from enum import Enum
 from typing import Final
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import Value
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive import motion
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
 from canopen_proto.simulated_drive.plant import STANDSTILL, Control, Mechanics, Plant
+from canopen_proto.simulated_drive.settings import DriveSettings
 
 UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
@@ -50,70 +48,6 @@ _RATED_TORQUE: Final = 1000
 _MILLI: Final = 1e-3
 _INT16: Final = 1 << 15
 _NO_TURN: Final = 60.0  # units in a turn of a motor that does not tell (608Fh): a revolution per minute is a unit per second
-
-
-class Shape(Enum):
-    """The kind of drive that is simulated."""
-
-    STANDARD = "standard"
-    """A drive as in CiA 402: pp, pv, hm, ip, csp."""
-    SCHUNK_POWERBALL = "schunk"
-    """A Powerball joint as in the manual: 6502h = 43h (pp, vl, ip), but it homes by mode 6, without 6098h. Bit 8 of the
-    statusword shows that it moves, bit 15 that it is referenced."""
-
-
-@dataclass(frozen=True, slots=True)
-class Track:
-    """The switches and index pulses of an axis, in track positions.
-
-    A limit switch is active at and beyond its position (infinite: there is none), the home switch from home_switch[0] to
-    home_switch[1] (either may be infinite: a switch that stays active to the end of the track). Index pulses are at
-    index_offset + n * index_distance.
-    """
-
-    negative_limit: float = -180_000.0
-    positive_limit: float = 180_000.0
-    home_switch: tuple[float, float] = (-10_000.0, 10_000.0)
-    index_offset: float = 1_000.0
-    index_distance: float = 36_000.0
-
-    def inputs_at(self, position: float) -> int:
-        """Return the low bits of 60FDh at a position: negative limit switch, positive limit switch, home switch."""
-        low, high = self.home_switch
-        return (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
-
-
-@dataclass(frozen=True, slots=True)
-class DriveSettings:
-    """The properties of a simulated drive that are not in its dictionary.
-
-    position: on the track at power-on; also the position it shows before it is homed. lag: time constant with which the actual
-    position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated torque.
-    self_test: from power-on to Switch on disabled, ns. homing_method: the homing method of a Schunk Powerball, whose 6098h is
-    constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
-    to 1 s. unset: muxes of objects that count as not set if they are 0. mechanics: the mass that moves, in place of `lag` and
-    `load`.
-
-    set_points: how many set-points of profile position can wait behind the one that runs; 0: none, and each has to come with bit
-    5, as in Synapticon's drives. mode_change_state: the highest state in which it takes another mode (6060h), of Switch on
-    disabled, Ready to switch on, Switched on, Operation enabled. changes_mode_halted: whether it does so while bit 8 of the
-    controlword is set; Engel's drives do not. own_modes: modes of its maker, below 0; it stands in them.
-    """
-
-    shape: Shape = Shape.STANDARD
-    position: float = 3_000.0
-    track: Track = field(default_factory=Track)
-    lag: Time = 5 * MILLISECOND
-    load: int = 30
-    self_test: Time = 0
-    homing_method: int = 19
-    unset: frozenset[Mux] = frozenset()
-    reaction: Time = 0
-    mechanics: Mechanics | None = None
-    set_points: int = 1
-    mode_change_state: State = State.OPERATION_ENABLED
-    changes_mode_halted: bool = True
-    own_modes: frozenset[int] = frozenset()
 
 
 class Servo:

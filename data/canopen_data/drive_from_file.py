@@ -3,8 +3,8 @@
 A drive's EDS often has no defaults for values that the drive keeps in its memory: no supported modes, no speeds. A simulated
 drive that took these as 0 would have no mode and stand still. So `drive_dictionary_of` gives such objects the values of the
 simulated drive (see `drive_dictionary`). A value in the file stays, even 0: if that 0 would keep the drive from moving, the drive
-shows it and moves by its own values (servo.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master believes that
-object.
+shows it and moves by its own values (fallbacks.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master believes
+that object.
 
 The drive shows its state in objects with the types of CiA 402. A file with other types for these cannot have the simulated drive;
 `drive_obstacle` says why.
@@ -26,7 +26,7 @@ from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.multiplexer import mux, split_mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 
 SHOWN: Final = (
     objects.ERROR_CODE,

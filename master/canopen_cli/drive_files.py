@@ -14,7 +14,7 @@ from canopen_data.configured import without_configured_values
 from canopen_data.drive_from_file import drive_obstacle
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 
 
 @dataclass(frozen=True)

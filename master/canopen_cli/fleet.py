@@ -24,7 +24,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Event, Time
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import Transport, open_transport
 from canopen_transports.tracing import for_devices
 

@@ -40,7 +40,7 @@ from canopen_proto.procedures.steps import Procedure
 from canopen_proto.procedures.walk import walk
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports.record import Record
 from canopen_transports.tracing import recording
 

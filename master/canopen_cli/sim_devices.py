@@ -26,7 +26,7 @@ from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.multiplexer import Mux
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
 PLANT_SUFFIX: Final = ".toml"

@@ -30,7 +30,7 @@ from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.simulated_drive.node import DriveNode, powerball
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from canopen_transports import BusState, Transport, TransportError
 
 PATIENCE: Final = 16

@@ -14,7 +14,7 @@ from canopen_data.eds.writer import write_eds
 from canopen_proto.dictionary import Direction
 from canopen_proto.procedures.described_pdos import described_pdos
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests import vendor_files
 from tests.cli.cli_support import SHORT, TWO, Alarm, Run, runner, watched_fleets
 

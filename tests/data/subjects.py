@@ -19,7 +19,7 @@ from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from canopen_proto.sync import SyncConsumer
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device, whole_device
 

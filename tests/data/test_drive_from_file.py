@@ -14,7 +14,7 @@ from canopen_proto.dictionary import Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS, UNSET_BY_ZERO
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.device_bench import START, DeviceBench
 
 BASE = [standard_object(index) for index in (0x1000, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x6081, 0x6065, 0x6502)]

@@ -22,7 +22,7 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoUploaded
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of
 
 pytestmark = needs_vendor_files

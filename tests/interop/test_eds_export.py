@@ -17,7 +17,7 @@ from canopen_data.eds.writer import write_eds
 from canopen_proto.datatypes import DataType, Value, is_integer, is_signed
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.examples import examples
 from tests.proto.generated_dictionaries import descriptions
 

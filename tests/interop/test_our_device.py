@@ -17,7 +17,7 @@ from canopen_proto.machine import Outbox, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from tests.interop.driver import LIMIT, Driver
 from tests.interop.peer import new_channel, peer_dictionary, peer_network
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device

@@ -14,7 +14,7 @@ from canopen_master import Host, powerballs, simulate, standard_drives
 from canopen_master.direct.background import Background
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
 
 LIMIT = 60.0

@@ -18,7 +18,7 @@ from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import read_int, write
-from canopen_proto.simulated_drive.servo import DriveSettings, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
 
 FAR = DriveSettings(position=0, track=Track(negative_limit=-1e9))
 """A drive for which the switch that homing looks for is far away."""

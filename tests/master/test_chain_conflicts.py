@@ -24,7 +24,7 @@ from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports import Transport, open_transport
 from tests.master.world import (
     BUS,

@@ -24,7 +24,7 @@ from canopen_proto.drive.slow_position import HANDSHAKE_TIME
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from tests.master.world import BUS, arm_of, drives, position_of, simulated, virtual_time
 from tests.proto.drive_dictionaries import NOTHING_MAPPABLE, Changes, changed, empty_pdos, supports, unmappable, without_pdos
 

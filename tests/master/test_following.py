@@ -33,7 +33,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports import Transport
 from tests.master.world import BUS, Link, chain_text, drives, position_of, value, virtual_time
 

@@ -25,7 +25,7 @@ from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.multiplexed import MpdoReceived
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from canopen_transports import open_transport
 from tests.master.world import BUS, virtual_time
 

@@ -10,7 +10,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectWritten
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports import BusState, BusStateChanged, Report, open_transport
 from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time

@@ -13,7 +13,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import DriveSettings, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 SPEED = 50_000

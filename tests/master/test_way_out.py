@@ -28,7 +28,7 @@ from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, act, all_of
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_proto.sync import SyncSent
 from tests.master.world import BUS, drives, simulated, value, virtual_time
 

@@ -13,7 +13,7 @@ from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveStateChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.late_drive import LateDrive
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
 E = TypeVar("E", bound=Event)
 

@@ -11,7 +11,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.dictionary import Access, ObjectDictionary
 from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 
 Changes = Mapping[int, Mapping[str, Any]]
 

@@ -15,7 +15,7 @@ from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed,
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_proto.sync import SyncProducer
 from tests.proto.bus import Bus
 

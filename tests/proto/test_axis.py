@@ -19,7 +19,7 @@ from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import ProcedureError, StepTimeout
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.rig import CYCLE, MILLIDEGREES, Rig
 
 

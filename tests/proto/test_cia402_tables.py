@@ -13,7 +13,7 @@ from canopen_proto.cia402.names import with_drive_names
 from canopen_proto.cia402.option_codes import OPTION_CODES
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto import cia402_oracle as oracle
 from tests.proto.cia402_oracle import DISABLED, ENABLED, FAULT, NOT_READY, OPTIONS, QUICK_STOP, REACTION, Stop
 from tests.proto.drive_bench import DICTIONARIES, Bench

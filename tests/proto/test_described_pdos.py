@@ -28,7 +28,7 @@ from canopen_proto.procedures.described_pdos import choose_pdos, cyclic_objects,
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.bus import Bus
 
 STANDARD = drive_dictionary(Shape.STANDARD)

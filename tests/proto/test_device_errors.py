@@ -10,7 +10,7 @@ from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.procedures.steps import SdoFailed, download
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.devices import LIMITED, Pair, io_device
 from tests.proto.rig import Rig
 

@@ -23,7 +23,7 @@ from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.rig import CYCLE, Rig
 
 TENTH = 100 * MILLISECOND

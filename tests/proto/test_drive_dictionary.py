@@ -11,7 +11,8 @@ from canopen_proto.machine import NEVER
 from canopen_proto.multiplexer import mapped
 from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES, drive_dictionary
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
-from canopen_proto.simulated_drive.servo import DriveSettings, Servo, Shape
+from canopen_proto.simulated_drive.servo import Servo
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.drive_bench import Bench
 
 SHAPES = list(Shape)

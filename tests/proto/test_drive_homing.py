@@ -13,7 +13,7 @@ from canopen_proto.cia402.modes import HomingStatus, homing_status
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER
 from canopen_proto.simulated_drive.homing import HomingFinished, Seek
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
 from tests.proto.drive_bench import NODE_ID, Bench
 

@@ -8,7 +8,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.interpolated_position import SetPointLost, SetPointUnderrun
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.drive_bench import NODE_ID, Bench
 
 ACTIVE, WARNING, REACHED, LIMIT = 12, 7, 10, 11

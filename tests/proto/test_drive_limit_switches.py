@@ -8,7 +8,7 @@ import pytest
 
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.proto.drive_bench import Bench
 
 INTERNAL_LIMIT, REACHED, FOLLOWS = 11, 10, 12

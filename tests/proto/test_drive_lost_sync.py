@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_proto.simulated_drive.synchronous_modes import SYNC_TOLERANCE, SyncOverdue
 from tests.examples import examples
 from tests.proto.drive_bench import NODE_ID, Bench

@@ -13,7 +13,7 @@ from canopen_proto.machine import NEVER, SECOND
 from canopen_proto.simulated_drive.drive import FOLLOWING_ERROR
 from canopen_proto.simulated_drive.events import DriveFault
 from canopen_proto.simulated_drive.plant import Mechanics
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from tests.proto.drive_bench import Bench
 
 JOINT = Mechanics()

@@ -9,7 +9,7 @@ import pytest
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, NEVER
 from canopen_proto.simulated_drive.events import DriveFault
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.proto.drive_bench import NODE_ID, Bench
 
 ACKNOWLEDGE, FOLLOWING_ERROR, REACHED, LIMIT = 12, 13, 10, 11

@@ -17,7 +17,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.rig import CYCLE, Rig
 
 SHAPES = [Shape.STANDARD, Shape.SCHUNK_POWERBALL]

@@ -17,7 +17,7 @@ from canopen_proto.drive.view import DriveView
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed, StepTimeout
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.object_answers import run_against
 from tests.proto.rig import Rig
 

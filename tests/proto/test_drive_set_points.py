@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from tests.examples import examples
 from tests.proto.drive_bench import Bench
 

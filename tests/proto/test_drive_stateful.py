@@ -24,7 +24,7 @@ from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, ProcedureError
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
 from tests.proto.rig import CYCLE, MILLIDEGREES, Ended, Rig
 

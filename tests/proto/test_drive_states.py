@@ -11,7 +11,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, Outbox
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, StatuswordChanged
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from tests.proto.drive_bench import NODE_ID, Bench
 
 REACHABLE = [state for state in State if state not in (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)]

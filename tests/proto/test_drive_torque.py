@@ -10,7 +10,7 @@ import pytest
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER
 from canopen_proto.simulated_drive.plant import Mechanics
-from canopen_proto.simulated_drive.servo import DriveSettings, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from canopen_proto.simulated_drive.synchronous_modes import SyncOverdue
 from tests.proto.drive_bench import Bench
 

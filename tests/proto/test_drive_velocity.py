@@ -9,7 +9,7 @@ from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings
 from tests.proto.drive_bench import Bench
 
 REACHED, LIMIT, SPEED_ZERO, SLIPPAGE = 10, 11, 12, 13

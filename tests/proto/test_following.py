@@ -29,7 +29,7 @@ from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.rig import CYCLE, Rig
 
 FOLLOWS = 0x1237  # operation enabled, bit 12

@@ -27,7 +27,7 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import Pending
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.examples import examples
 from tests.proto.bus import Bus
 from tests.vendor_files import needs_vendor_files, path_of

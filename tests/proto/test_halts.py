@@ -16,7 +16,7 @@ from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
 from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.drive import Drive
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.builds import replaces_what_is_compiled
 from tests.proto.rig import Rig
 

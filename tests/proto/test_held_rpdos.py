@@ -24,7 +24,7 @@ from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.examples import examples
 from tests.proto.rig import CYCLE, STREAMED, Rig
 

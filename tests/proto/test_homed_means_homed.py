@@ -17,7 +17,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import HomingStatus
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.simulated_drive.homing import HomingFinished
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
 from tests.proto.rig import Rig
 

@@ -18,7 +18,7 @@ import pytest
 from canopen_proto.cia402.modes import HomingStatus, homing_status
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.homing import METHODS
-from canopen_proto.simulated_drive.servo import DriveSettings, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from tests.proto.drive_bench import Bench
 
 MIDDLE, UPPER, LOWER = (-7_000.0, 9_000.0), (2_000.0, math.inf), (-math.inf, -3_000.0)

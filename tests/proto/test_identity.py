@@ -17,7 +17,7 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.object_answers import run_against
 from tests.proto.rig import Rig
 

@@ -12,7 +12,7 @@ from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.drive.reasons import look_at, reasons
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.procedures.configure_pdo import use_device_pdo
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.proto.rig import CYCLE, Rig
 
 LIMIT = 10_000

@@ -12,7 +12,7 @@ from canopen_proto.frame import SDO_CLIENT_TO_SERVER
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.rig import CYCLE, Rig
 
 WITH_MODE = 2

@@ -23,7 +23,7 @@ from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.bus import Bus
 from tests.proto.drive_dictionaries import (
     NOTHING_MAPPABLE,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from canopen_proto import drive
 from canopen_proto.machine import SECOND
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.examples import examples
 from tests.proto.rig import MILLIDEGREES, Rig
 

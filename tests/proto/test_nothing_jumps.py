@@ -17,7 +17,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFinished
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.examples import examples
 from tests.proto.rig import CYCLE, Ended, Rig
 

@@ -8,7 +8,7 @@ from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, carried_in, profile_in, roles_in
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.servo import Shape
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.devices import LIMITED, OUTPUT, io_device
 from tests.proto.full_device import OUTPUT_16, full_device
 from tests.proto.restore_bench import FACTORY, SECRET, device

@@ -20,7 +20,7 @@ from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import Procedure, ProcedureError
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.rig import CYCLE, Rig
 
 REACTION = 100 * MILLISECOND
