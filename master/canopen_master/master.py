@@ -40,8 +40,8 @@ SDO_TIMEOUT = 0.5
 class Master(Participant):
     """See this module's text. Participant says what it does on its buses.
 
-    devices: the drives by their nodes. chains: those made so far. halts: once the master was left, the halts of its drives. Times
-    are in seconds here, as everywhere in trio.
+    devices: the drives by their nodes. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
+    halts: once the master was left, the halts of its drives. Times are in seconds here, as everywhere in trio.
     """
 
     def __init__(
@@ -62,7 +62,9 @@ class Master(Participant):
         self._nodes: dict[tuple[Bus, int], Node] = {}
         self._files: dict[str, ObjectDictionary] = {}
         self.devices: dict[Node, Device] = {}
-        self.chains: list[Chain] = []
+        self.chains: dict[str, Chain] = {}
+        self.nodes: dict[str, Node] = {}
+        self.joints: dict[str, Device] = {}
         self.halts: list[Halt] = []
         self.grips = Grips(self, grip)
 
@@ -146,16 +148,18 @@ class Master(Participant):
         """Make the chain of a description. axes: the settings of all joints, or by joint; by default as in `device`.
 
         Raises UnknownChain if the description names a bus that this master does not have, LocalProtocolError for a drive that is
-        in use with other settings.
+        in use with other settings, and for a name that another chain has.
         """
+        if description.name in self.chains:
+            raise LocalProtocolError(f"this master has a chain {description.name!r} already")
         devices = []
         for joint in description.joints:
             axis = axes.get(joint.name) if isinstance(axes, Mapping) else axes
             node = self.node(joint.node_id, dictionary, bus=joint.bus)
             devices.append(self.device(node, joint.name, axis))
         settings = ChainSettings() if settings is None else settings
-        chain = Chain(self, description.name, devices, settings, self._heartbeat_timeout, self.chains)
-        self.chains.append(chain)
+        chain = Chain(self, description.name, devices, settings, self._heartbeat_timeout, self.chains.values())
+        self.chains[chain.name] = chain
         return chain
 
     def load_chains(

@@ -19,16 +19,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
+from pathlib import Path
 from types import TracebackType
 from typing import Final, TypeAlias
 
 import trio
 from trio.lowlevel import enable_ki_protection
 
+from canopen_master.assembly import assemble
 from canopen_master.errors import HALT_NOT_CONFIRMED, BusError, HaltNotConfirmed
+from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.machine import LocalProtocolError
+from canopen_proto.dictionary.model import did_you_mean
+from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_transports import Transport, TransportError, open_transport
 
@@ -45,23 +49,38 @@ BRAKING_TIME: Final = 30.0
 
 def open_master(
     *locators: BusSource,
+    machine: MachineFile | str | Path | None = None,
     buses: Mapping[str, BusSource] | None = None,
-    sdo_timeout: float = SDO_TIMEOUT,
-    heartbeat_timeout: float = 0.0,
+    sdo_timeout: float | None = None,
+    heartbeat_timeout: float | None = None,
     dictionary: ObjectDictionary | None = None,
     grip: Grip | None = DEFAULT_GRIP,
 ) -> MasterSession:
     """Open a master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
 
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
-    names may mean one bus. sdo_timeout: seconds that a device may take for each answer. heartbeat_timeout: seconds after which a
-    node whose heartbeat stops is lost (chains then have their joints send heartbeats); 0 for no supervision. dictionary: for
-    nodes that are given none; by default that of the data files. grip: how drives notice that this master is gone, and stop: once
-    it enables a drive, it sends its heartbeat as node 127; None for no grip. See grip.py.
+    names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
+    seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
+    supervision. dictionary: for nodes that are given none; by default that of the data files. grip: how drives notice that this
+    master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for no grip. See grip.py.
+
+    machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
+    `joints` and `chains` of the master. buses then replace those of the file, by their names. What else is given goes before what
+    the file says; a grip that is DEFAULT_GRIP is not given. Raises DataError, DictionaryError with every error in the file.
 
     Entering the block raises BusError if a bus cannot be opened. On leaving it, see this module's text.
     """
+    if isinstance(machine, str | Path):
+        machine = read_machine(machine)
     named: dict[str, BusSource] = {}
+    if machine is not None:
+        if unknown := (buses or {}).keys() - machine.buses.keys():
+            raise LocalProtocolError(f"{machine.source} has no bus {min(unknown)!r}{did_you_mean(min(unknown), machine.buses)}")
+        named.update({bus.name: bus.locator for bus in machine.buses.values()})
+        told = machine.master
+        sdo_timeout = told.timeout / SECOND if sdo_timeout is None else sdo_timeout
+        heartbeat_timeout = told.heartbeat_timeout / SECOND if heartbeat_timeout is None else heartbeat_timeout
+        grip = told.grip if grip is DEFAULT_GRIP else grip
     for number, locator in enumerate(locators):
         name = locator if isinstance(locator, str) else getattr(locator, "locator", f"bus{number}")
         if name in named:
@@ -72,14 +91,17 @@ def open_master(
         raise LocalProtocolError('a master needs a bus: open_master("virtual:demo")')
 
     def make(transports: Mapping[str, Transport], aliases: Mapping[str, str]) -> Master:
-        return Master(
+        master = Master(
             transports,
             aliases=aliases,
-            sdo_timeout=sdo_timeout,
-            heartbeat_timeout=heartbeat_timeout,
+            sdo_timeout=SDO_TIMEOUT if sdo_timeout is None else sdo_timeout,
+            heartbeat_timeout=heartbeat_timeout or 0.0,
             dictionary=dictionary,
             grip=grip,
         )
+        if machine is not None:
+            assemble(master, machine)
+        return master
 
     return MasterSession(named, make)
 

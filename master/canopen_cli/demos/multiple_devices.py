@@ -50,7 +50,7 @@ def move(options: Options) -> None:
     canopen.close_connection()
 
 
-def send(positions: dict[int, int], step: int, steps: int) -> None:
+def send(positions: dict[int, float], step: int, steps: int) -> None:
     for _ in range(steps):
         for device in positions:
             positions[device] += step

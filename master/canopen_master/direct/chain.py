@@ -22,12 +22,13 @@ R = TypeVar("R")
 
 class ChainCalls:
     """One chain; see this module's text. name, joints: as in the chain file. Positions are in millidegrees, or what the drives
-    count in, one per joint in the order of the file.
+    count in, one per joint in the order of the file; with a machine file they are in the units of the joints.
 
     Raises NotConnected before open_connection, and MasterClosed or BusError after its end.
     """
 
-    def __init__(self, connection: Connection, description: ChainDescription) -> None:
+    def __init__(self, connection: Connection, description: ChainDescription, in_counts: bool = True) -> None:
+        self._in_counts = in_counts
         self._connection = connection
         self.description = description
         self.name = description.name
@@ -78,7 +79,7 @@ class ChainCalls:
         while True:
             yield self._call(wait)
 
-    def set_pos(self, positions: Sequence[int]) -> None:
+    def set_pos(self, positions: Sequence[float]) -> None:
         """Give the set-points to send behind the next SYNC. They are repeated until others are given.
 
         Raises SetPointRefused for a wrong count, a value that does not fit, or one beyond the limits of its joint; ChainFault if
@@ -90,13 +91,16 @@ class ChainCalls:
 
         self._call(give)
 
-    def get_current_pos(self) -> list[int]:
+    def get_current_pos(self) -> list[float]:
         """Return the actual positions, as last heard."""
-        return self._ask(lambda chain: [round(position) for position in chain.positions])
+        return self._shown(self._ask(lambda chain: chain.positions))
 
-    def get_desired_pos(self) -> list[int]:
+    def get_desired_pos(self) -> list[float]:
         """Return the positions that the next PDOs command."""
-        return self._ask(lambda chain: [round(position) for position in chain.desired_positions])
+        return self._shown(self._ask(lambda chain: chain.desired_positions))
+
+    def _shown(self, positions: list[float]) -> list[float]:
+        return [round(position) for position in positions] if self._in_counts else positions
 
     @property
     def is_homed(self) -> bool:
@@ -125,7 +129,6 @@ class ChainCalls:
         return self._connection.attempt(lambda master: function(self._chain_of(master)))
 
     def _chain_of(self, master: Master) -> Chain:
-        for chain in master.chains:
-            if chain.name == self.name:
-                return chain
-        raise LocalProtocolError(f"chain {self.name} is not commanded yet: init_master_thread() first")
+        if self.name not in master.chains:
+            raise LocalProtocolError(f"chain {self.name} is not commanded yet: init_master_thread() first")
+        return master.chains[self.name]

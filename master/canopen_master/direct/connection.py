@@ -19,8 +19,9 @@ from canopen_data.findings import DictionaryError
 from canopen_master.direct.background import Background
 from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
-from canopen_master.master import SDO_TIMEOUT, Master
-from canopen_master.session import open_master
+from canopen_master.machine_file import MachineFile
+from canopen_master.master import Master
+from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation import DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
@@ -83,12 +84,16 @@ class Connection:
         self,
         bus: str,
         buses: Mapping[str, str],
-        sdo_timeout: float = SDO_TIMEOUT,
+        sdo_timeout: float | None = None,
         dictionary: ObjectDictionary | None = None,
         grip: Grip | None = DEFAULT_GRIP,
         prepare: Callable[[Master], object] = lambda _: None,
+        machine: MachineFile | None = None,
     ) -> bool:
-        """Open the buses and begin the master's thread. buses: further ones, by name. prepare: called with the master at once."""
+        """Open the buses and begin the master's thread. buses: further ones, by name; those of a machine go before them.
+
+        prepare: called with the master at once.
+        """
         with self._lock:
             try:
                 if self.is_open:
@@ -96,7 +101,11 @@ class Connection:
                 self._end()
                 if dictionary is None:
                     dictionary, _ = load_dictionary()  # now, so that a fault in the files is raised now
-                make = partial(_master, tuple(self._simulated), bus, dict(buses), sdo_timeout, dictionary, grip, prepare)
+                named = {**buses} if machine is not None else {bus: bus, **buses}
+                options = partial(
+                    open_master, machine=machine, buses=named, sdo_timeout=sdo_timeout, dictionary=dictionary, grip=grip
+                )
+                make = partial(_master, tuple(self._simulated), options, prepare)
                 background = Background(make, lambda master: master.failure)
                 background.start()
             except OPENING_ERRORS as error:
@@ -147,11 +156,7 @@ class Connection:
 @asynccontextmanager
 async def _master(
     simulated: Sequence[tuple[str, Sequence[DeviceMaker]]],
-    bus: str,
-    buses: Mapping[str, str],
-    sdo_timeout: float,
-    dictionary: ObjectDictionary,
-    grip: Grip | None,
+    open_it: Callable[[], MasterSession],
     prepare: Callable[[Master], object],
 ) -> AsyncIterator[Master]:
     """Open the master inside the simulated drives: they must outlive it, because it halts them at its end."""
@@ -163,8 +168,7 @@ async def _master(
         try:
             for locator, devices in simulated:
                 await nursery.start(simulate, await open_transport(locator), devices)
-            named = {bus: bus, **buses}
-            async with open_master(buses=named, sdo_timeout=sdo_timeout, dictionary=dictionary, grip=grip) as master:
+            async with open_it() as master:
                 prepare(master)
                 yield master
         except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group

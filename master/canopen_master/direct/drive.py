@@ -67,17 +67,20 @@ _SYNC_TIME_OUT: Final = "0x200E"
 class DirectDrive:
     """See this module's text. interval: ms between two SYNCs, as written to the drive."""
 
-    def __init__(self, master: Master, device: Device, rpdo: str, tpdo: str) -> None:
-        """rpdo, tpdo: the PDOs of the dictionary that the drive comes with; an unknown name means none."""
+    def __init__(self, master: Master, device: Device, rpdo: str, tpdo: str, in_counts: bool = True) -> None:
+        """rpdo, tpdo: the PDOs of the dictionary that the drive comes with; an unknown name means none. in_counts: positions are
+        integers as on the wire; False: in the unit of the machine file.
+        """
         self._master = master
         self._device = device
         self.axis = device.axis
         self.node = device.node
         self.interval = 10
+        self._in_counts = in_counts
         self._producer: PdoProducer | None = None
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
-        self._taken: deque[tuple[Time, int]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; at first: where it stood
+        self._taken: deque[tuple[Time, float]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; at first: where it stood
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
         self._cyclic: dict[Mux, int] = {}  # the same by object, of those that came
         self._lost: FollowingLost | None = None  # why it stopped following, for the next send_position
@@ -150,7 +153,7 @@ class DirectDrive:
         self.interval = milliseconds
 
     async def set_max_speed(self, speed: float) -> None:
-        """Allow set-points this fast, in counts per second, whatever the drive says."""
+        """Allow set-points this fast, in counts (or the joint's unit) per second, whatever the drive says."""
         await self._run(identify(self.axis))
         self.axis.settings = replace(self.axis.settings, max_speed=speed)
         self._device.limits = await self._run(read_limits(self.axis))
@@ -193,9 +196,9 @@ class DirectDrive:
                 self._running.remove(scope)
         raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
 
-    async def send_position(self, position: int) -> None:
+    async def send_position(self, position: float) -> None:
         """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
-        chain = next((each for each in self._master.chains if self._device in each.devices), None)
+        chain = next((each for each in self._master.chains.values() if self._device in each.devices), None)
         if chain is not None and self.node.remote.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
             at = {device: device.desired_position for device in chain.devices} | {self._device: position}
             chain.set_positions(list(at.values()))  # the master's next cycle takes it along
@@ -206,23 +209,27 @@ class DirectDrive:
         node_id = self.node.node_id
         if not self._is_following:
             raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
-        self._check(position)
-        self.axis.set_position_counts(position)
+        self.axis.set_position_counts(self._checked(position))
         producer = self._producer
         assert producer is not None  # a drive that follows has one
         await self._master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
 
-    def _check(self, position: int) -> None:
-        """Raise ValueRangeError or SetPointRefused for a set-point that the drive cannot hold, or that is beyond its limits."""
-        self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(position)
+    def _checked(self, position: float) -> int:
+        """Return the counts of a set-point.
+
+        Raises ValueRangeError or SetPointRefused for one that the drive cannot hold, or that is beyond its limits.
+        """
+        counts = position if self._in_counts else self.axis.to_counts(position)
+        self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(counts)
         interval = self.interval * MILLISECOND
         (since, start), (_, last) = self._taken[0], self._taken[-1]
         check_limits(self._device, last, position, interval)
         if abs(position - start) > abs(last - start):  # standing and coming back must always be possible
             check_limits(self._device, start, position, self._master.now() - since + interval)
+        return int(counts)
 
     def _on_sync(self, report: Event | None = None) -> None:
-        self._taken.append((self._master.now(), self.axis.set_point_counts))
+        self._taken.append((self._master.now(), self.axis.set_point))
 
     def _end_following(self) -> None:
         self._is_following = False

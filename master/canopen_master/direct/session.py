@@ -28,16 +28,20 @@ from typing import Final, TypeVar
 
 import trio
 
+from canopen_master.assembly import described
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import COUNTS, DirectDrive
 from canopen_master.direct.incoming import IncomingPdos
-from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.machine_file import MachineFile, read_machine
+from canopen_master.master import Master
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
+from canopen_master.node import Node
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
+from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drive import read_position
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
@@ -68,11 +72,12 @@ class Session:
         self.chain_map: dict[str, ChainCalls] = {}
         self._rpdo, self._tpdo = rpdo, tpdo
         self._connection = Connection()
-        self._drives: dict[int, DirectDrive] = {}  # of the open connection; used in the master's thread
+        self._drives: dict[Node, DirectDrive] = {}  # of the open connection; used in the master's thread
         self._chain_source: tuple[str | Path, str | None] = "", None
         self._chains: tuple[ChainDescription, ...] = ()
         self._queues_pdos = True
         self._sync_due = 0.0
+        self._machine: MachineFile | None = None
 
     def __enter__(self) -> Session:
         return self
@@ -84,10 +89,11 @@ class Session:
 
     def open_connection(
         self,
-        bus: str,
+        bus: str = "",
         *,
+        machine: MachineFile | str | Path | None = None,
         buses: Mapping[str, str] | None = None,
-        sdo_timeout: float = SDO_TIMEOUT,
+        sdo_timeout: float | None = None,
         dictionary: ObjectDictionary | None = None,
         grip: Grip | None = DEFAULT_GRIP,
     ) -> bool:
@@ -95,9 +101,23 @@ class Session:
 
         Returns False if it fails (`last_error` says why, and what to try), also while a connection is open. bus: the bus of the
         node-IDs. buses: more buses, by the names that a chain file gives them; a file's buses are opened by themselves if `bus`
-        is one of them. sdo_timeout: seconds for one answer of a device. dictionary: by default that of the data files. grip: how
-        drives notice that this program is gone, and stop; see `open_master`.
+        is one of them. sdo_timeout: seconds for one answer of a device, by default 0.5. dictionary: by default that of the data
+        files. grip: how drives notice that this program is gone, and stop; see `open_master`.
+
+        machine: a machine file, in place of `bus`. Its chains are in `chain_map`. Wherever a function takes a node-ID, it also
+        takes the name of a joint or a node, and positions are in the unit of the joint. A node-ID means the bus of this name
+        (`bus`), by default the first one. Raises DictionaryError with every error in the file.
         """
+        if machine is not None:
+            self._machine = read_machine(machine) if isinstance(machine, str | Path) else machine
+            chains = [described(chain, self._machine) for chain in self._machine.chains.values()]
+            self.chain_map.clear()
+            self.chain_map.update({each.name: ChainCalls(self._connection, each, in_counts=False) for each in chains})
+            first = bus or next(iter(self._machine.buses))
+            return self._connection.open(first, buses or {}, sdo_timeout, dictionary, grip, self._prepare, self._machine)
+        if not bus:
+            raise LocalProtocolError('open_connection needs a bus ("/dev/pcan32"), or a machine file')
+        self._machine = None
         named = dict.fromkeys(joint.bus for chain in self._chains for joint in chain.joints)
         more = {name: name for name in named if name != bus} if bus in named else {}
         return self._connection.open(bus, {**more, **(buses or {})}, sdo_timeout, dictionary, grip, self._prepare)
@@ -138,7 +158,7 @@ class Session:
 
         self._call(start)
 
-    def send_nmt(self, command: str | NmtCommand, node: int = 0) -> None:
+    def send_nmt(self, command: str | NmtCommand, node: int | str = 0) -> None:
         """Send an NMT command to one device, or to all of them (0).
 
         command: a constant of the object NMT in constants.csv ("start_remote_node", "stop_remote_node", ...), or an NmtCommand.
@@ -148,7 +168,10 @@ class Session:
             value = master.dictionary.constant_value("NMT", command) if isinstance(command, str) else command
             if value not in list(NmtCommand):
                 raise LocalProtocolError(f"{command!r} is not an NMT command: 0x{value:02X}")
-            await master.nmt(NmtCommand(value), node, bus=self._connection.bus)
+            if node == 0:
+                await master.nmt(NmtCommand(value), bus=self._connection.bus)
+            else:
+                await self._node(master, node).nmt(NmtCommand(value))
 
         self._call(send)
 
@@ -171,7 +194,7 @@ class Session:
 
     # ---- objects ----
 
-    def send_sdo(self, node: int, key: Key, value: Value | None = None) -> Message:
+    def send_sdo(self, node: int | str, key: Key, value: Value | None = None) -> Message:
         """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`.
 
         Once the device has answered, returns the value read or written, with the names of the constants that it bears. Raises
@@ -181,15 +204,15 @@ class Session:
         """
 
         async def transfer(master: Master) -> Message:
-            device = master.node(node, bus=self._connection.bus)
+            device = self._node(master, node)
             if value is None:
                 return await device.read_message(key)
             await device.write(key, value)
-            return device.dictionary.message(node, key, device.dictionary.value_from(key, value))
+            return device.dictionary.message(device.node_id, key, device.dictionary.value_from(key, value))
 
         return self._call(transfer)
 
-    def define_pdo(self, node: int, name: str, *, number: int | None = None, transmission_type: int = 1) -> bool:
+    def define_pdo(self, node: int | str, name: str, *, number: int | None = None, transmission_type: int = 1) -> bool:
         """Declare a PDO of PDOs.csv to a device, and use it: a tPDO goes to `incoming_pdos`, an rPDO with a set-point is sent by
         `send_pos`. Returns False if the device refuses; it then has its old PDO again.
 
@@ -205,23 +228,23 @@ class Session:
 
     # ---- drives ----
 
-    def fault_reset(self, node: int) -> bool:
+    def fault_reset(self, node: int | str) -> bool:
         """Reset a fault; does nothing to a drive without one. Returns False if the fault stays."""
         return self._attempt(node, lambda drive: drive.reset_fault())
 
-    def init_device(self, node: int) -> bool:
+    def init_device(self, node: int | str) -> bool:
         """Lead the drive to Operation enabled, step by step. True when it reports that."""
         return self._attempt(node, lambda drive: drive.change_state(State.OPERATION_ENABLED))
 
-    def homing(self, node: int) -> bool:
+    def homing(self, node: int | str) -> bool:
         """Home the drive; return when it has stopped. True if it is referenced. IT MOVES; an interrupt halts it."""
         return self._attempt(node, lambda drive: drive.home())
 
-    def enable_ip_mode(self, node: int) -> bool:
+    def enable_ip_mode(self, node: int | str) -> bool:
         """Make the drive follow the set-points of `send_pos` from where it stands. Returns False if it lacks the mode."""
         return self._attempt(node, lambda drive: drive.follow())
 
-    def send_pos(self, node: int, position: int) -> None:
+    def send_pos(self, node: int | str, position: float) -> None:
         """Send the rPDO with this set-point. The drive takes it at the next SYNC and is there one interval later.
 
         position: absolute, in millidegrees (the drive's counts). The rPDO also carries the controlword that was commanded last.
@@ -237,15 +260,16 @@ class Session:
 
         self._call(send)
 
-    def get_pos(self, node: int) -> int:
+    def get_pos(self, node: int | str) -> float:
         """Read the actual position (0x6064) from the drive. Raises ProcedureError."""
 
-        async def ask(master: Master) -> int:
-            return round(await master.run(read_position(self._drive(master, node).axis)))
+        async def ask(master: Master) -> float:
+            position = await master.run(read_position(self._drive(master, node).axis))
+            return round(position) if self._machine is None else position
 
         return self._call(ask)
 
-    def drive_mode(self, node: int, mode: int | str) -> bool:
+    def drive_mode(self, node: int | str, mode: int | str) -> bool:
         """Select a mode of operation: a number, or a constant of modes_of_operation. True when the drive shows it."""
 
         async def select(master: Master) -> None:
@@ -256,23 +280,23 @@ class Session:
 
         return self._connection.attempt(select)
 
-    def halt(self, node: int) -> bool:
+    def halt(self, node: int | str) -> bool:
         """Stop the drive, whatever another thread is doing with it. It stays enabled. New set-points need enable_ip_mode."""
         return self._attempt(node, lambda drive: drive.halt())
 
-    def enable_brake(self, node: int) -> bool:
+    def enable_brake(self, node: int | str) -> bool:
         """Lead the drive to Ready to switch on: no torque, the brake is engaged. The manual writes enableBreak."""
         return self._attempt(node, lambda drive: drive.change_state(State.READY_TO_SWITCH_ON))
 
     enable_break = enable_brake
 
-    def release_brake(self, node: int) -> bool:
+    def release_brake(self, node: int | str) -> bool:
         """Lead the drive to Operation enabled again. The manual's library has it as releaseBreak."""
         return self.init_device(node)
 
     release_break = release_brake
 
-    def shutdown_device(self, node: int) -> bool:
+    def shutdown_device(self, node: int | str) -> bool:
         """Take the drive's power away (Switch on disabled); then, even if that failed, stop its communication (NMT stop)."""
 
         async def shut_down(master: Master) -> None:
@@ -285,14 +309,14 @@ class Session:
 
         return self._connection.attempt(shut_down)
 
-    def set_sync_interval(self, node: int, milliseconds: int = SYNC_INTERVAL) -> bool:
+    def set_sync_interval(self, node: int | str, milliseconds: int = SYNC_INTERVAL) -> bool:
         """Write the time between two SYNCs (0x60C2) to the drive, 1 to 255 ms; 10 ms if it is never written.
 
         If the drive has the manual's watch over the SYNC (0x200E), that is switched off: here the user sends the SYNC.
         """
         return self._attempt(node, lambda drive: drive.set_interval(milliseconds))
 
-    def set_max_speed(self, node: int, counts_per_second: float) -> bool:
+    def set_max_speed(self, node: int | str, counts_per_second: float) -> bool:
         """Allow set-points of `send_pos`, and of a chain, this fast; millidegrees per second for the manual's arm.
 
         The default is the drive's own limit (0x607F, 0x6080), or 30 000 if it has none. Returns False if the drive does not
@@ -300,11 +324,11 @@ class Session:
         """
         return self._attempt(node, lambda drive: drive.set_max_speed(counts_per_second))
 
-    def wait_for_status(self, node: int, constant: str, timeout: float = 1.0) -> bool:
+    def wait_for_status(self, node: int | str, constant: str, timeout: float = 1.0) -> bool:
         """Wait until the statusword bears a constant, such as "operation_enable". Returns False after `timeout` seconds."""
         return self._attempt(node, lambda drive: drive.wait_for(constant, round(timeout * SECOND)))
 
-    def set_motor_state(self, node: int, state: str) -> bool:
+    def set_motor_state(self, node: int | str, state: str) -> bool:
         """Lead the drive to a state, up or down, by the shortest way: a constant of statusword, such as "switched_on"."""
 
         async def lead(master: Master) -> None:
@@ -338,20 +362,26 @@ class Session:
         if handler is not None:
             threading.Thread(target=self._process, args=(handler,), name="canopen incoming PDOs", daemon=True).start()
 
-    def init_master_thread(self, sync_interval: int = SYNC_INTERVAL) -> None:
+    def init_master_thread(self, sync_interval: int | None = None) -> None:
         """Begin the master's cycle: SYNC, then the PDOs of the chains that follow set-points, then SDO in the time left.
 
-        sync_interval: milliseconds. From now on the chains of `chain_map` take commands. `using_master_thread` must be True.
+        sync_interval: milliseconds, by default 10; a machine file says it itself. From now on the chains of `chain_map` take
+        commands. `using_master_thread` must be True.
         Raises ChainFileError if the chain file names buses that are not open.
         """
         if not self._uses_master_thread():
             raise LocalProtocolError("init_master_thread() needs using_master_thread = True")
-        settings = ChainSettings(cycle_time=sync_interval / 1000, rpdo=self._rpdo, tpdo=self._tpdo)
+        machine = self._machine
+        if machine is not None and sync_interval is not None:
+            raise LocalProtocolError(f"{machine.source} says the cycle: init_master_thread() takes no interval")
+        interval = SYNC_INTERVAL if sync_interval is None else sync_interval
+        cycle_time = interval / 1000 if machine is None else machine.master.cycle / SECOND
+        settings = ChainSettings(cycle_time=cycle_time, rpdo=self._rpdo, tpdo=self._tpdo)
 
         async def begin(master: Master) -> None:
-            if master.chains:
+            if master.sync_period:
                 raise LocalProtocolError("the master's cycle runs already")
-            if self._chains:
+            if self._chains and machine is None:
                 file, text = self._chain_source
                 master.load_chains(file, text=text, settings=settings, axes=COUNTS)
             master.sync_start(settings.cycle_time)
@@ -364,7 +394,7 @@ class Session:
     def _call(self, function: Callable[[Master], Awaitable[R]]) -> R:
         return self._connection.call(function)
 
-    def _attempt(self, node: int, function: Callable[[DirectDrive], Awaitable[None]]) -> bool:
+    def _attempt(self, node: int | str, function: Callable[[DirectDrive], Awaitable[None]]) -> bool:
         return self._connection.attempt(lambda master: function(self._drive(master, node)))
 
     def _prepare(self, master: Master) -> None:
@@ -374,14 +404,28 @@ class Session:
         self.incoming_pdos.clear()
         master.watch((PdoReceived,), self._on_pdo)
 
-    def _drive(self, master: Master, node_id: int) -> DirectDrive:
-        if not isinstance(node_id, int):  # an argument of the command line is a text
-            raise LocalProtocolError(f"{node_id!r} is not a node-ID: it must be an int")
-        drive = self._drives.get(node_id)
+    def _node(self, master: Master, node: int | str) -> Node:
+        """Return the node with a node-ID, or of a joint or a node of the machine file."""
+        if isinstance(node, str) and self._machine is not None:
+            if node in master.joints:
+                return master.joints[node].node
+            if node not in master.nodes:
+                known = {**master.joints, **master.nodes}
+                raise LocalProtocolError(f"{self._machine.source} has no joint or node {node!r}{did_you_mean(node, known)}")
+            return master.nodes[node]
+        if not isinstance(node, int):  # an argument of the command line is a text
+            raise LocalProtocolError(f"{node!r} is not a node-ID: it must be an int")
+        return master.node(node, bus=self._connection.bus)
+
+    def _drive(self, master: Master, node_id: int | str) -> DirectDrive:
+        node = self._node(master, node_id)
+        drive = self._drives.get(node)
         if drive is None:
-            node = master.node(node_id, bus=self._connection.bus)
-            device = master.devices.get(node) or master.device(node, settings=COUNTS)
-            drive = self._drives[node_id] = DirectDrive(master, device, self._rpdo, self._tpdo)
+            device = master.devices.get(node)
+            in_counts = self._machine is None or device is None
+            if device is None:
+                device = master.device(node, settings=COUNTS)
+            drive = self._drives[node] = DirectDrive(master, device, self._rpdo, self._tpdo, in_counts)
         return drive
 
     def _on_pdo(self, report: PdoReceived) -> None:

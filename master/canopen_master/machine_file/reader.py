@@ -13,11 +13,12 @@ from typing import Any, Final, TypeVar
 
 from canopen_data import DataError, expanded, text_of
 from canopen_data.descriptions import samples
-from canopen_data.toml_file import TABLE, Kind, TomlReading, TomlTable, parse_toml, places_of, text, texts
+from canopen_data.toml_file import TABLE, Kind, TomlReading, TomlTable, one_of, parse_toml, places_of, text, texts
 from canopen_master.machine_file.kinds import DURATION, names_of, take_settings
 from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.plant import DEVICE_KEYS, FILE, device_of, is_node_id
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import DriveUnits, Unit
@@ -30,6 +31,13 @@ from canopen_transports.locator import bitrate_text, parse_locator
 E = TypeVar("E")
 
 SECTIONS: Final = ("buses", "nodes", "joints", "chains")
+MODES: Final[dict[str, Mode | None]] = {
+    "auto": None,
+    "ip": Mode.INTERPOLATED_POSITION,
+    "csp": Mode.CYCLIC_SYNCHRONOUS_POSITION,
+    "pp": Mode.PROFILE_POSITION,
+}
+"""The modes of a chain."""
 _DEFAULTS: Final = SECTIONS[1:]
 _WITHOUT_RATE: Final = "udp_multicast"
 """The one interface of python-can whose locator needs no bit rate; of ours, none does."""
@@ -208,9 +216,11 @@ class _Reader:
                 table.error(f"there is no joint {name!r}{did_you_mean(name, joints)}", "joints")
             if name in names[:position]:
                 table.error(f"{name!r} is in it twice", "joints")
-        settings = take_settings(table, ChainSettings, cycle_time=master.cycle / SECOND) or ChainSettings()
+        has_files = have_files(names, nodes, joints)
+        word = table.take("mode", one_of(MODES)) or default_mode(has_files)
+        settings = take_settings(table, ChainSettings, cycle_time=master.cycle / SECOND, mode=MODES[word]) or ChainSettings()
         if not table.has("own_pdos"):
-            settings = replace(settings, own_pdos=have_files(names, nodes, joints))
+            settings = replace(settings, own_pdos=has_files)
         return ChainEntry(table.path[-1], names, settings)
 
     # ---- between entries ----
@@ -247,9 +257,14 @@ class _Reader:
 
 
 def have_files(names: tuple[str, ...], nodes: Mapping[str, NodeEntry], joints: Mapping[str, JointEntry]) -> bool:
-    """Return whether all joints of a chain have a device file: `own_pdos`, if the file does not say it."""
+    """Return whether all joints of a chain have a device file. If they have, its PDOs are used, and it decides the mode."""
     owners = [nodes.get(joints[name].node) for name in names if name in joints]
     return bool(owners) and all(owner is not None and owner.device.file for owner in owners)
+
+
+def default_mode(has_files: bool) -> str:
+    """Return the mode of a chain that names none. Without files the joints are those of the manual."""
+    return "auto" if has_files else "ip"
 
 
 def _is_bitrate(value: Any) -> bool:

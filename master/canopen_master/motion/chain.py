@@ -27,7 +27,7 @@ ChainFault, which says what the joint did, until `recover`.
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
@@ -132,7 +132,7 @@ class Chain:
         devices: Sequence[Device],
         settings: ChainSettings,
         heartbeat_timeout: Time = 0,
-        chains: Sequence[Chain] = (),
+        chains: Collection[Chain] = (),
     ) -> None:
         """heartbeat_timeout: ns, as given to `open_master`. chains: all chains of the one SYNC; this one may be among them."""
         self._participant = participant

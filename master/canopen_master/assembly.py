@@ -1,0 +1,35 @@
+"""`assemble`: make what a machine file names on an open master: its nodes, joints and chains. Nothing is sent."""
+
+from __future__ import annotations
+
+from canopen_master.machine_file import ChainEntry, MachineFile
+from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.master import Master
+from canopen_master.motion.chain_file import ChainDescription, JointDescription
+
+
+def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | None = None) -> None:
+    """Make the nodes, joints and chains of a machine, in `master.nodes`, `master.joints` and `master.chains`.
+
+    A node that has a file and is no joint exchanges its PDOs (`Node.keep_pdos`). Raises DataError, DictionaryError for a file
+    that cannot be used, UnknownChain for a bus that this master does not have.
+    """
+    files = Dictionaries(machine, master.dictionary) if dictionaries is None else dictionaries
+    drives = {joint.node for joint in machine.joints.values()}
+    for entry in machine.nodes.values():
+        pdos = bool(entry.device.file) and entry.name not in drives
+        node = master.node(entry.node_id, files.of(entry), bus=entry.bus, pdos=pdos)
+        node.name = entry.name
+        master.nodes[entry.name] = node
+    for joint in machine.joints.values():
+        master.joints[joint.name] = master.device(master.nodes[joint.node], joint.name, joint.settings)
+    for chain in machine.chains.values():
+        axes = {name: machine.joints[name].settings for name in chain.joints}
+        master.chain(described(chain, machine), chain.settings, axes=axes)
+
+
+def described(chain: ChainEntry, machine: MachineFile) -> ChainDescription:
+    """Return a chain of a machine as a chain file would describe it."""
+    nodes = {name: machine.nodes[machine.joints[name].node] for name in chain.joints}
+    joints = tuple(JointDescription(name, node.bus, node.node_id) for name, node in nodes.items())
+    return ChainDescription(chain.name, joints, machine.source)
