@@ -5,7 +5,8 @@
     select_standing_mode    a mode in which power alone moves nothing
     set_mode      0x6502 checked, 0x6060 written, 0x6061 awaited              manual: driveMode
     home          homing, to its end                                          manual: homing
-    start_interpolation, start_cyclic_position                                manual: enableIPmode
+    start_interpolation                                                       manual: enableIPmode
+    start_cyclic_position, start_cyclic_velocity, start_cyclic_torque
     halt          bit 8: the drive stops by 0x605D and stays enabled
     quick_stop    the drive stops by 0x605A
     engage_brake  down to Ready to switch on                                  manual: enableBreak
@@ -14,8 +15,8 @@
 A procedure that moves the drive halts it if the procedure is cancelled or fails. Bit 4 is cleared before each homing and each
 start of interpolation: both begin on its rising edge.
 
-watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py
-and synchronous.py move; failures.py has the errors.
+watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py,
+interpolation.py and synchronous.py move; failures.py has the errors.
 
 A wait ends as soon as its goal is reached or out of reach: DriveFault, StateLost (a quick stop or disable that was not ours),
 ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
@@ -41,6 +42,8 @@ from canopen_proto.drive.halting import halt_after as halt_after
 from canopen_proto.drive.homing import home as home
 from canopen_proto.drive.identity import identify as identify
 from canopen_proto.drive.identity import learn_units as learn_units
+from canopen_proto.drive.interpolation import InterpolationBuffer as InterpolationBuffer
+from canopen_proto.drive.interpolation import start_interpolation as start_interpolation
 from canopen_proto.drive.profile_position import move_to as move_to
 from canopen_proto.drive.state import change_state as change_state
 from canopen_proto.drive.state import enable as enable
@@ -51,7 +54,8 @@ from canopen_proto.drive.state import select_standing_mode as select_standing_mo
 from canopen_proto.drive.state import set_mode as set_mode
 from canopen_proto.drive.state import shut_down as shut_down
 from canopen_proto.drive.synchronous import start_cyclic_position as start_cyclic_position
-from canopen_proto.drive.synchronous import start_interpolation as start_interpolation
+from canopen_proto.drive.synchronous import start_cyclic_torque as start_cyclic_torque
+from canopen_proto.drive.synchronous import start_cyclic_velocity as start_cyclic_velocity
 from canopen_proto.drive.watching import read_position as read_position
 from canopen_proto.drive.watching import read_statusword as read_statusword
 from canopen_proto.drive.watching import wait_for_statusword as wait_for_statusword

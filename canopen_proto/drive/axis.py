@@ -37,11 +37,12 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.drive.foreign import COMMANDS, foreign_command
-from canopen_proto.drive.set_points import SET_POINT_OF, SetPoint
+from canopen_proto.drive.set_points import SET_POINT_OF, RecordSetPoint, SetPoint
 from canopen_proto.drive.settings import MILLIDEGREES_PER_RADIAN as MILLIDEGREES_PER_RADIAN
 from canopen_proto.drive.settings import SCHUNK_POWERBALL as SCHUNK_POWERBALL
 from canopen_proto.drive.settings import AxisSettings as AxisSettings
 from canopen_proto.drive.settings import HomingStyle as HomingStyle
+from canopen_proto.drive.sub_modes import SubMode
 from canopen_proto.drive.units import DriveUnits
 from canopen_proto.drive.view import DriveView
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
@@ -264,7 +265,7 @@ class Axis:
         return counts / self._scale
 
     @property
-    def _velocity_unit(self) -> float | None:
+    def velocity_unit(self) -> float | None:
         """Counts per second in one velocity unit of the drive; None if it is not known."""
         return self.units.per_velocity if self._settings.velocity_unit is None else self._settings.velocity_unit
 
@@ -273,7 +274,7 @@ class Axis:
 
         Raises LocalProtocolError if that unit is not known: `drive.learn_units` asks the drive.
         """
-        unit = self._velocity_unit
+        unit = self.velocity_unit
         if unit is None:
             raise LocalProtocolError(
                 f"the velocity unit of drive {self.node.node_id} is not known, so it gets no velocity. "
@@ -283,7 +284,7 @@ class Axis:
 
     def velocity_from_wire(self, number: float) -> float:
         """Convert a velocity in the drive's unit (a count per second if it is not known) to the user's unit per second."""
-        return self.way_from_counts(number * (self._velocity_unit or 1.0))
+        return self.way_from_counts(number * (self.velocity_unit or 1.0))
 
     def torque_to_wire(self, torque: float) -> int:
         """Convert a torque, as a share of the rated torque, to thousandths of it on the wire, rounded to a whole number."""
@@ -295,10 +296,18 @@ class Axis:
         """Make position set-points go into the object of this mode: 0x60C1:01 in ip, 0x607A in csp and pp.
 
         0x60C1:01 is the one from the beginning, if the dictionary has it. The image of the other one is left as it is. A mode
-        without position set-points changes nothing.
+        without position set-points changes nothing. `select_record` is for sub-modes of ip that are not linear.
         """
         if mode in (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION):
             self._position = self._set_point_at(SET_POINT_OF[mode])
+
+    def select_record(self, sub_mode: SubMode, period: Time) -> None:
+        """Make position set-points go into data records of ip. period: ns between two of them."""
+        if sub_mode.objects == (objects.INTERPOLATION_SET_POINT,):
+            self.select_set_point(Mode.INTERPOLATED_POSITION)
+        else:
+            self._position = RecordSetPoint(self.node.dictionary, self._store, sub_mode, period)
+            self.node.commanded.update(sub_mode.objects)
 
     def _set_point_at(self, mux: Mux) -> SetPoint:
         found = self._set_points.get(mux)
@@ -316,16 +325,26 @@ class Axis:
         """The position that the next RPDO commands, in counts."""
         return self._position.number
 
-    def set_position(self, position: float) -> None:
+    @property
+    def set_point_objects(self) -> tuple[Mux, ...]:
+        """The objects that take position set-points, in the order in which SDO has to write them."""
+        return self._position.objects
+
+    def set_position(self, position: float, velocity: float | None = None) -> None:
         """Set the next set-point of interpolated and cyclic synchronous position mode; the RPDO behind the next SYNC carries it.
 
-        Raises ValueRangeError if the drive's object cannot hold it; the last set-point stays then.
+        velocity: at which the axis passes it, per second, for sub-modes of ip whose records have one; None: that of the step from
+        the set-point before. Raises ValueRangeError if the drive's object cannot hold it; the last set-point stays then.
         """
-        self._position.put(self.to_counts(position))
+        counts_per_second = None if velocity is None else self._direction * velocity * self._scale
+        self._position.put(self.to_counts(position), counts_per_second)
 
-    def set_position_counts(self, counts: int) -> None:
-        """Set the next set-point in counts; else as `set_position`."""
-        self._position.put(counts)
+    def set_position_counts(self, counts: int, velocity: float | None = None) -> None:
+        """Set the next set-point in counts, the velocity in counts per second; else as `set_position`."""
+        if velocity is None:
+            self._position.put(counts)
+        else:
+            self._position.put(counts, velocity)
 
     def check_set_point(self, counts: int) -> None:
         """Raise ValueRangeError for a position, in counts, that the object of the drive cannot hold."""

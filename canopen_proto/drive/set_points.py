@@ -21,7 +21,9 @@ from typing import Final
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.datatypes import Value, range_of
-from canopen_proto.dictionary import Variable
+from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.drive.sub_modes import Point, SubMode
+from canopen_proto.machine import SECOND, Time
 from canopen_proto.multiplexer import Mux
 
 SET_POINT_OF: Final[Mapping[int, Mux]] = {
@@ -58,6 +60,11 @@ class SetPoint:
         self._least, self._greatest = range_of(variable.data_type) or _NO_RANGE
 
     @property
+    def objects(self) -> tuple[Mux, ...]:
+        """The objects that carry it, in the order in which SDO has to write them."""
+        return (self.mux,)
+
+    @property
     def number(self) -> int:
         """The present value of the image; 0 if it was never set."""
         value = self._store.get(self.mux, 0)
@@ -68,8 +75,51 @@ class SetPoint:
         if type(number) is not int or not self._least <= number <= self._greatest:
             self._variable.encode(number)
 
-    def put(self, number: int) -> None:
-        """Set the image. Raises as `check`; the last number stays then."""
+    def put(self, number: int, velocity: float | None = None) -> None:
+        """Set the image. Raises as `check`; the last number stays then. velocity: see `RecordSetPoint`; no use is made of it."""
         if type(number) is not int or not self._least <= number <= self._greatest:
             self._variable.encode(number)
         self._store[self.mux] = number
+
+
+class RecordSetPoint(SetPoint):
+    """The image of a data record of interpolated position mode that is more than a position; see sub_modes.py.
+
+    number: the position of the last record, in counts.
+    """
+
+    __slots__ = ("_period", "_position", "_sub_mode", "_variables")
+
+    def __init__(self, dictionary: ObjectDictionary, store: dict[Mux, Value], sub_mode: SubMode, period: Time) -> None:
+        """period: ns between two records. Raises ObjectNotFound if the dictionary lacks an object of the record."""
+        self._variables = [dictionary.variable(mux) for mux in sub_mode.objects]
+        super().__init__(self._variables[0], store)
+        self._sub_mode = sub_mode
+        self._period = period
+        self._position = 0
+
+    @property
+    def objects(self) -> tuple[Mux, ...]:
+        return self._sub_mode.objects
+
+    @property
+    def number(self) -> int:
+        return self._position
+
+    def check(self, number: int) -> None:
+        self._encoded(number, None)
+
+    def put(self, number: int, velocity: float | None = None) -> None:
+        """Set the images of the record. velocity: counts per second at that position; None: that of the step there."""
+        values = self._encoded(number, velocity)
+        for variable, value in zip(self._variables, values, strict=True):
+            self._store[variable.mux] = value
+        self._position = number
+
+    def _encoded(self, number: int, velocity: float | None) -> tuple[int, ...]:
+        if velocity is None:
+            velocity = (number - self._position) * SECOND / self._period
+        values = self._sub_mode.record(Point(number, velocity, self._period))
+        for variable, value in zip(self._variables, values, strict=True):
+            variable.encode(value)
+        return values
