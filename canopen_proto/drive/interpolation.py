@@ -95,9 +95,10 @@ def start_interpolation(
 
 def _check_size(axis: Axis, buffer: InterpolationBuffer) -> Procedure[None]:
     """Raise DriveError if the drive has no buffer, or too small a one."""
-    size = yield from read_if_present(axis.node, objects.MAXIMUM_BUFFER_SIZE)
-    if not isinstance(size, int) or size <= buffer.lead:
-        seen = "it has no buffer (0x60C4)" if size is None else f"it holds {size} (0x60C4:01)"
+    told = yield from read_if_present(axis.node, objects.MAXIMUM_BUFFER_SIZE)
+    size = told if isinstance(told, int) else 0
+    if size <= buffer.lead:
+        seen = f"its buffer holds {size} (0x60C4:01)" if size else "it has no buffer (0x60C4)"
         raise DriveError(axis, f"cannot keep {buffer.lead} records waiting", reason=seen, remedy="a smaller lead, or no buffer")
 
 

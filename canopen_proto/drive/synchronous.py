@@ -66,7 +66,7 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
 
 @accounted
 def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
-    """Make the drive follow one velocity per SYNC (0x60FF) in cyclic synchronous velocity mode; return that at which it starts, 0.
+    """Make the drive follow one velocity per SYNC (0x60FF) in cyclic synchronous velocity mode; return the first one, 0.
 
     The drive's units are read first. Raises DriveError if its velocity unit is not known; else as `start_cyclic_position`.
     """
@@ -92,8 +92,8 @@ def start_cyclic_torque(
     """Make the drive follow one torque per SYNC (0x6071) in cyclic synchronous torque mode; return the torque at which it starts.
 
     torque: the one at which it starts, as a share of the rated torque; None: the actual one (0x6077) of a drive that is enabled
-    and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Nothing but the caller's torques and
-    its watch (`Following.begin_within`) limits speed and position. Else as `start_cyclic_position`.
+    and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Only the caller's torques and its
+    watch (`Following.begin_within`) limit speed and position. Else as `start_cyclic_position`.
     """
     yield from _require_reference_for_limits(axis)
     carried = (objects.TARGET_TORQUE,)
