@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from canopen_proto.dictionary import Direction
+from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, Axis, AxisSettings
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.network import Network
@@ -34,10 +34,12 @@ STREAMED = {Shape.STANDARD: ((4,), (3,)), Shape.SCHUNK_POWERBALL: ((1,), (1,))}
 class Rig:
     """One drive as node 5, powered on and Operational; an axis over it; PDOs exchanged as the drive has them by default."""
 
-    def __init__(self, shape: Shape, *, pdos: bool = True, drive: DriveSettings | None = None) -> None:
+    def __init__(
+        self, shape: Shape, *, pdos: bool = True, drive: DriveSettings | None = None, dictionary: ObjectDictionary | None = None
+    ) -> None:
         self.bus = Bus(delay=(100 * MICROSECOND, 100 * MICROSECOND))
         self.device = self.bus.attach(Network())
-        self.node = DriveNode(self.device.out, 5, drive or DriveSettings(shape=shape))
+        self.node = DriveNode(self.device.out, 5, drive or DriveSettings(shape=shape), dictionary)
         self.device.attach(self.node)
         self.drive = self.node.drive
         self.master = self.bus.attach(Network())
