@@ -79,7 +79,9 @@ class AccessFailed(DriveError, SdoFailed):
 
 _REMEDIES = {
     objects.CONTROLWORD: "look whether the drive lets the fieldbus command it, in this NMT state",
-    objects.MODES_OF_OPERATION: "disable it first: some drives change their mode only while they stand, or have no power",
+    objects.MODES_OF_OPERATION: (
+        "AxisSettings(mode_change_state=State.SWITCHED_ON), or lower: some drives change their mode only while they have no power"
+    ),
     objects.TARGET_POSITION: "look at its limits (0x607D), and whether it is homed",
 }
 """What to try if a drive refuses an object, and shows no obstacle."""

@@ -195,7 +195,12 @@ def _mode(view: DriveView) -> list[Reason]:
         found.append(Reason(f"it does not have the mode that was selected, {mode_name(wanted)} (0x6502)", "another mode"))
     elif wanted is not None and shown is not None and wanted != shown:
         what = f"{mode_name(wanted)} was selected, but it shows {mode_name(shown)} (0x6060, 0x6061)"
-        found.append(Reason(what, "wait; some drives change their mode only while they stand, or are not enabled"))
+        found.append(
+            Reason(
+                what,
+                "wait; some drives change their mode only while they stand, or are not enabled (AxisSettings.mode_change_state)",
+            )
+        )
     elif shown == Mode.NO_MODE:
         found.append(Reason("no mode of operation is selected (0x6061 is 0)", "select one (0x6060)", True))
     if view.nmt_state not in (None, NmtState.OPERATIONAL, NmtState.STOPPED) and (wanted in _BY_PDO or shown in _BY_PDO):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Final
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.states import State
 from canopen_proto.drive.units import DriveUnits, Unit
 from canopen_proto.drive.view import DriveBit
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
@@ -15,6 +16,12 @@ from canopen_proto.machine import SECOND, LocalProtocolError, Time
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 _MILLIDEGREES: Final = DriveUnits(per_turn=360_000.0)
 """The units of Schunk's joints, which do not tell them."""
+
+
+MODE_CHANGE_STATES: Final = (
+    State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED,
+)  # fmt: skip
+"""States in which some drive takes another mode of operation, the one with the least power first."""
 
 
 class HomingStyle(enum.Enum):
@@ -51,6 +58,10 @@ class AxisSettings:
 
     sto_input, brake_bit: the bit that shows "safe torque off", and the one of a brake that holds; None: the drive has none, and
     errors name neither. Each maker has them elsewhere: see `DriveBit`.
+
+    mode_change_state: the highest state in which the drive takes another mode of operation; it is led down to this state first,
+    and loses its power on the way if need be. Most drives take one while they are enabled. changes_mode_halted: whether it does
+    so while bit 8 of the controlword is set; Engel's drives do not. Such a drive is led down to Switched on.
     """
 
     counts_per_unit: float | None = None
@@ -71,6 +82,8 @@ class AxisSettings:
     halt_time: Time = 1 * SECOND
     sto_input: DriveBit | None = None
     brake_bit: DriveBit | None = None
+    mode_change_state: State = State.OPERATION_ENABLED
+    changes_mode_halted: bool = True
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
@@ -93,6 +106,8 @@ class AxisSettings:
             raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
         if self.reaction_time <= 0 or self.halt_time <= 0:
             raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
+        if self.mode_change_state not in MODE_CHANGE_STATES:
+            raise LocalProtocolError(f"mode_change_state must be one of {', '.join(MODE_CHANGE_STATES)}")
         for name, bit in (("sto_input", self.sto_input), ("brake_bit", self.brake_bit)):
             if bit is not None:
                 bit.check(name)

@@ -8,11 +8,12 @@ from typing import Final
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
-from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, next_command, state_of
+from canopen_proto.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.controlword import STAYS, bring, command, command_held
 from canopen_proto.drive.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
 from canopen_proto.drive.halting import halt
+from canopen_proto.drive.settings import MODE_CHANGE_STATES
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import Time
 from canopen_proto.procedures.objects import read_if_present, read_int
@@ -127,15 +128,26 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
 
     Raises ModeUnsupported, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if the
     drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
-    homing). Raises DriveFault, StateLost (the drive was enabled, and no longer is), NodeLost.
+    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveFault, StateLost (the drive was enabled, and no
+    longer is), NodeLost.
+
+    A drive that by its settings (mode_change_state, changes_mode_halted) takes no other mode in its present state is first halted
+    and led down to a state in which it does; it stays there. One that shows the mode already is left as it is.
     """
-    if not waive_check:
+    if not waive_check and mode >= 0:
         modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
         if isinstance(modes, int) and not supported(modes, mode):
             has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
             reason = f"0x6502 = 0x{modes:08X}, which is {has}"
             raise ModeUnsupported(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
     state = state_of((yield from read_statusword(axis)))
+    lower = _state_below(axis, state)
+    if lower is not None:
+        if (yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)) == mode:
+            return
+        yield from halt(axis)
+        yield from change_state(axis, lower)
+        state = lower
     # Bit 4 means something else in each mode: a drive that interpolates must not begin to home because the bit is still set.
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
@@ -165,6 +177,17 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
             yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, shown, now))
         failed = f"did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061"
         raise ModeUnsupported(axis, failed, reason=late.reason, remedy=late.remedy, view=late.view) from late
+
+
+def _state_below(axis: Axis, state: State) -> State | None:
+    """Return the state to which a drive has to go down before it takes another mode; None if it takes one as it is."""
+    highest = axis.settings.mode_change_state
+    if state in POWERED and not axis.settings.changes_mode_halted and axis.controlword & ControlBit.HALT:
+        highest = min(highest, State.SWITCHED_ON, key=MODE_CHANGE_STATES.index)  # the command that leads there has no bit 8
+    if state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE):
+        state = State.OPERATION_ENABLED
+    goes_down = state in MODE_CHANGE_STATES and MODE_CHANGE_STATES.index(state) > MODE_CHANGE_STATES.index(highest)
+    return highest if goes_down else None
 
 
 @accounted

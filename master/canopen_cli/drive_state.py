@@ -107,7 +107,7 @@ def stop(settings: Settings) -> None:
     take_step(settings, procedures.quick_stop)
 
 
-@click.command()
+@click.command(context_settings={"ignore_unknown_options": True})  # a maker's mode is below 0
 @click.argument("name", metavar="[MODE]", required=False)
 @commanding
 @common

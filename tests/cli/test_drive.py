@@ -188,6 +188,12 @@ def test_a_move_in_a_unit_that_the_drive_does_not_tell(run: Run, fleets: list[Fl
     assert fleets[-1].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14000
 
 
+def test_a_mode_of_the_maker_needs_no_dashes_before_it(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "mode", "-3", *DEMO)
+    assert outcome.status == ExitCode.SDO_ABORT
+    assert "refused writing 0x6060" in outcome.err
+
+
 @pytest.mark.parametrize("at", [0.1, 0.5, 1.0])
 def test_ctrl_c_halts_a_move(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))

@@ -33,7 +33,7 @@ from canopen_master.machine_file.kinds import KINDS, kind_of
 from canopen_master.machine_file.reader import KEYS, MODES, have_files
 from canopen_master.plant import DeviceEntry
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.drive.settings import AxisSettings, HomingStyle
+from canopen_proto.drive.settings import MODE_CHANGE_STATES, AxisSettings, HomingStyle
 from canopen_proto.drive.units import Unit
 from canopen_proto.drive.view import DriveBit
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -309,6 +309,7 @@ def of_class(settings: type, **known: st.SearchStrategy[object]) -> st.SearchStr
         "Time": TIMES,
         "HomingStyle": st.sampled_from(HomingStyle),
         "Unit": st.sampled_from(Unit),
+        "State": st.sampled_from(MODE_CHANGE_STATES),
         "DriveBit": st.builds(DriveBit, st.integers(0, 0xFFFFFF).map(Mux), st.integers(0, 63), st.integers(0, 1)),
     }
     chosen = dict(known)

@@ -13,7 +13,8 @@ from typing import Any, Final, TypeVar
 
 from canopen_data.durations import duration_text, parse_duration
 from canopen_data.toml_file import BOOLEAN, INTEGER, NUMBER, Kind, TomlTable, one_of, text
-from canopen_proto.drive.settings import HomingStyle
+from canopen_proto.cia402.states import State
+from canopen_proto.drive.settings import MODE_CHANGE_STATES, HomingStyle
 from canopen_proto.drive.units import Unit
 from canopen_proto.drive.view import DriveBit
 from canopen_proto.machine import LocalProtocolError
@@ -61,6 +62,7 @@ KINDS: Final[dict[str, Kind]] = {
     "Time": DURATION,
     "HomingStyle": _choice(HomingStyle),
     "Unit": _choice(Unit),
+    "State": one_of(each.value for each in MODE_CHANGE_STATES)._replace(convert=State),
     "DriveBit": Kind('{ object = "60FD", bit = 31 } or the like', _is_bit, _bit),
 }
 """By the annotation of a field, without "| None"."""
