@@ -13,7 +13,7 @@ from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.settings import MODE_CHANGE_STATES, AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.proto.rig import MILLIDEGREES, Rig
 
 RULES = [
