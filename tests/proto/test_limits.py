@@ -159,7 +159,12 @@ def test_the_manuals_paths_pass_by_default() -> None:
 # ---- whatever the units are ----
 
 scales = st.floats(1e-3, 1e6)
-settings = st.builds(AxisSettings, st.none() | scales, st.sampled_from([1, -1]), st.integers(-(10**6), 10**6))
+settings = st.builds(
+    AxisSettings,
+    counts_per_unit=st.none() | scales,
+    direction=st.sampled_from([1, -1]),
+    offset=st.integers(-(10**6), 10**6),
+)
 counts = st.integers(-(2**30), 2**30)
 ends = st.tuples(counts, counts).filter(lambda pair: pair[0] < pair[1])
 
