@@ -65,8 +65,6 @@ class AxisSettings:
     """
 
     counts_per_unit: float | None = None
-    unit: Unit | None = None
-    velocity_unit: float | None = None
     direction: int = 1
     offset: int = 0
     homing: HomingStyle | None = None
@@ -84,6 +82,8 @@ class AxisSettings:
     brake_bit: DriveBit | None = None
     mode_change_state: State = State.OPERATION_ENABLED
     changes_mode_halted: bool = True
+    unit: Unit | None = None
+    velocity_unit: float | None = None
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
