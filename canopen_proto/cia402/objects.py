@@ -101,6 +101,8 @@ MAX_DECELERATION: Final = mux(0x60C6)
 POSITIVE_TORQUE_LIMIT: Final = mux(0x60E0)
 NEGATIVE_TORQUE_LIMIT: Final = mux(0x60E1)
 POSITIONING_OPTION_CODE: Final = mux(0x60F2)
+SUPPORTED_HOMING_METHODS: Final = mux(0x60E3)
+"""Subindex 0: how many there are; the methods follow."""
 FOLLOWING_ERROR_ACTUAL_VALUE: Final = mux(0x60F4)
 MAX_SLIPPAGE: Final = mux(0x60F8)
 DIGITAL_INPUTS: Final = mux(0x60FD)

@@ -219,6 +219,7 @@ _DRIVE: Final = """
 60C6      00    U32  rww   max_deceleration
 60E0      00    I16  rww   positive_torque_limit_value
 60E1      00    I16  rww   negative_torque_limit_value
+60E3      01-FE I8   ro    supported_homing_methods:homing_method_{s}
 60F2      00    U16  rww   positioning_option_code
 60F4      00    I32  ro+   following_error_actual_value
 60F8      00    I32  rww   max_slippage

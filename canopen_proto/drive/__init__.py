@@ -4,7 +4,7 @@
     enable        up to Operation enabled, step by step                       manual: initDevice
     select_standing_mode    a mode in which power alone moves nothing
     set_mode      0x6502 checked, 0x6060 written, 0x6061 awaited              manual: driveMode
-    home          homing, to its end                                          manual: homing
+    home          homing, to its end; home_if_needed                          manual: homing
     start_interpolation                                                       manual: enableIPmode
     start_cyclic_position, start_cyclic_velocity, start_cyclic_torque
     halt          bit 8: the drive stops by 0x605D and stays enabled
@@ -39,7 +39,10 @@ from canopen_proto.drive.failures import StateLost as StateLost
 from canopen_proto.drive.failures import fault_of as fault_of
 from canopen_proto.drive.halting import halt as halt
 from canopen_proto.drive.halting import halt_after as halt_after
+from canopen_proto.drive.homing import HomingProgressed as HomingProgressed
 from canopen_proto.drive.homing import home as home
+from canopen_proto.drive.homing import home_if_needed as home_if_needed
+from canopen_proto.drive.homing_parameters import read_homing_methods as read_homing_methods
 from canopen_proto.drive.identity import identify as identify
 from canopen_proto.drive.identity import learn_units as learn_units
 from canopen_proto.drive.interpolation import InterpolationBuffer as InterpolationBuffer

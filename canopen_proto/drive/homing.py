@@ -12,6 +12,8 @@ its reference.
 A drive shows "neither" before it begins, and between two parts of its way. For `reaction_time` without a break it means that the
 homing did not begin, or was interrupted.
 
+The method is checked before anything is sent, then what the settings say of the homing is written (homing_parameters.py).
+
 Source: IEC 61800-7-201 (CiA 402-2), homing mode: statusword.
 """
 
@@ -27,11 +29,25 @@ from canopen_proto.drive.axis import Axis, HomingStyle
 from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import HomingFailed, accounted
 from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.homing_parameters import check_home_position, check_homing_method, method_text, write_homing_parameters
+from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.state import enable, set_mode
-from canopen_proto.drive.watching import Watch
-from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.objects import write
+from canopen_proto.drive.units import read_number
+from canopen_proto.drive.watching import Watch, read_statusword
+from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+
+
+class HomingProgressed(Event):
+    """A drive that homes as CiA 402 says shows another status of its homing. position: in the user's unit, as last heard."""
+
+    __slots__ = ("position", "status")
+    __match_args__ = ("node_id", "status", "position")
+
+    def __init__(self, node_id: int, status: HomingStatus, position: float | None) -> None:
+        self.node_id = node_id
+        self.status = status
+        self.position = position
 
 
 class _Ending(Enum):
@@ -59,16 +75,17 @@ _FREE: Final = "look whether the axis can move freely, and at its homing method 
 def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
 
-    Returns when the drive stands at its new reference. Raises HomingFailed, DriveFault, ModeUnsupported, StateLost, ModeLost,
-    NodeLost, StepTimeout (`homing_timeout`). After an error or a cancellation the drive is halted.
+    Returns when the drive stands at its new reference. On the way, `HomingProgressed` tells what the drive shows. Raises
+    HomingFailed, DriveFault, ModeUnsupported (also for a method that the drive lacks), StateLost, ModeLost, NodeLost, StepTimeout
+    (`homing_timeout`). After an error or a cancellation the drive is halted.
     """
-    settings = axis.settings
+    yield from check_homing_method(axis)
     yield from halt(axis)
     axis.is_homed = False
-    is_schunk = settings.homing is HomingStyle.SCHUNK
+    is_schunk = axis.settings.homing is HomingStyle.SCHUNK
     yield from set_mode(axis, Mode.HOMING, waive_check=is_schunk)
-    if settings.homing_method is not None and not is_schunk:
-        yield from write(axis.node, objects.HOMING_METHOD, settings.homing_method)
+    if not is_schunk:
+        yield from write_homing_parameters(axis)
     yield from enable(axis)
     try:
         yield from command(axis, int(Command.ENABLE_OPERATION))
@@ -78,7 +95,24 @@ def home(axis: Axis) -> Procedure[None]:
         yield from halt_after(axis, cause)
         raise
     yield from command(axis, int(Command.ENABLE_OPERATION))
+    if not is_schunk:
+        yield from check_home_position(axis)
     axis.is_homed = True
+
+
+@accounted
+def home_if_needed(axis: Axis) -> Procedure[bool]:
+    """Home the drive unless it has its reference; return whether it was homed. Else as `home`.
+
+    It has its reference if this master homed it and it did not boot since, if its settings say that it keeps its reference, or
+    (Schunk) if bit 15 shows it.
+    """
+    has_reference = axis.is_homed or axis.settings.keeps_reference
+    if not has_reference and axis.settings.homing is HomingStyle.SCHUNK:
+        has_reference = bool((yield from read_statusword(axis)) & StatusBit.MANUFACTURER_15)
+    if not has_reference:
+        yield from home(axis)
+    return not has_reference
 
 
 def _wait_for_end(axis: Axis) -> Procedure[None]:
@@ -86,10 +120,16 @@ def _wait_for_end(axis: Axis) -> Procedure[None]:
     watch: Watch[_Ending] = Watch(axis, "the end of homing", mode=Mode.HOMING, stays=State.OPERATION_ENABLED)
     judge = _EndOfHoming(axis, (yield from current_time()))
     ending = yield from watch.until(judge.judge, axis.settings.homing_timeout)
-    if ending is _Ending.FAILED:
-        raise HomingFailed(axis, "reports a homing error", remedy=_FREE)
-    if ending is _Ending.STANDS:
-        raise HomingFailed(axis, judge.why_it_stands(), remedy=_FREE)
+    if ending is not _Ending.HOMED:
+        failed = "reports a homing error" if ending is _Ending.FAILED else judge.why_it_stands()
+        raise HomingFailed(axis, failed, reason=(yield from _why_it_failed(axis)), remedy=_FREE)
+
+
+def _why_it_failed(axis: Axis) -> Procedure[str]:
+    """Return the limit switch that the drive stands on, and the method it homed by, in words."""
+    inputs = yield from read_number(axis.node, objects.DIGITAL_INPUTS)
+    switches = [f"it stands on its {name} (0x60FD)" for bit, name in enumerate(LIMIT_SWITCHES) if (inputs or 0) >> bit & 1]
+    return "; ".join(each for each in (*switches, method_text(axis)) if each)
 
 
 class _EndOfHoming:
@@ -97,6 +137,8 @@ class _EndOfHoming:
 
     def __init__(self, axis: Axis, edge: Time) -> None:
         """Judge a homing whose rising bit 4 reached the drive at `edge`."""
+        self._axis = axis
+        self._told: HomingStatus | None = None
         self._reaction_time = axis.settings.reaction_time
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._bits = _SCHUNK_BITS if self._is_schunk else _STANDARD_BITS
@@ -108,6 +150,7 @@ class _EndOfHoming:
     def judge(self, statusword: int, heard_at: Time) -> _Ending | None:
         """Return the end that this statusword shows for certain, else None."""
         ending = self._ending_of(statusword)
+        self._tell(statusword)
         self._seen_clear |= ~statusword
         if ending is not self._shown:
             if self._shown is not None:
@@ -118,6 +161,14 @@ class _EndOfHoming:
             return None
         is_new = self._seen_clear & self._bits.get(ending, 0)
         return ending if is_new or heard_at - self._shown_since >= self._reaction_time else None
+
+    def _tell(self, statusword: int) -> None:
+        """Report what the drive shows of the homing, if it has changed."""
+        status = None if self._is_schunk else homing_status(statusword)
+        if status is not None and status is not self._told:
+            self._told = status
+            node = self._axis.node
+            node.out.events.append(HomingProgressed(node.node_id, status, self._axis.position))
 
     def _ending_of(self, statusword: int) -> _Ending:
         if not self._is_schunk:

@@ -12,6 +12,7 @@ from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import LimitReached, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.limits import limits_of
+from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
 from canopen_proto.machine import Time
@@ -179,7 +180,7 @@ def _switch_before(axis: Axis, way: int) -> Procedure[str]:
     inputs = yield from read_if_present(axis.node, objects.DIGITAL_INPUTS)
     side = int(way > 0)
     is_active = isinstance(inputs, int) and bool(inputs >> side & 1)
-    return f"it stands on its {('negative', 'positive')[side]} limit switch (0x60FD)" if is_active and way else ""
+    return f"it stands on its {LIMIT_SWITCHES[side]} (0x60FD)" if is_active and way else ""
 
 
 def _demand(axis: Axis) -> Procedure[int]:

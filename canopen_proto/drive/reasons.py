@@ -47,7 +47,8 @@ _ASKED: Final = {
     State.READY_TO_SWITCH_ON: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP | ControlBit.SWITCH_ON,
 }
 """The bits of the command that leads out of a state to one with voltage. Bit 2 is 0 for a quick stop."""
-_SWITCHES: Final = ("negative limit switch", "positive limit switch")
+LIMIT_SWITCHES: Final = ("negative limit switch", "positive limit switch")
+"""Bits 0 and 1 of 0x60FD."""
 _FOLLOWING: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _OBEYS: Final = (
     Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.CYCLIC_SYNCHRONOUS_VELOCITY, Mode.CYCLIC_SYNCHRONOUS_TORQUE,
@@ -217,7 +218,7 @@ def _name(state: NmtState | None) -> str:
 def _limits(view: DriveView) -> list[Reason]:
     found = []
     inputs = 0 if view.mode == Mode.HOMING else view.inputs or 0
-    for bit, name in enumerate(_SWITCHES):
+    for bit, name in enumerate(LIMIT_SWITCHES):
         if inputs >> bit & 1:
             found.append(Reason(f"it stands on its {name} (0x60FD)", "move it the other way"))
     if view.statusword & StatusBit.INTERNAL_LIMIT:

@@ -42,7 +42,10 @@ class AxisSettings:
     the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
     velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
-    homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098; None keeps the drive's own.
+    homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098. homing_speed, homing_zero_speed:
+    in the user's unit per second, fast to the switch and slow to the home point (0x6099). homing_acceleration: in the user's unit
+    per second² (0x609A). home_position: the position of the home point, in the user's unit (0x607C); home_offset_reversed: for
+    drives that take 0x607C with the other sign. None: the drive's own value stays; see homing_parameters.py.
     homing_timeout: ns for a whole homing. state_timeout: ns for one change of state or mode.
     following_error_limit: how far off its set-points the drive may be, in the user's unit, before it counts as lost; None: the
     limit that `drive.following.following_limit` finds; math.inf: no limit.
@@ -69,6 +72,11 @@ class AxisSettings:
     offset: int = 0
     homing: HomingStyle | None = None
     homing_method: int | None = None
+    homing_speed: float | None = None
+    homing_zero_speed: float | None = None
+    homing_acceleration: float | None = None
+    home_position: float | None = None
+    home_offset_reversed: bool = False
     homing_timeout: Time = 60 * SECOND
     state_timeout: Time = 3 * SECOND
     following_error_limit: float | None = None
@@ -104,6 +112,12 @@ class AxisSettings:
             )
         if self.max_speed is not None and not self.max_speed > 0:
             raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
+        for name in ("homing_speed", "homing_zero_speed", "homing_acceleration"):
+            rate = getattr(self, name)
+            if rate is not None and not (math.isfinite(rate) and rate > 0):
+                raise LocalProtocolError(f"{name} must be a finite number above 0, or None for the drive's own; it is {rate!r}")
+        if self.homing_method is not None and not -128 <= self.homing_method <= 127:
+            raise LocalProtocolError(f"homing_method must be from -128 to 127; it is {self.homing_method!r}")
         if self.reaction_time <= 0 or self.halt_time <= 0:
             raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
         if self.mode_change_state not in MODE_CHANGE_STATES:

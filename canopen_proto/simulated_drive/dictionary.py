@@ -92,11 +92,12 @@ _COMMON: Final = (
     0x607C, 0x607D, 0x6081, 0x6083, 0x6086, 0x60C0, 0x60C1, 0x60C2, 0x60C4, 0x60F4, 0x60FD, 0x6502,
 )  # fmt: skip
 _VELOCITY_MODE: Final = (0x6042, 0x6043, 0x6044, 0x6046, 0x6048, 0x6049, 0x604A, 0x604B, 0x604C)
+_INPUTS_AND_PROBES: Final = (0x60E3,)
 _ONLY: Final = {
     Shape.STANDARD: (
         0x6007, *_VELOCITY_MODE, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x606D, 0x606E, 0x606F, 0x6070, 0x6071, 0x6072, 0x6073,
         0x6074, 0x6075, 0x6076, 0x6078, 0x607F, 0x6080, 0x6082, 0x6084, 0x6085, 0x6087, 0x6098, 0x6099, 0x609A, 0x60B0, 0x60B1,
-        0x60B2, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60F8, 0x60FF,
+        0x60B2, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60F8, 0x60FF, *_INPUTS_AND_PROBES,
     ),
     Shape.SCHUNK_POWERBALL: (0x6042, 0x6098, 0x60B2),
 }  # fmt: skip
@@ -120,7 +121,6 @@ _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBA
 ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
     **OPTION_CODES,
     objects.MOTION_PROFILE_TYPE: (0,),
-    objects.HOMING_METHOD: (0, *METHODS),
     objects.INTERPOLATION_SUB_MODE_SELECT: (0, POSITION_AND_VELOCITY),
     objects.INTERPOLATION_TIME_UNITS: range(1, 256),
     objects.INTERPOLATION_TIME_INDEX: range(-6, 1),
@@ -200,9 +200,10 @@ def _profile(shape: Shape) -> list[Object]:
     }
     if shape is Shape.STANDARD:
         defaults |= {objects.INTERPOLATION_TIME_UNITS: 10, objects.HOMING_METHOD: 35, objects.SHUTDOWN_OPTION_CODE: 1}
+        defaults |= {Mux(objects.SUPPORTED_HOMING_METHODS + place): method for place, method in enumerate(METHODS, start=1)}
     described: dict[int, Object] = {}
     for index in (*_COMMON, *_ONLY[shape]):
-        highest = (2 if shape is Shape.STANDARD else 1) if index == 0x60C1 else None
+        highest = {0x60C1: 2 if shape is Shape.STANDARD else 1, 0x60E3: len(METHODS)}.get(index)
         described[index] = standard_object(
             index,
             highest=highest,

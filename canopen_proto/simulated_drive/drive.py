@@ -36,7 +36,7 @@ from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import TORQUE_LIMITS
-from canopen_proto.simulated_drive.homing import Homing
+from canopen_proto.simulated_drive.homing import Homing, has_method
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
 from canopen_proto.simulated_drive.modes import changes_mode, modes_of
 from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
@@ -148,7 +148,12 @@ class Drive(Machine):
         if not isinstance(value, int):
             return None
         is_mode = key == objects.MODES_OF_OPERATION
-        has_value = self._has_mode(value) if is_mode else value in ALLOWED_VALUES.get(key, (value,))
+        if is_mode:
+            has_value = self._has_mode(value)
+        elif key == objects.HOMING_METHOD:
+            has_value = has_method(self.values.store, value)
+        else:
+            has_value = value in ALLOWED_VALUES.get(key, (value,))
         if not has_value and value != self._servo.parameter(key):  # the value that a file gave it may be written back
             return AbortCode.INVALID_VALUE
         if is_mode and value != self.mode and not changes_mode(self.settings, self.state, self._controlword):

@@ -25,13 +25,16 @@ Source: IEC 61800-7-201 (CiA 402-2), homing mode.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final, NamedTuple, assert_never
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.homing_methods import HOMING_METHODS, HomingMethod, HomingSwitch
 from canopen_proto.cia402.modes import HOMING_BITS, HomingStatus, ModeControl
 from canopen_proto.cia402.states import ControlBit
+from canopen_proto.datatypes import Value
 from canopen_proto.machine import Event, Outbox
+from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.profile_modes import OperationMode
 from canopen_proto.simulated_drive.servo import Servo
 from canopen_proto.simulated_drive.settings import Shape, Track
@@ -106,6 +109,16 @@ def _seeks_of(method: HomingMethod) -> tuple[Seek, ...]:
 METHODS: Final[dict[int, tuple[Seek, ...]]] = {number: _seeks_of(method) for number, method in HOMING_METHODS.items()}
 """Homing method (6098h) -> its seeks, in order. Without any, home is where the axis stands."""
 
+
+def has_method(store: Mapping[Mux, Value], method: int) -> bool:
+    """Return whether a drive takes a value of 6098h: 0, or a method that the simulation has and its list (60E3h), if any, too."""
+    count = store.get(objects.SUPPORTED_HOMING_METHODS)
+    listed = isinstance(count, int) and count > 0
+    places = range(1, count + 1) if isinstance(count, int) else range(0)
+    is_listed = not listed or any(store.get(Mux(objects.SUPPORTED_HOMING_METHODS + place)) == method for place in places)
+    return method == 0 or (method in METHODS and is_listed)
+
+
 _START: Final = ModeControl.START_HOMING
 _UNDER_WAY: Final = (HomingStatus.IN_PROGRESS, HomingStatus.ATTAINED, HomingStatus.ERROR_MOVING)
 
@@ -150,7 +163,7 @@ class Homing(OperationMode):
         has_own = servo.settings.shape is Shape.SCHUNK_POWERBALL
         self._method = servo.settings.homing_method if has_own else servo.parameter(objects.HOMING_METHOD)
         seeks = METHODS.get(self._method)
-        if seeks is None:
+        if seeks is None or not (has_own or has_method(servo.store, self._method)):
             self._finish(HomingStatus.ERROR_STOPPED)
             return
         self._status = HomingStatus.IN_PROGRESS

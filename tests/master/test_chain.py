@@ -39,6 +39,18 @@ FAST = dataclasses.replace(SCHUNK_POWERBALL, max_speed=2.0)
 
 
 @virtual_time
+async def test_a_joint_that_has_its_reference_need_not_home() -> None:
+    async with simulated(3, 4), open_master(BUS) as master:
+        arm = arm_of(master, 3, 4)
+        await arm.initialise()
+        await arm.home()
+        began = trio.current_time()
+        await arm.home(if_needed=True)
+        assert trio.current_time() - began < 0.1
+        assert arm.is_homed
+
+
+@virtual_time
 async def test_from_power_on_to_motion_and_back() -> None:
     async with simulated(3, 4) as host, open_master(BUS) as master:
         arm = arm_of(master, 3, 4)

@@ -53,7 +53,7 @@ from canopen_master.motion.joint_procedures import (
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode, short_name
-from canopen_proto.drive import enable, halt, home, reset_fault, select_standing_mode
+from canopen_proto.drive import enable, halt, home, home_if_needed, reset_fault, select_standing_mode
 from canopen_proto.drive.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId, Time
 from canopen_proto.pdo.settings import place_of
@@ -220,11 +220,14 @@ class Chain:
         await self._for_all("initialise", lambda device: _reset_and_enable(device))
         self.state, self._supervision.is_on = ChainState.READY, True
 
-    async def home(self) -> None:
-        """Home all joints, side by side, from where they stand. If one fails, or the task is cancelled, all are halted."""
+    async def home(self, *, if_needed: bool = False) -> None:
+        """Home all joints, side by side, from where they stand. If one fails, or the task is cancelled, all are halted.
+
+        if_needed: joints that have their reference stay where they are, see `drive.home_if_needed`.
+        """
         await self._require_standing("home")
         self._end_following(ChainState.READY)
-        await self._for_all("home", lambda device: home(device.axis))
+        await self._for_all("home", lambda device: home_if_needed(device.axis) if if_needed else home(device.axis))
 
     async def enable_interpolated_position(self) -> None:
         """Do as `follow`, for a chain whose mode is ip: the manual's name. Raises ChainError for a chain with another mode."""

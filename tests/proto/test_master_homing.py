@@ -1,0 +1,153 @@
+"""The master homes a drive: the method is checked, the numbers go in the drive's units, the end and its reason are told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import HomingStatus
+from canopen_proto.cia402.states import State
+from canopen_proto.drive import (
+    HomingFailed,
+    HomingProgressed,
+    ModeUnsupported,
+    home,
+    home_if_needed,
+    read_homing_methods,
+    read_position,
+)
+from canopen_proto.drive.axis import AxisSettings
+from canopen_proto.machine import MILLISECOND, LocalProtocolError
+from canopen_proto.simulated_drive.homing import METHODS
+from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from tests.proto.rig import Rig
+
+TRACK = Track(negative_limit=-50_000, positive_limit=60_000, home_switch=(-7_000, 9_000), index_offset=123, index_distance=5_000)
+DEGREES = AxisSettings(counts_per_unit=1_000, homing_method=23, homing_speed=150, homing_zero_speed=60, homing_acceleration=2_000)
+
+
+def rig_with(settings: AxisSettings = DEGREES, *, position: float = 20_000, reaction: int = 0) -> Rig:
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=position, track=TRACK, reaction=reaction))
+    rig.axis.settings = settings
+    return rig
+
+
+def commanded(rig: Rig) -> int:
+    return rig.drive._servo.parameter(objects.CONTROLWORD)
+
+
+@pytest.mark.parametrize(("method", "place"), [(1, -49_877), (7, -9_877), (14, -9_877), (18, 60_000), (23, -7_000), (34, 20_123)])
+@pytest.mark.parametrize("reaction", [0, 300 * MILLISECOND])
+def test_a_drive_is_homed_by_any_method(method: int, place: int, reaction: int) -> None:
+    rig = rig_with(replace(DEGREES, homing_method=method), reaction=reaction)
+    rig.run(home(rig.axis))
+    assert rig.axis.is_homed
+    assert rig.drive._servo.zero == place
+    assert rig.run(read_position(rig.axis)) == pytest.approx(0, abs=1e-3)
+
+
+def test_a_drives_list_decides() -> None:
+    rig = rig_with()
+    assert rig.run(read_homing_methods(rig.remote)) == tuple(METHODS)
+    for method, name in ((36, "touch probe"), (-3, "the manufacturer's"), (15, "reserved"), (0, "no homing")):
+        rig.axis.settings = replace(DEGREES, homing_method=method)
+        with pytest.raises(
+            ModeUnsupported, match=rf"drive 5 does not home by method {method}: {name}: its list \(0x60E3\) has 1, 2,"
+        ):
+            rig.run(home(rig.axis))
+    assert commanded(rig) == 0  # nothing was sent
+
+
+def test_without_a_list_the_table_decides_and_manufacturers_methods_pass() -> None:
+    rig = rig_with()
+    rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0
+    assert rig.run(read_homing_methods(rig.remote)) is None
+    for method in (0, 16, 36, 99):
+        rig.axis.settings = replace(DEGREES, homing_method=method)
+        with pytest.raises(ModeUnsupported, match=r"it has no list of its methods .*; nothing was sent.*canopen home --list"):
+            rig.run(home(rig.axis))
+    assert commanded(rig) == 0
+    rig.axis.settings = replace(DEGREES, homing_method=-2)
+    with pytest.raises(Exception, match="0x6098"):  # sent, and refused by this drive
+        rig.run(home(rig.axis))
+    rig.axis.settings = replace(DEGREES, homing_method=19)
+    with pytest.raises(HomingFailed):  # the table has it; the switch lies behind
+        rig.run(home(rig.axis))
+
+
+def test_speeds_acceleration_and_home_position_are_in_the_users_unit() -> None:
+    settings = replace(
+        DEGREES, homing_speed=25.0, homing_zero_speed=4.5, homing_acceleration=300.0, home_position=-90.0, direction=-1, offset=10
+    )
+    rig = rig_with(settings)
+    rig.run(home(rig.axis))
+    store = rig.node.values.store
+    assert [store[key] for key in (objects.HOMING_SPEED_SEARCH_SWITCH, objects.HOMING_SPEED_SEARCH_ZERO)] == [25_000, 4_500]
+    assert store[objects.HOMING_ACCELERATION] == 300_000
+    assert store[objects.HOME_OFFSET] == 90_010
+    assert rig.run(read_position(rig.axis)) == pytest.approx(-90)
+
+
+def test_what_the_settings_leave_open_is_not_written() -> None:
+    rig = rig_with(AxisSettings(counts_per_unit=1_000))
+    before = dict(rig.node.values.store)
+    rig.run(home(rig.axis))
+    written = (objects.HOMING_METHOD, objects.HOME_OFFSET, objects.HOMING_SPEED_SEARCH_SWITCH, objects.HOMING_ACCELERATION)
+    assert [rig.node.values.store[key] for key in written] == [before[key] for key in written]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("homing_speed", 0.0), ("homing_zero_speed", -1.0), ("homing_acceleration", float("inf")), ("homing_method", 128)],
+)
+def test_settings_that_cannot_be(name: str, value: float) -> None:
+    with pytest.raises(LocalProtocolError, match=name):
+        AxisSettings(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_speed_that_would_be_0_on_the_wire_is_refused() -> None:
+    rig = rig_with(replace(DEGREES, homing_speed=0.0004))
+    with pytest.raises(LocalProtocolError, match=r"homing_speed = 0.0004 would be 0"):
+        rig.run(home(rig.axis))
+
+
+def test_a_home_offset_with_the_other_sign_is_noticed() -> None:
+    rig = rig_with(replace(DEGREES, home_position=30.0, home_offset_reversed=True))  # this drive does not reverse it
+    with pytest.raises(HomingFailed, match=r"other sign.*Try: AxisSettings\(home_offset_reversed=False\)"):
+        rig.run(home(rig.axis))
+    assert not rig.axis.is_homed
+
+
+def test_a_failure_names_the_limit_switch_and_the_method() -> None:
+    rig = rig_with(replace(DEGREES, homing_method=19))
+    expected = r"reports a homing error: it stands on its positive limit switch \(0x60FD\); method 19: goes in positive direction"
+    with pytest.raises(HomingFailed, match=expected):
+        rig.run(home(rig.axis))
+    assert not rig.axis.is_homed
+    assert rig.axis.state is State.OPERATION_ENABLED
+    rig.axis.settings = DEGREES  # and a method that turns finds the way back
+    rig.run(home(rig.axis))
+    assert rig.drive._servo.zero == -7_000
+
+
+def test_progress_is_told() -> None:
+    rig = rig_with()
+    rig.run(home(rig.axis))
+    told = [event for event in rig.bus.events if isinstance(event, HomingProgressed)]
+    assert [event.status for event in told][-3:] == [HomingStatus.IN_PROGRESS, HomingStatus.ATTAINED, HomingStatus.COMPLETE]
+    assert {event.node_id for event in told} == {5}
+
+
+def test_a_drive_that_has_its_reference_need_not_home() -> None:
+    rig = rig_with()
+    assert rig.run(home_if_needed(rig.axis))
+    assert not rig.run(home_if_needed(rig.axis))
+    keeps = rig_with(replace(DEGREES, keeps_reference=True))
+    assert not keeps.run(home_if_needed(keeps.axis))
+    assert commanded(keeps) == 0
+    joint = Rig(Shape.SCHUNK_POWERBALL)
+    assert joint.run(home_if_needed(joint.axis))
+    joint.axis.is_homed = False  # a new master, which reads bit 15
+    assert not joint.run(home_if_needed(joint.axis))
