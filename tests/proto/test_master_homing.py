@@ -21,7 +21,7 @@ from canopen_proto.drive import (
 from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
 from canopen_proto.simulated_drive.homing import METHODS
-from canopen_proto.simulated_drive.servo import DriveSettings, Shape, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.proto.rig import Rig
 
 TRACK = Track(negative_limit=-50_000, positive_limit=60_000, home_switch=(-7_000, 9_000), index_offset=123, index_distance=5_000)
