@@ -4,10 +4,9 @@ It is a group of machines for one node: SDO clients, heartbeat consumer, EMCY co
 holds
 
 - `values`: the known values of the node's objects. PDOs are decoded into this image and built from it; an SDO read and a
-confirmed
-  SDO write also set it. `heard_at`: when the node itself last sent the value (a PDO, a read). Objects that we command keep the
-  value that we set, whatever is read: those of RPDOs that we send, and those in `commanded`. `may_hold` returns the other values
-  that the device may have in them: those written as bytes, past `write`, and those not confirmed;
+  confirmed SDO write also set it. `heard_at`: when the node itself last sent the value (a PDO, a read). Objects that we command
+  keep the value that we set, whatever is read: those of RPDOs that we send, and those in `commanded`. `may_hold` returns the
+  other values that the device may have in them: those written as bytes, past `write`, and those not confirmed;
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, which would undo a write by SDO. So a `write` of an
   object in `commanded` (a controlword) first sends each such RPDO with this object again, with the new value: the next SYNC then
   brings the last command;
@@ -433,14 +432,18 @@ class RemoteNode(Group):
             self.rpdos[number].set_enabled(self.is_operational, now)
 
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
-        self.heard_at.clear()
-        self._in_doubt.clear()
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()
+        self.assume_boot()
+        self._on_lost(report, now)
+
+    def assume_boot(self) -> None:
+        """Forget what the node told: it has booted, though its boot-up was not heard. Its PDOs and requests stay as they are."""
+        self.heard_at.clear()
+        self._in_doubt.clear()
         for on_boot in self._boot_listeners:
             on_boot()
-        self._on_lost(report, now)
 
     def _on_lost(self, report: NodeBooted | HeartbeatLost | NodeGuardingLost, now: Time) -> None:
         for client in self._clients:
@@ -483,8 +486,7 @@ class RemoteNode(Group):
         return mux in self.commanded
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
-        written = self._writes.pop(report.request_id, None)
-        which = mux(report.index, report.subindex)
+        written, which = self._writes.pop(report.request_id, None), mux(report.index, report.subindex)
         self._in_doubt.pop(which, None)
         if written is not None:
             self.values.store[which] = written[1]
@@ -492,7 +494,6 @@ class RemoteNode(Group):
             self._in_doubt[which].add(None)
 
     def _on_aborted(self, report: SdoAborted, now: Time) -> None:
-        written = self._writes.pop(report.request_id, None)
-        which = mux(report.index, report.subindex)
+        written, which = self._writes.pop(report.request_id, None), mux(report.index, report.subindex)
         if report.not_confirmed and which in self.commanded:
             self._in_doubt[which].add(None if written is None else written[1])

@@ -14,7 +14,7 @@ The master's heartbeat has to run before that (`OwnHeartbeat`): a drive watches 
 `Hold.before` keeps the old values. `release` writes them back, once the drive stands. If `take_hold` found an entry exactly as it
 would write it, a master that died has left it, and `release` frees it. A drive that boots has its power-on values, and is no
 longer held. Its boot-up may be lost. So `take_hold` runs each time that the drive is enabled, and writes only what the drive has
-lost.
+lost. A held drive that shows an old value again has booted unheard, and is taken for booted (`RemoteNode.assume_boot`).
 
 Guarding that already runs was started elsewhere: its times are written to the drive, and the guarding stays as it is.
 
@@ -227,6 +227,8 @@ def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Proced
         raise _Gap(f"no {label}")
     if found == wanted:
         return
+    if hold.is_taken and found == hold.before.get(key):
+        hold.node.assume_boot()  # which empties `before`: what it has now are its power-on values
     is_first = key not in hold.before
     if is_first:
         hold.before[key] = found  # before the write: a write without an answer may have been executed

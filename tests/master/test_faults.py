@@ -312,7 +312,7 @@ async def test_a_reference_that_was_lost_is_lost() -> None:
             with pytest.raises(ChainError, match=r"joint1 .* has lost its reference") as caught:
                 await arm.recover()
             assert (caught.value.code, caught.value.joint) == ("CO404", "joint1")
-            assert "await chain.home()" in str(caught.value)
+            assert "await chain.home(if_needed=True)" in str(caught.value)
             assert "keeps_reference" in str(caught.value)
             assert arm.state is ChainState.READY
             with pytest.raises(ChainError, match="could not enable interpolated position: joint1"):

@@ -249,6 +249,7 @@ class Chain:
     async def _follow(self, what: str) -> None:
         await self._require_standing(what)
         self._end_following(ChainState.READY)
+        self._require_reference(what)
         cycle_time = round(self.settings.cycle_time * SECOND)
         followed = await self._for_all(what, lambda device: follow(device, cycle_time, self._mode_of(device)))
         if self.state is not ChainState.READY:  # a joint failed just now
@@ -397,12 +398,16 @@ class Chain:
             raise self._stop_reason()
         self._require_idle(what)
         if self.state not in states:
-            lost = next((device for device in self.devices if device.axis.has_lost_reference), None)
-            if self.state is ChainState.READY and lost is not None:
-                raise reference_lost(self.name, what, lost)
+            if self.state is ChainState.READY:
+                self._require_reference(what)
             step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.follow()"
             failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
+
+    def _require_reference(self, what: str) -> None:
+        lost = [device for device in self.devices if device.axis.has_lost_reference]
+        if lost:
+            raise reference_lost(self.name, what, lost)
 
     async def _require_standing(self, what: str) -> None:
         """Halt the chain and wait until the joints stand. Raises unless the chain can then do `what`."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from canopen_master.errors import (
     CHAIN_FAILED,
     CHAIN_HALTED,
@@ -28,7 +30,7 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     if isinstance(error, DriveFault):
         return joint_fault(chain, device, "is in fault", error.reason)
     if isinstance(error, ReferenceLost):
-        return reference_lost(chain, operation, device)
+        return reference_lost(chain, operation, [device])
     code, what, seen, cause = CHAIN_FAILED, str(error), "", ""
     tries: tuple[str, ...] = ()
     if isinstance(error, DriveError):
@@ -46,17 +48,19 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 
 
-def reference_lost(chain: str, operation: str, device: Device) -> ChainError:
-    """The error for a joint that was homed, but whose positions mean something else now."""
+def reference_lost(chain: str, operation: str, devices: Sequence[Device]) -> ChainError:
+    """The error for joints that were homed, but whose positions mean something else now."""
+    where = ", ".join(device.where for device in devices)
+    lost = "has lost its reference" if len(devices) == 1 else "have lost their references"
     return ChainError(
         CHAIN_NOT_READY,
         chain,
-        f"chain {chain} could not {operation}: {device.where} has lost its reference",
-        joint=device.name,
-        seen="it was homed, and then reset or without power, or homed without success: its positions mean something else now",
+        f"chain {chain} could not {operation}: {where} {lost}",
+        joint=devices[0].name,
+        seen="homed, and then reset or without power, or homed without success: positions mean something else now",
         tries=(
-            "await chain.home(), then await chain.follow()",
-            "AxisSettings(keeps_reference=True) if it has an absolute encoder",
+            "await chain.home(if_needed=True), then await chain.follow()",
+            "AxisSettings(keeps_reference=True) for an absolute encoder",
         ),
     )
 
@@ -73,7 +77,7 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
 
 def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> ChainFault:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
-    home_again = ", chain.home() and chain.follow()" if device.axis.has_lost_reference else ""
+    home_again = ", chain.home(if_needed=True) and chain.follow()" if device.axis.has_lost_reference else ""
     return ChainFault(
         chain,
         device.name,

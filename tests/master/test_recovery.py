@@ -1,0 +1,406 @@
+"""After an emergency stop, a joint without power, a loose cable, bus-off or a killed master: what the drives do, and what brings
+the chain back. docs/recovery.md is the table of these tests."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+
+import pytest
+import trio
+
+from canopen_master import (
+    Chain,
+    ChainError,
+    ChainFault,
+    ChainState,
+    Host,
+    Master,
+    MasterError,
+    open_master,
+    simulate,
+    standard_drives,
+)
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.states import State
+from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_transports import BusState, BusStateChanged, Received, Report
+from tests.master.world import Link, arm_of, drives, position_of, value, virtual_time
+
+TENTH = 100 * MILLISECOND
+SETTINGS = AxisSettings(MILLIDEGREES_PER_RADIAN, homing_method=35, reaction_time=TENTH, halt_time=TENTH)
+RADIANS_PER_CYCLE = 0.001
+GRIP = 0.5
+"""Seconds until a drive misses the heartbeat of its master."""
+
+
+class Joint:
+    """A drive with a cable and a power switch of its own."""
+
+    def __init__(self, nursery: trio.Nursery, node_id: int) -> None:
+        self._nursery = nursery
+        self._power = trio.CancelScope()
+        self.node_id = node_id
+        self.cable = Link()
+        self.host: Host
+
+    async def switch_on(self, *, is_plugged: bool = True) -> None:
+        """It boots, and knows nothing of before."""
+        self.cable, self._power = Link(), trio.CancelScope()
+        if not is_plugged:
+            self.pull_cable()
+
+        async def live(task_status: trio.TaskStatus[Host]) -> None:
+            with self._power:
+                await simulate(self.cable, standard_drives(self.node_id), task_status=task_status)
+
+        self.host = await self._nursery.start(live)
+
+    async def switch_off(self) -> None:
+        self._power.cancel()
+        await trio.sleep(0.001)
+
+    def pull_cable(self) -> None:
+        self.cable.copies = lambda frame, is_sent: 0
+
+    def plug_cable(self) -> None:
+        self.cable.copies = lambda frame, is_sent: 1
+
+    @property
+    def node(self) -> DriveNode:
+        return drives(self.host)[0]
+
+    @property
+    def state(self) -> State:
+        self.node.drive.refresh(self.host.now())
+        return self.node.drive.state
+
+    async def stands(self) -> bool:
+        before = position_of(self.host, self.node)
+        await trio.sleep(0.2)
+        return position_of(self.host, self.node) == before
+
+
+@asynccontextmanager
+async def joints(*node_ids: int) -> AsyncIterator[list[Joint]]:
+    async with trio.open_nursery() as nursery:
+        made = [Joint(nursery, node_id) for node_id in node_ids]
+        for joint in made:
+            await joint.switch_on()
+        yield made
+        nursery.cancel_scope.cancel()
+
+
+def chain_of(master: Master, *node_ids: int) -> Chain:
+    return arm_of(master, *node_ids, axes=SETTINGS, define_pdos=True, cycle_time=0.02)
+
+
+@asynccontextmanager
+async def homed_arm(*node_ids: int, cable: Link | None = None) -> AsyncIterator[tuple[list[Joint], Chain]]:
+    """A chain that is homed and follows set-points."""
+    async with joints(*node_ids) as made, open_master(cable or Link(), heartbeat_timeout=0.3) as master:
+        arm = chain_of(master, *node_ids)
+        await arm.initialise()
+        await arm.home()
+        await arm.enable_interpolated_position()
+        yield made, arm
+
+
+async def move(arm: Chain, cycles: int = 30, do: Callable[[], object] = lambda: None) -> None:
+    """Move along; after ten cycles, do something."""
+    start = arm.positions
+    async for cycle in arm.cycles():
+        arm.set_positions([position + RADIANS_PER_CYCLE * cycle.number for position in start])
+        if cycle.number == 10:
+            do()
+        if cycle.number >= cycles:
+            break
+
+
+async def assert_moves(arm: Chain) -> None:
+    """It follows, all joints, without a jump."""
+    assert arm.state is ChainState.FOLLOWING
+    before = arm.positions
+    await move(arm)
+    await trio.sleep(0.1)
+    assert arm.positions == pytest.approx([position + 30 * RADIANS_PER_CYCLE for position in before], abs=1e-3)
+
+
+async def fails(arm: Chain, do: Callable[[], object]) -> ChainFault:
+    with pytest.raises(ChainFault) as caught:
+        await move(arm, 1000, do)
+    return caught.value
+
+
+# ---- emergency stop ----
+
+
+@virtual_time
+async def test_an_emergency_stop_that_makes_a_fault() -> None:
+    async with homed_arm(3, 4) as ((one, two), arm):
+
+        def press() -> None:
+            two.node.raise_fault(0x5441, two.host.now(), lasting=True)
+            two.host.pump()
+
+        fault = await fails(arm, press)
+        assert (fault.joint, fault.error_code) == ("joint2", 0x5441)
+        assert two.state is State.FAULT
+        assert one.state is State.OPERATION_ENABLED
+        assert await one.stands()
+        with pytest.raises(ChainFault, match="joint2.*is in fault") as pressed:  # still pressed
+            await arm.recover()
+        assert "0x5441" in str(pressed.value)
+        two.node.drive.end_fault(0x5441)
+        await arm.recover()
+        assert arm.is_homed
+        await assert_moves(arm)
+
+
+@virtual_time
+async def test_an_emergency_stop_at_boot() -> None:
+    """Connecting does not fail: only what needs power does, and says why."""
+    async with joints(3, 4) as (one, two):
+        for joint in (one, two):
+            joint.node.raise_fault(0x5441, joint.host.now(), lasting=True)
+            joint.host.pump()
+        async with open_master(Link()) as master:
+            arm = chain_of(master, 3, 4)
+            assert await arm.devices[0].node.read("statusword") is not None
+            with pytest.raises(ChainFault, match="0x5441"):
+                await arm.initialise()
+            with pytest.raises(ChainError):
+                await arm.home()
+            for joint in (one, two):
+                joint.node.drive.end_fault(0x5441)
+            await arm.initialise()
+            await arm.home()
+            await arm.enable_interpolated_position()
+            await assert_moves(arm)
+
+
+# ---- power, cables, the bus ----
+
+
+@virtual_time
+async def test_a_joint_that_is_power_cycled() -> None:
+    async with homed_arm(3, 4) as ((one, two), arm):
+        async with trio.open_nursery() as nursery:
+            fault = await fails(arm, lambda: nursery.start_soon(two.switch_off))
+        assert fault.joint == "joint2"
+        assert await one.stands()
+        with pytest.raises(ChainError, match="joint2.*did not answer") as silent:  # still off
+            await arm.recover()
+        assert "power" in str(silent.value)
+        await two.switch_on()
+        with pytest.raises(ChainError, match="joint2 .* has lost its reference") as lost:
+            await arm.recover()
+        assert "await chain.home(if_needed=True), then await chain.follow()" in str(lost.value)
+        assert arm.state is ChainState.READY
+        assert [joint.state for joint in (one, two)] == [State.OPERATION_ENABLED] * 2
+        # All that the boot took from it is there again: what it watches, what it sends
+        assert value(two.node, objects.ABORT_CONNECTION_OPTION_CODE) == 3
+        assert value(two.node, 0x1017_00) == 100
+        assert value(two.node, 0x1016_01) == 127 << 16 | 500
+        before = position_of(one.host, one.node)
+        await arm.home(if_needed=True)
+        assert position_of(one.host, one.node) == before
+        await arm.enable_interpolated_position()
+        await assert_moves(arm)
+
+
+@virtual_time
+async def test_all_joints_that_lost_their_reference_are_named() -> None:
+    async with homed_arm(3, 4) as (made, arm):
+        async with trio.open_nursery() as nursery:
+            await fails(arm, lambda: [nursery.start_soon(joint.switch_off) for joint in made])
+        for joint in made:
+            await joint.switch_on()
+        with pytest.raises(ChainError, match="joint1 .*, joint2 .* have lost their references"):
+            await arm.recover()
+
+
+@virtual_time
+async def test_the_cable_of_a_joint_is_pulled_and_plugged() -> None:
+    async with homed_arm(3, 4) as ((one, two), arm):
+        fault = await fails(arm, two.pull_cable)
+        assert (fault.joint, "is silent" in fault.reason) == ("joint2", True)
+        await trio.sleep(GRIP + 0.2)
+        assert two.state is State.SWITCH_ON_DISABLED  # a quick stop, by its grip
+        assert await two.stands()
+        assert one.state is State.OPERATION_ENABLED
+        assert await one.stands()
+        with pytest.raises(ChainError, match="joint2.*did not answer"):
+            await arm.recover()
+        two.plug_cable()
+        await arm.recover()
+        assert arm.is_homed
+        await assert_moves(arm)
+
+
+@virtual_time
+async def test_the_cable_of_the_master_is_pulled_and_plugged() -> None:
+    cable = Link()
+    async with homed_arm(3, 4, cable=cable) as ((one, two), arm):
+
+        def pull() -> None:
+            cable.copies = lambda frame, is_sent: 0
+
+        await fails(arm, pull)
+        await trio.sleep(GRIP + 0.2)
+        for joint in (one, two):
+            assert joint.state is State.SWITCH_ON_DISABLED
+            assert await joint.stands()
+        cable.copies = lambda frame, is_sent: 1
+        await arm.recover()
+        assert arm.is_homed
+        await assert_moves(arm)
+
+
+@virtual_time
+async def test_a_reference_that_was_lost_behind_a_pulled_cable() -> None:
+    """Its boot-up was not heard. But the objects are gone by which the drive watches its master."""
+    async with homed_arm(3, 4) as ((_, two), arm):
+        await fails(arm, two.pull_cable)
+        await two.switch_off()
+        await two.switch_on(is_plugged=False)
+        two.plug_cable()
+        with pytest.raises(ChainError, match="joint2 .* has lost its reference"):
+            await arm.recover()
+        await arm.home()
+        await arm.enable_interpolated_position()
+        await assert_moves(arm)
+
+
+@virtual_time
+async def test_a_heartbeat_that_is_lost() -> None:
+    async with homed_arm(3, 4) as ((one, two), arm):
+
+        def lose() -> None:
+            two.cable.copies = lambda frame, is_sent: int(not (is_sent and frame.key == 0x704))
+
+        fault = await fails(arm, lose)
+        assert fault.reason == "was lost: no heartbeat for 0.3 s"
+        for joint in (one, two):
+            assert joint.state is State.OPERATION_ENABLED
+            assert await joint.stands()
+        two.plug_cable()
+        await arm.recover()
+        assert arm.is_homed
+        await assert_moves(arm)
+
+
+class BusOff(Link):
+    """A line whose controller can be made bus-off: it loses all frames, and says so."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._report, self._reports = trio.open_memory_channel[BusStateChanged](10)
+
+    def change(self, state: BusState) -> None:
+        self.copies = lambda frame, is_sent: int(state is not BusState.BUS_OFF)
+        self._report.send_nowait(BusStateChanged(self.locator, state, "by the test"))
+
+    async def receive(self) -> Received | Report:  # type: ignore[override]
+        got: list[Received | Report] = []
+        async with trio.open_nursery() as nursery:
+
+            async def first(source: Callable[[], object]) -> None:
+                got.append(await source())  # type: ignore[misc]
+                nursery.cancel_scope.cancel()
+
+            nursery.start_soon(first, super().receive)
+            nursery.start_soon(first, self._reports.receive)
+        return got[0]
+
+
+@virtual_time
+async def test_bus_off_and_back() -> None:
+    line = BusOff()
+    async with homed_arm(3, 4, cable=line) as ((one, two), arm):
+        await fails(arm, lambda: line.change(BusState.BUS_OFF))
+        with pytest.raises(ChainError, match="is bus-off") as away:
+            await arm.recover()
+        assert "bus-off: by the test" in str(away.value)
+        await trio.sleep(GRIP + 0.2)
+        for joint in (one, two):
+            assert joint.state is State.SWITCH_ON_DISABLED
+            assert await joint.stands()
+        line.change(BusState.ACTIVE)
+        await arm.recover()
+        assert arm.is_homed
+        await assert_moves(arm)
+
+
+# ---- the master ----
+
+
+@pytest.mark.parametrize("moves", [True, False])
+@pytest.mark.parametrize("pause", [0.1, 0.7])
+@virtual_time
+async def test_a_master_that_is_killed_and_started_again(moves: bool, pause: float) -> None:
+    """pause: until it is started again; after 0.5 s its drives have stopped by themselves."""
+    async with joints(3, 4) as made, trio.open_nursery() as nursery:
+        cable = Link()
+
+        async def first() -> None:
+            with suppress(MasterError):
+                async with open_master(cable) as master:
+                    arm = chain_of(master, 3, 4)
+                    await arm.initialise()
+                    await arm.home()
+                    if moves:
+                        await arm.enable_interpolated_position()
+                        await move(arm, 10_000)
+                    await trio.sleep_forever()
+
+        nursery.start_soon(first)
+        await trio.sleep(3)
+        cable.copies = lambda frame, is_sent: 0  # kill -9
+        await trio.sleep(pause)
+        expected = State.SWITCH_ON_DISABLED if pause > GRIP else State.OPERATION_ENABLED
+        assert [joint.state for joint in made] == [expected] * 2
+        async with open_master(Link()) as master:
+            arm = chain_of(master, 3, 4)
+            await arm.initialise()
+            for joint in made:
+                assert joint.state is State.OPERATION_ENABLED
+                assert await joint.stands()
+            await arm.enable_interpolated_position()  # a new process has lost no reference
+            await assert_moves(arm)
+            await arm.home()
+            await arm.enable_interpolated_position()
+            await assert_moves(arm)
+        nursery.cancel_scope.cancel()
+
+
+# ---- a limit ----
+
+
+@virtual_time
+async def test_a_chain_moves_away_from_an_internal_limit() -> None:
+    async with homed_arm(3, 4) as ((one, _), arm):
+        await move(arm)
+        limit = position_of(one.host, one.node) + 500
+        one.node.values.store[objects.MAX_SOFTWARE_POSITION_LIMIT] = limit
+        fault = await fails(arm, lambda: None)
+        assert "is held by a limit of its own: bit 11" in fault.reason
+        await arm.recover()
+        start = arm.positions
+        async for cycle in arm.cycles():
+            arm.set_positions([position - RADIANS_PER_CYCLE * cycle.number for position in start])
+            if cycle.number >= 30:
+                break
+        await trio.sleep(0.1)
+        assert arm.positions[0] == pytest.approx(start[0] - 30 * RADIANS_PER_CYCLE, abs=1e-3)
+        assert not one.node.values.store[objects.STATUSWORD] & 0x800  # type: ignore[operator]
+
+
+def test_the_page_of_recoveries_names_these_tests_and_no_others() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "recovery.md").read_text(encoding="utf-8")
+    here = {name for name in globals() if name.startswith("test_") and "page" not in name}
+    assert set(re.findall(r"`(test_[a-z_]+)`", page)) == here
