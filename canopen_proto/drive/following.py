@@ -7,7 +7,8 @@ A drive that stops following shows that in its next PDO, or sends none: the mast
     mode               0x6061 shows another mode of operation
     bit 12             "interpolation active", or "follows the command", is 0
     bit 13             "following error" is 1
-    bit 11             "internal limit" is 1 in two statuswords in a row: a drive may cut a single step
+    bit 11             "internal limit" is 1 in two statuswords in a row: a drive may cut a single step; in more of them
+                       (`catches_up`) if it limits its acceleration, and cuts steps until it has caught up after a late SYNC
     following error    the position is further off the set-points than the limit
     silence            a value sent at SYNCs did not come for SILENT_SYNCS of them in a row, and for SILENT_TIME at least
     NMT state          a heartbeat shows that the node is no longer Operational
@@ -111,12 +112,14 @@ class Following:
     __slots__ = (
         "_all_heard",
         "_axis",
+        "_catches_up",
         "_cyclic",
         "_flawless",
         "_is_answered",
         "_is_on",
         "_lag",
         "_limit",
+        "_limited",
         "_mode",
         "_nmt_state",
         "_old_bits",
@@ -126,7 +129,6 @@ class Following:
         "_syncs_to_turn",
         "_turn_not_before",
         "_unanswered",
-        "_was_limited",
         "error",
         "largest_error",
         "unsent",
@@ -148,7 +150,8 @@ class Following:
         self._nmt_state: NmtState | None = None
         self._old_bits = 0
         self._flawless: int | None = None  # a statusword in which nothing was found
-        self._was_limited = False
+        self._limited = 0  # statuswords in a row with bit 11
+        self._catches_up = 1
         self._syncs_to_turn = 0  # 0: no turn is awaited
         self._turn_not_before: Time = 0
         self.error = 0.0
@@ -174,13 +177,15 @@ class Following:
         cyclic: Mapping[Mux, int],
         lag: int = LAG,
         slack: int = UNCERTAIN,
+        catches_up: int = 1,
         silent_syncs: int = SILENT_SYNCS,
     ) -> None:
         """Watch the drive from now on. It must already follow set-points (bit 12), and stand at the present one.
 
         limit: of the following error, in the user's unit. mode: the mode of operation that 0x6061 has to show. cyclic: as for
         `expect`. lag: SYNCs from sending a set-point to reaching it. slack: further SYNCs that the drive may be behind;
-        more than UNCERTAIN for a drive with a profile of its own. silent_syncs: unanswered SYNCs in a row that make the drive
+        more than UNCERTAIN for a drive with a profile of its own. catches_up: statuswords in a row in which bit 11 is no finding.
+        silent_syncs: unanswered SYNCs in a row that make the drive
         count as silent.
         """
         self._limit, self._mode, self._lag = limit, mode, lag
@@ -190,7 +195,7 @@ class Following:
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
         self._flawless = None
-        self._was_limited = False
+        self._limited, self._catches_up = 0, catches_up
         self.error = 0.0
         self._is_on = True
 
@@ -200,6 +205,11 @@ class Following:
         self._pdo, self._is_answered, self._all_heard, self._unanswered = None, False, None, {}
         dictionary = self._axis.node.dictionary
         self.unsent = {mux for mux in _NAMES if mux not in cyclic and mux in dictionary}
+
+    @property
+    def limit(self) -> Limit:
+        """How far off its set-points the drive may be, in the user's unit, as `begin` was told."""
+        return self._limit
 
     def end(self) -> None:
         """End the watch: no more set-points follow."""
@@ -244,7 +254,7 @@ class Following:
         axis = self._axis
         word = axis.statusword
         if word == self._flawless:
-            self._was_limited = False
+            self._limited = 0
             return
         self._old_bits &= word
         news = word & ~self._old_bits
@@ -255,9 +265,9 @@ class Following:
             self.lose("no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)")
         elif news & ModeStatus.FOLLOWING_ERROR:
             self.lose("reports a following error: bit 13 of its statusword is 1")
-        elif is_limited and self._was_limited:
+        elif is_limited and self._limited >= self._catches_up:
             self.lose("is held by a limit of its own: bit 11 of its statusword is 1 (position 0x607D, speed, torque or current)")
-        self._was_limited = is_limited
+        self._limited = self._limited + 1 if is_limited else 0
         self._flawless = None if is_limited else word
 
     def _judge_position(self) -> None:

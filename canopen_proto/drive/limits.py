@@ -4,6 +4,7 @@ Origin of the limits
 --------------------
     position   0x607D of the drive, and min_position, max_position of the settings; the narrower, if both are given
     speed      max_speed of the settings; else the lower of 0x607F and 0x6080 of the drive; else DEFAULT_SPEED
+               in profile position also 0x6081 of the drive: it goes no faster, and would fall behind
 
 The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Without either, the
 position has no limit: a turntable has none.
@@ -21,8 +22,8 @@ drive obeys a limit that the dictionary lacks. An object sets no limit if the dr
 Nor does 0x607D if its minimum is not below its maximum (0 and 0 are no limits), an end of INTEGER32, or a speed or acceleration
 that is 0 or beyond INTEGER32.
 
-Units. 0x607F is in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). units.py converts both. A speed is left
-out if its unit is not known or cannot be converted.
+Units. 0x607F and 0x6081 are in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). units.py converts both, unless
+`velocity_unit` of the settings says the first. A speed is left out if its unit is not known or cannot be converted.
 
 Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, all
 from memory, and as the files of four makers have them.
@@ -35,6 +36,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.units import DriveUnits, read_number, read_units
 from canopen_proto.machine import SECOND, Time
@@ -65,6 +67,7 @@ class DriveLimits(NamedTuple):
     highest: Limit | None = None
     speed: Limit | None = None
     acceleration: Limit | None = None
+    profile_speed: Limit | None = None
 
 
 class Excess(NamedTuple):
@@ -128,6 +131,9 @@ def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
         speed = Limit(settings.max_speed, "the settings (max_speed)")
     else:
         speed = _converted(told.speed, axis.amount_from_counts) or Limit(axis.amount_from_counts(DEFAULT_SPEED), _DEFAULT)
+    profile = _converted(told.profile_speed, axis.amount_from_counts)
+    if profile is not None and profile.value < speed.value:
+        speed = profile
     acceleration = _converted(told.acceleration, axis.amount_from_counts)
     return SetPointLimits(axis, lowest, highest, speed, acceleration)
 
@@ -140,17 +146,23 @@ _INTEGER32: Final = 1 << 31
 _OF_DRIVE: Final = "of the drive"
 
 
-def read_limits(axis: Axis) -> Procedure[SetPointLimits]:
-    """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer."""
+def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure[SetPointLimits]:
+    """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer.
+
+    mode: in which it is going to follow set-points.
+    """
     node = axis.node
     lowest = yield from read_number(node, objects.MIN_SOFTWARE_POSITION_LIMIT, signed=True)
     highest = yield from read_number(node, objects.MAX_SOFTWARE_POSITION_LIMIT, signed=True)
     profile = yield from _read_amount(node, objects.MAX_PROFILE_VELOCITY)
     motor = yield from _read_amount(node, objects.MAX_MOTOR_SPEED)
-    units = DriveUnits() if profile is None and motor is None else (yield from read_units(node))
+    in_profile = (yield from _read_amount(node, objects.PROFILE_VELOCITY)) if mode == Mode.PROFILE_POSITION else None
+    asks = any(each is not None for each in (profile, motor, in_profile))
+    units = (yield from read_units(node)) if asks else DriveUnits()
+    per_velocity = units.per_velocity if axis.settings.velocity_unit is None else axis.settings.velocity_unit
     speeds = []
-    if profile is not None and units.per_velocity is not None:
-        speeds.append(Limit(profile * units.per_velocity, f"0x607F {_OF_DRIVE}"))
+    if profile is not None and per_velocity is not None:
+        speeds.append(Limit(profile * per_velocity, f"0x607F {_OF_DRIVE}"))
     if motor is not None and units.per_motor_turn is not None:
         speeds.append(Limit(motor * units.per_motor_turn / 60, f"0x6080 {_OF_DRIVE}"))
     acceleration = yield from _read_amount(node, objects.MAX_ACCELERATION)
@@ -158,6 +170,7 @@ def read_limits(axis: Axis) -> Procedure[SetPointLimits]:
         *_position_limits(lowest, highest),
         min(speeds, default=None),
         None if acceleration is None else Limit(acceleration, f"0x60C5 {_OF_DRIVE}"),
+        None if in_profile is None or per_velocity is None else Limit(in_profile * per_velocity, f"0x6081 {_OF_DRIVE}"),
     )
     return limits_of(axis, told)
 

@@ -248,7 +248,7 @@ def _reason(mode: Mode, wish: Mode | None, told: _Told) -> str:
     if wish is not None:
         return "as asked for"
     if told.modes is None:
-        return "no 0x6502 says which modes it has, and nearly every drive has this one"
+        return "the first of csp, ip and pp that may work: no 0x6502 tells its modes, and nearly every drive has this one"
     return f"the first of csp, ip and pp that works; 0x6502 of {told.source} lists {_short_names(told.modes)}"
 
 

@@ -33,6 +33,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
+from canopen_proto.cia402.modes import mode_name
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
@@ -48,6 +49,8 @@ SETTLING_TIME: Final = 0.1
 MAX_LATE_SHARE: Final = 0.05
 """The greatest share of late periods. A computer with other work loses single ones, well below this. Beyond it the joints stand
 still in every twentieth period, and the motion takes that much longer: the cycle is too short for this computer."""
+LATE_SHARE: Final = 0.5
+"""Of the speed at which a single late SYNC makes a joint lose all of its permitted following error."""
 DEMO_FAULT: Final = 0x2310
 """Continuous over-current: the error code of a joint that hits something."""
 NEXT: Final = """Try next:
@@ -225,7 +228,7 @@ class Demonstration:
             scale, max_speed = MILLIDEGREES_PER_RADIAN, MAX_SPEED
         for joint in joints:
             file = self.plan.file_of(joint.node_id)
-            axis = AxisSettings() if file is None else file.axis
+            axis = AxisSettings() if file is None else file.axis if self.plan.bus is not None else file.simulated_axis
             axes[joint.name] = replace(axis, counts_per_unit=scale or axis.counts_per_unit, max_speed=max_speed)
             if file is not None:
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
@@ -271,6 +274,8 @@ class Demonstration:
                 seen, tries = "only Schunk's joints tell it", ("--counts-per-degree 1000, or whatever it is",)
                 raise usage("CO123", f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
         view.done(step, f"{counted(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
+        for text, names in _plans(arm).items():
+            view.done(view.begin("mode", ""), f"{text} ({counted(len(names), 'joint')}: {', '.join(names)})")
 
     async def _home(self, arm: Chain, view: DemoView) -> None:
         if self.plan.bus is not None:
@@ -290,8 +295,9 @@ class Demonstration:
         for device in arm.devices:
             device.following.largest_error = 0.0
         self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
-        limits = [device.limits.speed.value for device in arm.devices]
-        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds, limits)
+        speeds = [_speed_of(device) for device in arm.devices]
+        accelerations = [limit and limit.value for limit in (device.limits.acceleration for device in arm.devices)]
+        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds, speeds, accelerations)
         fault = plan.fault
         refresh = max(1, round(REFRESH * SECOND / plan.cycle))
         self._arm = arm
@@ -362,7 +368,9 @@ class Demonstration:
         """Return title and subtitle of the picture."""
         count = len(self.description.joints)
         drives = counted(count, "simulated drive") if self.plan.bus is None else f"{counted(count, 'drive')} on {self.plan.bus}"
-        title = f"{self.description.name}: {counted(count, 'joint')} in interpolated position mode"
+        modes = dict.fromkeys(mode_name(device.plan.mode) for device in self._devices if device.plan is not None)
+        how = f" in {', '.join(modes)}" if modes else "" if self.plan.files else " in interpolated position mode"
+        title = f"{self.description.name}: {counted(count, 'joint')}{how}"
         source = f"{self.description.name} of {self.description.source}"
         files = ", ".join(dict.fromkeys(file.source for file in self.plan.files.values()))
         drives += f" made of {files}" if files and self.plan.bus is None else ""
@@ -428,6 +436,27 @@ class Demonstration:
                 for result in self.results
             ],
         }
+
+
+def _plans(arm: Chain) -> dict[str, list[str]]:
+    """Return each way in which joints follow set-points by their own files, and these joints."""
+    plans: dict[str, list[str]] = {}
+    for device in arm.devices:
+        if device.plan is not None:
+            plans.setdefault(f"{mode_name(device.plan.mode)}: {device.plan.reason}", []).append(device.name)
+    return plans
+
+
+def _speed_of(device: Device) -> float:
+    """Return how fast a joint may go.
+
+    After a late SYNC, a joint that limits its acceleration falls behind by v² / 2a, while it gathers speed again. That has to be
+    well within the following error that it may have.
+    """
+    speed, acceleration = device.limits.speed.value, device.limits.acceleration
+    if acceleration is None or not math.isfinite(device.following.limit.value):
+        return speed
+    return min(speed, LATE_SHARE * math.sqrt(2 * acceleration.value * device.following.limit.value))
 
 
 def _nobody_reads(error: Exception) -> bool:

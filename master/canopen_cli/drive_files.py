@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 from canopen_cli.device_files import read_device_files
 from canopen_cli.problem import ExitCode, Problem
@@ -12,9 +13,14 @@ from canopen_cli.sim_devices import shape_of
 from canopen_data import load_dictionary
 from canopen_data.configured import without_configured_values
 from canopen_data.drive_from_file import drive_obstacle
+from canopen_proto.cia402.objects import HOMING_METHOD
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings
+from canopen_proto.multiplexer import split_mux
 from canopen_proto.simulated_drive.settings import Shape
+
+HERE: Final = 35
+"""The homing method that takes the present position as home. Its successor 37 is unknown to older drives."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,19 @@ class DriveFile:
     def axis(self) -> AxisSettings:
         """The master's settings for this drive."""
         return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
+
+    @property
+    def simulated_axis(self) -> AxisSettings:
+        """The master's settings for a simulated drive behind this file.
+
+        It moves in counts per second, whatever unit its file means. So a search for its home could take hours: a drive that homes
+        by 0x6098 takes the place where it stands (method 35), if the file allows that.
+        """
+        method = self.dictionary.get(*split_mux(HOMING_METHOD))
+        if self.shape is Shape.SCHUNK_POWERBALL or method is None or not method.access.writable:
+            return replace(self.axis, velocity_unit=1.0)
+        high = method.high_limit
+        return replace(self.axis, velocity_unit=1.0, homing_method=HERE if high is None or high >= HERE else None)
 
 
 def drive_files(texts: Sequence[str], defaults: bool, screen: Screen, encoding: str = "") -> dict[int | None, DriveFile]:

@@ -21,6 +21,9 @@ MAX_SPEED: Final = math.radians(60)
 """Per second. A drive that brakes with 100°/s² stands within 0.6 s."""
 MAX_ACCELERATION: Final = math.radians(300)
 
+SHARE: Final = 0.8
+"""Of a drive's greatest acceleration: positions are rounded to counts, and a step must not exceed it for that."""
+
 _SLOPE: Final = 1.875  # the steepest slope of _smooth
 _CURVATURE: Final = 5.774  # the strongest curvature of _smooth
 
@@ -28,21 +31,30 @@ _CURVATURE: Final = 5.774  # the strongest curvature of _smooth
 class Path:
     """Positions over time, in radians. start: the joints' present positions; swing: how far they go; duration: seconds.
 
-    limits: the speed limit of each joint, if that is less than MAX_SPEED.
+    speeds: the speed limit of each joint, if that is less than MAX_SPEED. accelerations: likewise; None: it has none.
     """
 
-    def __init__(self, start: list[float], swing: float, duration: float, limits: Sequence[float] = ()) -> None:
+    def __init__(
+        self,
+        start: list[float],
+        swing: float,
+        duration: float,
+        speeds: Sequence[float] = (),
+        accelerations: Sequence[float | None] = (),
+    ) -> None:
         self.start = start
         self.duration = duration
         self._ramp = min(MAX_RAMP, duration / 3)
         self._speeds = [2 * math.pi * (SLOWEST + STEP * number) for number in range(len(start))]
-        fastest = [min(MAX_SPEED, limit) for limit in limits] or [MAX_SPEED] * len(start)
-        self._swings = [min(swing, self._limit(*speeds)) for speeds in zip(self._speeds, fastest, strict=True)]
+        fastest = [min(MAX_SPEED, limit) for limit in speeds] or [MAX_SPEED] * len(start)
+        hardest = [MAX_ACCELERATION if limit is None else min(MAX_ACCELERATION, SHARE * limit) for limit in accelerations]
+        limits = zip(self._speeds, fastest, hardest or [MAX_ACCELERATION] * len(start), strict=True)
+        self._swings = [min(swing, self._limit(*each)) for each in limits]
 
-    def _limit(self, speed: float, fastest: float) -> float:
+    def _limit(self, speed: float, fastest: float, hardest: float) -> float:
         """Return how far a joint may swing, by the triangle inequality over sine, window and their derivatives."""
         slope, curvature = _SLOPE / self._ramp, _CURVATURE / self._ramp**2
-        return min(fastest / (speed + slope), MAX_ACCELERATION / (speed**2 + 2 * speed * slope + curvature))
+        return min(fastest / (speed + slope), hardest / (speed**2 + 2 * speed * slope + curvature))
 
     def at(self, time: float) -> list[float]:
         """Return the set-points of the joints; before 0 and after `duration` the start."""

@@ -110,3 +110,22 @@ def test_the_schunk_arm(run: Run, fleets: list[Fleet], options: tuple[str, ...],
     assert all("yes" in line for line in joints(outcome.out))
     seen = tpdos(fleets[0])
     assert {number: seen[number] for number in carried} == carried
+
+
+DRIVE_FILES = {
+    "schunk-powerball-lwa4p.dcf": "interpolated position (ip)",
+    "inovance-e35.eds": "cyclic synchronous position (csp)",
+    "ros2-cia402-slave.eds": "interpolated position (ip)",
+    "maxon-epos2.eds": "profile position (pp)",
+    "cia-402.eds": "profile position (pp)",
+    "faulhaber-605.3150.51-V.eds": "profile position (pp)",
+    "faulhaber-605.3150.70-B.eds": "profile position (pp)",
+}
+
+
+@pytest.mark.parametrize("name", DRIVE_FILES)
+def test_any_drives_file_moves(run: Run, fleets: list[Fleet], name: str) -> None:
+    outcome = run("demo", *TWO, "--eds", str(vendor_files.path_of(name)))
+    assert outcome.status == 0, outcome.err
+    assert all("yes" in line for line in joints(outcome.out))
+    assert f"✔ mode   {DRIVE_FILES[name]}: the first of csp, ip and pp that" in outcome.err

@@ -129,7 +129,14 @@ class DirectDrive:
         self._end_following()
         followed = await self._run(follow(self._device, self.interval * MILLISECOND, sends_itself=True))
         following = self._device.following
-        following.begin(followed.limit, followed.mode, cyclic=self._cyclic, lag=1, silent_syncs=SILENT_SYNCS)
+        following.begin(
+            followed.limit,
+            followed.mode,
+            cyclic=self._cyclic,
+            lag=1,
+            catches_up=followed.catches_up,
+            silent_syncs=SILENT_SYNCS,
+        )
         self._taken.clear()
         self._on_sync()
         self._is_following, self._lost = True, None

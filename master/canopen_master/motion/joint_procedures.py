@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple, TypeVar
 
 from canopen_master.motion.device import Device
@@ -16,7 +17,7 @@ from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import Limit, read_limits
 from canopen_proto.drive.motion_plan import exchange_planned, plan_motion
 from canopen_proto.drive.slow_position import profile_lag, start_slow_position
-from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.procedures.configure_pdo import define_pdo
@@ -31,6 +32,8 @@ HEARTBEAT: Final = "0x1017"
 HEARTBEATS_PER_TIMEOUT: Final = 3
 """One lost or late frame does not make a lost node."""
 MAX_HEARTBEAT_MS: Final = 0xFFFF
+LONGEST_CATCH_UP: Final = 1.0
+"""Seconds for which a drive that limits its acceleration may cut steps, after a late SYNC; else its speed limit / 0x60C5."""
 
 
 class JointFailed(ProcedureError):
@@ -124,10 +127,11 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
 
 
 class Followed(NamedTuple):
-    """How a joint follows set-points, for its watch (`Following.begin`). limit: how far off it may be. slack: in cycles."""
+    """How a joint follows set-points, for its watch: see `Following.begin`."""
 
     limit: Limit
     mode: Mode
+    catches_up: int
     slack: int = UNCERTAIN
 
 
@@ -140,15 +144,18 @@ def follow(
     """
     axis = device.axis
     yield from halt(axis)
-    device.limits = yield from read_limits(axis)
+    device.limits = yield from read_limits(axis, mode)
     limit = yield from following_limit(axis, device.limits)
+    acceleration = device.limits.acceleration
+    ramp = 0.0 if acceleration is None else min(device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)
+    catches_up = max(1, math.ceil(ramp * SECOND / cycle_time))
     if mode is Mode.PROFILE_POSITION:
         lag = yield from profile_lag(axis)
         yield from start_slow_position(axis)
-        return Followed(limit, mode, UNCERTAIN - (-lag // cycle_time))
+        return Followed(limit, mode, catches_up, UNCERTAIN - (-lag // cycle_time))
     start = start_cyclic_position if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION else start_interpolation
     yield from start(axis, cycle_time, sends_itself=sends_itself)
-    return Followed(limit, mode)
+    return Followed(limit, mode, catches_up)
 
 
 def stop(device: Device) -> Procedure[None]:

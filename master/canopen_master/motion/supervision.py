@@ -61,8 +61,10 @@ class Supervision:
 
     def begin_following(self, followed: Sequence[Followed], silent_cycles: int) -> None:
         """Watch joints that now follow set-points, and give the slow ones their targets. silent_cycles: see ChainSettings."""
-        for device, (limit, mode, slack) in zip(self._devices, followed, strict=True):
-            device.following.begin(limit, mode, cyclic=device.cyclic, slack=slack, silent_syncs=silent_cycles)
+        for device, (limit, mode, catches_up, slack) in zip(self._devices, followed, strict=True):
+            device.following.begin(
+                limit, mode, cyclic=device.cyclic, slack=slack, catches_up=catches_up, silent_syncs=silent_cycles
+            )
         slow = [device.following for device, each in zip(self._devices, followed, strict=True) if each.mode is _SLOW]
         reading = read_unsent([device.following for device in self._devices])
         self._beside, _ = self._participant.launch(all_of(reading, *map(feed_targets, slow)))
