@@ -62,6 +62,7 @@ class Servo:
         "_lag",
         "_plant",
         "_step",
+        "_target",
         "demand",
         "demand_position",
         "demand_velocity",
@@ -96,6 +97,7 @@ class Servo:
         self.obeys_switches = True
         self._lag = settings.lag / SECOND
         self._plant = None if settings.mechanics is None else Plant(settings.mechanics, self.position)
+        self._target: tuple[Time, float] | None = None  # of the last interpolation step: until when the next one goes on from it
         self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
 
     def parameter(self, key: Mux) -> int:
@@ -306,10 +308,12 @@ class Servo:
 
         An axis that was already moving passes `target` and brakes by the quick stop ramp until the next step comes, since there
         may be none. passing: the velocity at `target`; the way there is then no straight line. A step beyond the drive's speed or
-        acceleration becomes a profile, as fast as allowed; internal_limit is set.
+        acceleration becomes a profile, as fast as allowed, that passes `target` at the speed of the targets, to catch up
+        with them; internal_limit is set.
         """
         target = self._clip(target)
         period = self.interpolation_period()
+        last, self._target = self._target, (self.time + math.ceil(2.0 * period * SECOND), target)
         here, now_at = self.demand_position, self.moving_at
         if self._is_barred(target - here):
             self._stop_at_switch()
@@ -333,7 +337,12 @@ class Servo:
             self._step = self.time + math.ceil(2.0 * period * SECOND), velocity
         else:
             self.internal_limit = True
-            self._plan(motion.move(self.time, here, now_at, target, fastest, acceleration, deceleration))
+            low, high = self.limits()
+            way = 0.0 if last is None or self.time >= last[0] else target - last[1]
+            speed = min(abs(now_at), abs(way) / period) if way * (target - here) > 0.0 else 0.0
+            beyond = speed * speed / (2.0 * deceleration)
+            goal = max(low, min(high, target + math.copysign(beyond, way)))
+            self._plan(motion.move(self.time, here, now_at, goal, fastest, acceleration, deceleration))
 
     def _is_barred(self, way: float) -> bool:
         """Return whether a limit switch bars the way (of either sign): the axis is on the switch in that direction."""

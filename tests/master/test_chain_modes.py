@@ -120,6 +120,28 @@ async def test_a_joint_that_cannot_follow_is_named_with_each_obstacle() -> None:
             await master.run(exchange_own(device, 10 * MILLISECOND, None))
 
 
+@virtual_time
+async def test_a_joint_that_limits_its_acceleration_catches_up_after_a_late_set_point() -> None:
+    """The path pauses for a cycle and goes on: a jump in speed, which the drive's 0x60C5 does not allow."""
+    slowly = {objects.MAX_ACCELERATION: {"default": 200_000}, objects.MAX_DECELERATION: {"default": 200_000}}
+    async with planned_arm(changed(slowly)) as (host, _, arm):
+        await arm.follow()
+        limited = 0
+        (node,) = drives(host)
+        async for cycle in arm.cycles():
+            start = 1 - math.cos(math.pi * min(cycle.time, 1.0))
+            if cycle.number == 50:
+                arm.hold()
+            else:
+                arm.set_positions([HERE + 2.5 * start])
+            limited += bool(arm.devices[0].statusword & 0x800)
+            if cycle.time >= 1.5:
+                break
+        assert 2 < limited < 40
+        assert position_of(host, node) == pytest.approx(1000 * (HERE + 5), abs=5)
+        await arm.shut_down()
+
+
 # ---- slow joints ----
 
 

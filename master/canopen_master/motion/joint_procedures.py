@@ -33,7 +33,8 @@ HEARTBEATS_PER_TIMEOUT: Final = 3
 """One lost or late frame does not make a lost node."""
 MAX_HEARTBEAT_MS: Final = 0xFFFF
 LONGEST_CATCH_UP: Final = 1.0
-"""Seconds for which a drive that limits its acceleration may cut steps, after a late SYNC; else its speed limit / 0x60C5."""
+"""Seconds for which a drive that limits its acceleration may cut steps, after a late SYNC; else it has the time of its ramps,
+2 x speed limit / 0x60C5."""
 
 
 class JointFailed(ProcedureError):
@@ -147,8 +148,8 @@ def follow(
     device.limits = yield from read_limits(axis, mode)
     limit = yield from following_limit(axis, device.limits)
     acceleration = device.limits.acceleration
-    ramp = 0.0 if acceleration is None else min(device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)
-    catches_up = max(1, math.ceil(ramp * SECOND / cycle_time))
+    ramps = 0.0 if acceleration is None else min(2 * device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)
+    catches_up = max(1, math.ceil(ramps * SECOND / cycle_time))
     if mode is Mode.PROFILE_POSITION:
         lag = yield from profile_lag(axis)
         yield from start_slow_position(axis)
