@@ -12,6 +12,7 @@
     synchronous_modes.py  its csp mode, and what all modes with a set-point at each SYNC have in common
     interpolated_position.py   its ip mode: records, sub-modes, buffer
     torque_modes.py       its tq, csv and cst modes
+    display.py            the values that it shows: position, velocity, torque, inputs, outputs
     homing.py             its homing: searches for switches and index pulses
     fallbacks.py          the values of objects that its dictionary lacks
     servo.py              its mechanics: track, lag, limits

@@ -25,22 +25,23 @@ from typing import Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode, ModeStatus, supported
+from canopen_proto.cia402.modes import Mode, ModeStatus
 from canopen_proto.cia402.option_codes import STAYS_FROM
-from canopen_proto.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, StatusBit, command_of
+from canopen_proto.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, command_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.simulated_drive.dictionary import ALLOWED_VALUES
+from canopen_proto.simulated_drive.display import show_values, statusword_of
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import TORQUE_LIMITS
 from canopen_proto.simulated_drive.homing import Homing, has_method
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
-from canopen_proto.simulated_drive.modes import changes_mode, modes_of
+from canopen_proto.simulated_drive.modes import changes_mode, has_mode, modes_of
 from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
@@ -50,25 +51,12 @@ HEARTBEAT_ERROR: Final = 0x8130
 COMMUNICATION_ERROR: Final = 0x8100
 _CONNECTION_FAULTS: Final = frozenset((HEARTBEAT_ERROR, COMMUNICATION_ERROR))
 
-_STATE_BITS: Final[dict[State, int]] = {
-    State.UNKNOWN: 0x0000,
-    State.NOT_READY_TO_SWITCH_ON: 0x0000,
-    State.SWITCH_ON_DISABLED: StatusBit.REMOTE | 0x40,
-    State.READY_TO_SWITCH_ON: StatusBit.REMOTE | 0x21,
-    State.SWITCHED_ON: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x23,
-    State.OPERATION_ENABLED: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x27,
-    State.QUICK_STOP_ACTIVE: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x07,
-    State.FAULT_REACTION_ACTIVE: StatusBit.REMOTE | StatusBit.VOLTAGE_ENABLED | 0x0F,
-    State.FAULT: StatusBit.REMOTE | 0x08,
-}
-"""State -> its bits in the statusword; the voltage is on from Switched on."""
-
 _NO_STATES: Final = (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)
 _ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
-_STAY_IN_QUICK_STOP: Final = range(STAYS_FROM, STAYS_FROM + 4)
+_IN_ORDER: Final = (5, 8)  # transitions by which a drive that stands is disabled in order
+_BRAKE_COMMANDS: Final = (objects.DIGITAL_OUTPUTS, objects.DIGITAL_OUTPUT_MASK)
 _SHOWS_FOLLOWING_ERROR: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
-_INT32: Final = 1 << 31
-_INT16: Final = 1 << 15
+_STAY_IN_QUICK_STOP: Final = range(STAYS_FROM, STAYS_FROM + 4)
 
 
 class Drive(Machine):
@@ -84,11 +72,13 @@ class Drive(Machine):
         "_deviates_since",
         "_faults",
         "_homing",
+        "_is_opening",
         "_lasting_faults",
         "_mode",
         "_modes",
         "_ready_at",
         "_servo",
+        "_torque_is_off",
         "mode",
         "node_id",
         "settings",
@@ -110,6 +100,8 @@ class Drive(Machine):
         self._mode = self._modes[Mode.NO_MODE]
         self._controlword = 0
         self._after_stop: Command | Occurrence | None = None  # to execute when the present ramp has ended
+        self._is_opening = False  # operation is enabled as soon as the brake is open
+        self._torque_is_off = settings.torque_is_off
         self._ready_at: Time = NEVER
         self._deviates_since: Time | None = None
         self._faults: list[int] = []
@@ -128,6 +120,7 @@ class Drive(Machine):
         self._homing.is_referenced = False
         self._mode.leave()
         self._faults.clear()
+        self._lasting_faults.discard(self.settings.sto_fault)
         self._controlword = 0
         self._put(objects.CONTROLWORD, 0)
         self._put(objects.ERROR_CODE, 0)
@@ -137,9 +130,9 @@ class Drive(Machine):
         self.mode = Mode.NO_MODE
         self._mode = self._modes[Mode.NO_MODE]
         self._select_mode()
+        servo.command_brake()
         self._look()
-        self._publish()
-        self._schedule()
+        self._show()
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Return the abort code if the drive refuses this value now, else None. Called after the checks of type and limits,
@@ -149,7 +142,7 @@ class Drive(Machine):
             return None
         is_mode = key == objects.MODES_OF_OPERATION
         if is_mode:
-            has_value = self._has_mode(value)
+            has_value = has_mode(self._servo, self._modes, value)
         elif key == objects.HOMING_METHOD:
             has_value = has_method(self.values.store, value)
         else:
@@ -187,25 +180,25 @@ class Drive(Machine):
         elif key in TORQUE_LIMITS:
             self._advance(now)
             self._servo.limit_torque()
+        elif key in _BRAKE_COMMANDS:
+            self._advance(now)
+            self._servo.command_brake()
         else:
             return
-        self._publish()
-        self._schedule()
+        self._show()
 
     def on_sync(self, now: Time) -> None:
         """Act on a SYNC. The node has stored the synchronous RPDOs that came before it, and called `written` for them."""
         self._advance(now)
         if self._acts:
             self._mode.on_sync()
-        self._publish()
-        self._schedule(2 * STEP)  # the next SYNC most likely comes earlier and checks, too
+        self._show(2 * STEP)  # the next SYNC most likely comes earlier and checks, too
 
     def refresh(self, now: Time) -> None:
         """Bring statusword and actual values in the store up to `now`. Called before a TPDO is built, or an SDO reads."""
         if now > self._servo.time and self.deadline != NEVER:
             self._advance(now)
-            self._publish()
-            self._schedule()
+            self._show()
 
     def connection_lost(self, now: Time, error_code: int) -> None:
         """Act by 6007h: the master fell silent, or took the node out of Operational. error_code: of the fault, if 6007h asks for
@@ -219,16 +212,14 @@ class Drive(Machine):
                 self._execute(Command.DISABLE_VOLTAGE)
             case 3:
                 self._execute(Command.QUICK_STOP)
-        self._publish()
-        self._schedule()
+        self._show()
 
     def rpdo_overdue(self, now: Time) -> None:
         """Stop following and brake, in ip and csp: an RPDO did not come within its event time."""
         self._advance(now)
         if self._acts:
             self._mode.rpdo_lost()
-        self._publish()
-        self._schedule()
+        self._show()
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
         """Make a fault in the drive, for a test or demo: transition 13, and a DriveFault event.
@@ -239,8 +230,7 @@ class Drive(Machine):
         if lasting:
             self._lasting_faults.add(error_code)
         self._fault(error_code)
-        self._publish()
-        self._schedule()
+        self._show()
 
     def end_fault(self, error_code: int) -> None:
         """End the cause of a lasting fault: a fault reset clears it then."""
@@ -250,8 +240,28 @@ class Drive(Machine):
         """Block the axis mechanically, or free it: a blocked drive that is to move gets a following error."""
         self._advance(now)
         self._servo.block(blocked)
-        self._publish()
-        self._schedule()
+        self._show()
+
+    def set_safe_torque_off(self, is_active: bool, now: Time) -> None:
+        """Switch the STO input (IEC 61800-5-2). Active: no torque from now on, also after a power-on, until it is switched back.
+
+        A drive goes to Switch on disabled; if it has power and `DriveSettings.sto_fault` names a fault, into that. The axis runs
+        on until friction or the brake has stopped it. No command leads out of Switch on disabled; no reset ends the fault.
+        """
+        self._advance(now)
+        self._torque_is_off = is_active
+        fault = self.settings.sto_fault
+        if not is_active:
+            self._lasting_faults.discard(fault)
+        else:
+            had_power = self._servo.is_powered
+            self._servo.release()
+            if fault and had_power:
+                self._lasting_faults.add(fault)
+                self._fault(fault)
+            self._execute(Command.DISABLE_VOLTAGE)
+            self._end_stop()
+        self._show()
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
@@ -259,8 +269,7 @@ class Drive(Machine):
         self._advance(now)
         if self._acts and now >= self._mode.due:  # only here: a SYNC that waited while our process slept is in time
             self._mode.sync_lost()
-        self._publish()
-        self._schedule()
+        self._show()
 
     # ---- the state machine ----
 
@@ -280,8 +289,13 @@ class Drive(Machine):
                 self._after_stop = None
                 self._mode.enter()
                 return
+        if self._is_opening and command is not Command.ENABLE_OPERATION:
+            self._is_opening = False
+            self._servo.release()
         while (arc := TRANSITIONS.get((self.state, command))) is not None and self._permits(command):
             if self.state is State.OPERATION_ENABLED and self._stops_first(command):
+                return
+            if arc[0] is State.OPERATION_ENABLED and self._opens_first():
                 return
             self._enter(arc)
 
@@ -289,6 +303,8 @@ class Drive(Machine):
         """Return whether the drive permits a command, by conditions that are not in the table of transitions."""
         if self.state is State.FAULT:
             return not self._lasting_faults
+        if self.state is State.SWITCH_ON_DISABLED:
+            return not self._torque_is_off
         if self.state is State.QUICK_STOP_ACTIVE and command is Command.ENABLE_OPERATION:
             return self._servo.parameter(objects.QUICK_STOP_OPTION_CODE) in _STAY_IN_QUICK_STOP
         return True
@@ -306,6 +322,13 @@ class Drive(Machine):
         self._after_stop = command
         return True
 
+    def _opens_first(self) -> bool:
+        """Put the power on, and return whether the brake has to open before operation is enabled (transition 4)."""
+        if not self._servo.is_powered:
+            self._servo.energise()
+        self._is_opening = self._servo.opens_brake
+        return self._is_opening
+
     def _occur(self, occurrence: Occurrence) -> None:
         self._enter(TRANSITIONS[self.state, occurrence])
 
@@ -315,13 +338,13 @@ class Drive(Machine):
         self.state, transition = arc
         self.out.events.append(DriveStateChanged(self.node_id, previous, self.state, transition))
         servo = self._servo
+        holds = self._after_stop is not None or (transition in _IN_ORDER and not servo.is_moving)
+        self._is_opening = False
         if previous is State.OPERATION_ENABLED and self._after_stop is None:
             self._mode.leave()  # unless it left before a ramp that has now ended
         self._after_stop = None
         match self.state:
             case State.OPERATION_ENABLED:
-                if not servo.is_powered:
-                    servo.energise()
                 self._deviates_since = None
                 self._mode.enter()
             case State.QUICK_STOP_ACTIVE:
@@ -329,14 +352,18 @@ class Drive(Machine):
                 stays = option in _STAY_IN_QUICK_STOP
                 self._stop_by(option - STAYS_FROM + 1 if stays else option, None if stays else Occurrence.QUICK_STOP_FINISHED)
             case State.FAULT_REACTION_ACTIVE:
-                option = servo.parameter(objects.FAULT_REACTION_OPTION_CODE) if previous in _ENERGISED else 0
+                option = (
+                    servo.parameter(objects.FAULT_REACTION_OPTION_CODE)
+                    if previous in _ENERGISED and not self._torque_is_off
+                    else 0
+                )
                 self._stop_by(option, Occurrence.FAULT_REACTION_FINISHED)
             case State.SWITCH_ON_DISABLED if previous is State.FAULT:
                 self._put(objects.ERROR_CODE, 0)
                 self.out.events.extend(DriveFaultCleared(self.node_id, code) for code in self._faults)
                 self._faults.clear()
             case _:
-                servo.release()
+                servo.release(holds=holds and not self._torque_is_off)
 
     def _stop_by(self, option: int, then: Occurrence | None) -> None:
         """Stop by an option code (0: take the power off); `then` follows."""
@@ -369,18 +396,11 @@ class Drive(Machine):
         """Whether the mode controls the axis: operation is enabled, and not about to end."""
         return self.state is State.OPERATION_ENABLED and self._after_stop is None
 
-    def _has_mode(self, mode: int) -> bool:
-        """Return whether a mode can be selected: "no mode" always; without 6502h any; on a Schunk homing, whatever 6502h says."""
-        if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
-            return True
-        known = self._servo.store.get(objects.SUPPORTED_DRIVE_MODES)
-        return mode in self._modes and (mode < 0 or not isinstance(known, int) or supported(known, mode))
-
     def _select_mode(self) -> None:
         """Select the mode of 6060h. A mode that the drive lacks, or does not take now (an RPDO can write it), changes nothing, as
         6061h shows."""
         mode = self._servo.parameter(objects.MODES_OF_OPERATION)
-        takes_it = self._has_mode(mode) and changes_mode(self.settings, self.state, self._controlword)
+        takes_it = has_mode(self._servo, self._modes, mode) and changes_mode(self.settings, self.state, self._controlword)
         if mode != self.mode and takes_it:
             if self._acts:
                 self._mode.leave()
@@ -409,6 +429,11 @@ class Drive(Machine):
                 self._fault(code)
         if self._after_stop is not None:
             self._end_stop()
+        if self._is_opening and not servo.opens_brake:
+            self._enter(TRANSITIONS[self.state, Command.ENABLE_OPERATION])
+            self._mode.control(self._controlword, self._controlword)
+        if servo.is_overloaded and self.settings.overload_fault and self.state in _ENERGISED:
+            self._fault(self.settings.overload_fault)
         if self._acts:
             if servo.has_met_switch:
                 servo.has_met_switch = False  # told once
@@ -434,60 +459,40 @@ class Drive(Machine):
     def _put(self, key: Mux, value: int) -> None:
         self.values.store[key] = value
 
+    def _show(self, step: Time = STEP) -> None:
+        """Show the present values, and ask for the next wake."""
+        self._publish()
+        self._schedule(step)
+
     def _publish(self) -> None:
-        servo, store = self._servo, self.values.store
-        shown = store.get(objects.STATUSWORD)
+        shown = self.values.store.get(objects.STATUSWORD)
         statusword = self._statusword()
-        store[objects.STATUSWORD] = statusword
-        zero = servo.zero
-        store[objects.POSITION_DEMAND_VALUE] = _wrapped(servo.demand_position - zero)
-        store[objects.POSITION_ACTUAL_VALUE] = _wrapped(servo.position - zero)
-        store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
-        store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
-        if objects.VL_VELOCITY_DEMAND in store:
-            unit = servo.vl_unit * servo.ratio(objects.VL_SET_POINT_FACTOR)
-            store[objects.VL_VELOCITY_DEMAND] = _limited(servo.demand_velocity / unit, _INT16)
-            store[objects.VL_VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity / unit, _INT16)
-        store[objects.TORQUE_DEMAND_VALUE], torque = servo.torques
-        store[objects.TORQUE_ACTUAL_VALUE] = store[objects.CURRENT_ACTUAL_VALUE] = torque
-        store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
-        store[objects.DIGITAL_INPUTS] = self.settings.track.inputs_at(servo.position)
+        self._put(objects.STATUSWORD, statusword)
+        show_values(self._servo, torque_is_off=self._torque_is_off)
         if statusword != shown:
             self.out.events.append(StatuswordChanged(self.node_id, statusword))
 
     def _statusword(self) -> int:
-        servo = self._servo
-        word = _STATE_BITS[self.state]
+        mode_status = 0
         if self.state is State.OPERATION_ENABLED:
-            word |= self._mode.status
+            mode_status = self._mode.status
             if self._deviates_since is not None and self.mode in _SHOWS_FOLLOWING_ERROR:
-                word |= ModeStatus.FOLLOWING_ERROR
-        elif self.state is State.QUICK_STOP_ACTIVE and servo.is_settled:
-            word |= StatusBit.TARGET_REACHED
-        if servo.internal_limit or servo.is_stopped_by_switch or servo.limits_torque:
-            word |= StatusBit.INTERNAL_LIMIT
-        if self.settings.shape is Shape.SCHUNK_POWERBALL:
-            word |= servo.is_moving * StatusBit.MANUFACTURER_8 | self._homing.is_referenced * StatusBit.MANUFACTURER_15
-        return word
+                mode_status |= ModeStatus.FOLLOWING_ERROR
+        return statusword_of(self.state, mode_status, self._servo, is_referenced=self._homing.is_referenced)
 
     def _schedule(self, step: Time = STEP) -> None:
         servo = self._servo
         due = self._mode.due if self._acts else NEVER
         if self.state is State.NOT_READY_TO_SWITCH_ON:
             self._arm(self._ready_at)
-        elif servo.is_settled and self._deviates_since is None and not (self._acts and self._mode.is_waiting):
+        elif (
+            servo.is_settled
+            and self._deviates_since is None
+            and not self._is_opening
+            and not (self._acts and self._mode.is_waiting)
+        ):
             self._arm(due)
         else:
             wake, end = min(servo.time + step, due), servo.demand.end
             awaits_end = self._after_stop is not None or self._mode.awaits_end
             self._arm(end if awaits_end and servo.time < end < wake else wake)
-
-
-def _wrapped(position: float) -> int:
-    """Return a position as INTEGER32; an endless axis starts again at the other end."""
-    return (round(position) + _INT32) % (2 * _INT32) - _INT32
-
-
-def _limited(value: float, bound: int = _INT32) -> int:
-    """Return a speed or distance as INTEGER32 (INTEGER16 with that bound), clipped to its range."""
-    return round(max(-bound, min(bound - 1, value)))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode, supported
 from canopen_proto.cia402.states import ControlBit, State
 from canopen_proto.machine import Outbox
 from canopen_proto.simulated_drive.homing import Homing
@@ -12,7 +13,7 @@ from canopen_proto.simulated_drive.interpolated_position import InterpolatedPosi
 from canopen_proto.simulated_drive.profile_modes import OperationMode, ProfileVelocity, Velocity
 from canopen_proto.simulated_drive.profile_position import ProfilePosition
 from canopen_proto.simulated_drive.servo import Servo
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_proto.simulated_drive.synchronous_modes import CyclicPosition
 from canopen_proto.simulated_drive.torque_modes import CyclicTorque, CyclicVelocity, ProfileTorque
 
@@ -42,6 +43,14 @@ def modes_of(servo: Servo, out: Outbox, node_id: int, homing: Homing) -> dict[in
         Mode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicTorque(*common),
         **{mode: OperationMode(*common) for mode in servo.settings.own_modes},
     }
+
+
+def has_mode(servo: Servo, modes: dict[int, OperationMode], mode: int) -> bool:
+    """Return whether a mode can be selected: "no mode" always; without 6502h any; on a Schunk homing, whatever 6502h says."""
+    if mode == Mode.NO_MODE or (mode == Mode.HOMING and servo.settings.shape is Shape.SCHUNK_POWERBALL):
+        return True
+    known = servo.store.get(objects.SUPPORTED_DRIVE_MODES)
+    return mode in modes and (mode < 0 or not isinstance(known, int) or supported(known, mode))
 
 
 def changes_mode(settings: DriveSettings, state: State, controlword: int) -> bool:

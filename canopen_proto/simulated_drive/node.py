@@ -67,6 +67,11 @@ class DriveNode(LocalNode):
         with self._settling(now):
             self.drive.block(blocked, now)
 
+    def set_safe_torque_off(self, is_active: bool, now: Time) -> None:
+        """Switch the STO input. Active: no torque, and no command enables the drive. See Drive.set_safe_torque_off."""
+        with self._settling(now):
+            self.drive.set_safe_torque_off(is_active, now)
+
     def _on_fault(self, fault: DriveFault, now: Time) -> None:
         self.communication.emcy.raise_error(fault.error_code, fault.error_register, b"", now)
 

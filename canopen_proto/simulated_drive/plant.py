@@ -18,6 +18,13 @@ Coulomb friction acts. An axis that rests costs nothing: no steps run until `wak
 Positions are those of the track, in user-defined units; torques are in N·m. Positive torque accelerates towards positive
 positions.
 
+**The brake** holds the shaft by friction while the drive has no power. It takes `brake_release` to open and `brake_apply` to
+close. For this time a drive that is disabled in order holds the load by its motor, and one that loses its power lets it fall.
+60FEh may command the brake instead (`brake_command`).
+
+**I²t.** What the motor gives beyond its rated torque heats it. The peak torque is allowed for `overload_time`, less torque for
+longer; then `is_overloaded` limits the torque to the rated one, until the heat has fallen by a tenth.
+
 Left out: an elastic coupling (two masses), backlash, noise and resolution of the encoder, temperature, the voltage limit.
 
 Source: IEC 61800-7-201 (CiA 402-2), position, velocity and torque control functions. They leave the loops to the maker; these
@@ -58,9 +65,10 @@ class Mechanics:
     """The mass behind a drive, its motor, and the gains of its loops. The defaults suit an arm's joint in millidegrees.
 
     units_per_radian: user-defined units in one radian of the shaft. inertia: kg·m². viscous_friction: N·m·s/rad.
-    coulomb_friction: N·m. load: N·m, acts towards negative positions, as a weight on a vertical axis. brake_torque: N·m that
-    holds the shaft while the drive has no power; 0 for a drive without brake. peak_torque: N·m, the most that the motor gives;
-    6072h, 6073h, 60E0h and 60E1h may limit it further. torque_lag: time constant of the current loop, s.
+    coulomb_friction: N·m. load: N·m, acts towards negative positions, as a weight on a vertical axis. brake_torque: N·m by which
+    the brake holds the shaft; 0 for a drive without brake. brake_release, brake_apply: s until it is open, and closed.
+    peak_torque: N·m, the most that the motor gives; 6072h, 6073h, 60E0h and 60E1h may limit it further. overload_time: how long
+    it gives it from cold, s; inf: for ever. torque_lag: time constant of the current loop, s.
 
     bandwidth: of the velocity loop, Hz. It gives the gains that are None: velocity_gain (N·m·s/rad) = inertia * 2π * bandwidth;
     integral_time (s; inf: no integral part) = 4 / (2π * bandwidth); position_gain (1/s) = a quarter of 2π * bandwidth, with which
@@ -73,7 +81,10 @@ class Mechanics:
     coulomb_friction: float = 0.3
     load: float = 0.0
     brake_torque: float = 20.0
+    brake_release: float = 0.0
+    brake_apply: float = 0.0
     peak_torque: float = 30.0
+    overload_time: float = math.inf
     torque_lag: float = 0.0005
     bandwidth: float = 40.0
     velocity_gain: float | None = None
@@ -96,7 +107,10 @@ class Plant:
 
     __slots__ = (
         "_acceleration_gain",
-        "_coulomb",
+        "_brake_closes",
+        "_brake_moves_at",
+        "_heat",
+        "_heat_limit",
         "_inertia",
         "_integral",
         "_integral_gain",
@@ -106,11 +120,14 @@ class Plant:
         "_velocity_feed_forward",
         "_velocity_gain",
         "_viscous",
+        "brake_command",
         "control",
         "fastest",
         "highest",
         "highest_torque",
         "is_blocked",
+        "is_braked",
+        "is_overloaded",
         "is_powered",
         "is_saturated",
         "lowest",
@@ -118,6 +135,7 @@ class Plant:
         "mechanics",
         "position",
         "ramp",
+        "rated_torque",
         "rests",
         "target_torque",
         "time",
@@ -138,7 +156,6 @@ class Plant:
         self.mechanics = mechanics
         self._inertia = mechanics.inertia * per_unit
         self._viscous = mechanics.viscous_friction * per_unit
-        self._coulomb = mechanics.coulomb_friction
         self._velocity_gain = self._inertia * crossover if gain is None else gain * per_unit
         self._integral_gain = self._velocity_gain / (4.0 / crossover if integral_time is None else integral_time)
         self._position_gain = crossover / 4.0 if position_gain is None else position_gain
@@ -156,26 +173,64 @@ class Plant:
         self.velocity = 0.0
         self.torque = self.torque_demand = 0.0
         self.lowest_torque, self.highest_torque = -mechanics.peak_torque, mechanics.peak_torque
-        self.is_powered = self.is_blocked = self.is_saturated = False
+        self.rated_torque = mechanics.peak_torque
+        self.is_powered = self.is_blocked = self.is_saturated = self.is_overloaded = False
+        self.is_braked = self._brake_closes = True
+        self.brake_command: bool | None = None
+        self._brake_moves_at: Time = NEVER
+        self._heat, self._heat_limit = 0.0, math.inf
         self.rests = True
 
     def wake(self, now: Time) -> None:
         """Run steps again from `now` on: something outside has changed."""
         if self.rests:
             self.rests = False
-            self.time = now - now % PERIOD
+            before, self.time = self.time, now - now % PERIOD
+            self._warm((self.time - before) / SECOND)
 
-    def limit_torque(self, lowest: float, highest: float) -> None:
-        """Limit the torque, in N·m; the motor's peak torque limits it as well."""
+    def limit_torque(self, lowest: float, highest: float, rated: float) -> None:
+        """Limit the torque, in N·m; the motor's peak torque limits it as well. rated: the torque that does not overload it."""
         peak = self.mechanics.peak_torque
+        self.rated_torque = rated
+        self._heat_limit = max(0.0, (peak / rated) ** 2 - 1.0) * self.mechanics.overload_time if peak > rated else math.inf
         self.lowest_torque, self.highest_torque = max(-peak, lowest), min(peak, highest)
 
-    def power(self, is_powered: bool) -> None:
-        """Switch the power on (the brake opens, the loops start) or off (no torque at once; the brake closes)."""
-        self.is_powered = is_powered
-        self.is_saturated = False
+    def power_on(self) -> None:
+        """Switch the power on: the loops hold the axis, and the brake begins to open."""
+        if not self.is_powered:
+            self._cut()
+            self.is_powered = True
+        self._move_brake(False, self.mechanics.brake_release)
+
+    def power_off(self, *, holds: bool) -> None:
+        """Close the brake, and switch the power off: at once, or, if the drive `holds` the axis, when the brake is closed."""
+        self._move_brake(True, self.mechanics.brake_apply)
+        if not (holds and self.moves_brake):
+            self._cut()
+
+    @property
+    def moves_brake(self) -> bool:
+        """Whether the brake is on its way."""
+        return self._brake_moves_at != NEVER
+
+    @property
+    def holds_brake(self) -> bool:
+        """Whether the brake is closed, by the drive or by 60FEh."""
+        return self.is_braked if self.brake_command is None else self.brake_command
+
+    def _move_brake(self, closes: bool, delay: float) -> None:
+        self._brake_closes = closes
+        self._brake_moves_at = self.time + round(delay * SECOND)
+        if delay <= 0.0 or self.is_braked is closes:
+            self._end_brake_move()
+
+    def _end_brake_move(self) -> None:
+        self._brake_moves_at = NEVER
+        self.is_braked = self._brake_closes
+
+    def _cut(self) -> None:
+        self.is_powered = self.is_saturated = False
         self.torque = self.torque_demand = self._integral = self._ramped = 0.0
-        self._coulomb = self.mechanics.coulomb_friction + (0.0 if is_powered else self.mechanics.brake_torque)
 
     def close(self, control: Control) -> None:
         """Close the loops of a kind of control, without offsets. The torque goes on from the present one."""
@@ -202,6 +257,10 @@ class Plant:
         return self.position + self.velocity * ((now - self.time) / SECOND)
 
     def _step(self, demand: Profile) -> None:
+        if self.time >= self._brake_moves_at:
+            self._end_brake_move()
+            if self.is_braked:
+                self._cut()
         torque_before, has_arrived, is_ramping = self.torque, not self.is_powered, False
         if self.is_powered:
             if self.control is Control.TORQUE:
@@ -212,10 +271,14 @@ class Plant:
             self.torque_demand = wanted
             self.torque += (wanted - self.torque) * self._share
         self._move()
+        self._warm(_STEP)
         self.time += PERIOD
         change = abs(self.torque - torque_before)
         self.rests = (
             not is_ramping
+            and not self.moves_brake
+            and not self.is_overloaded
+            and (abs(self.torque) <= self.rated_torque or self._heat_limit == math.inf)
             and (not self.is_powered or demand.at_rest(self.time))
             and abs(self.velocity) < STANDSTILL
             and ((has_arrived and change < _SETTLED * self.mechanics.peak_torque) or change < _STEADY)
@@ -234,7 +297,7 @@ class Plant:
             added += self._acceleration_gain * acceleration
         gap = self._position_gain * error + velocity + self.velocity_offset - self.velocity
         wanted = self._velocity_gain * gap + self._integral + added
-        given = min(max(wanted, self.lowest_torque), self.highest_torque)
+        given = self._limited(wanted)
         self.is_saturated = given != wanted
         if (wanted - given) * gap <= 0.0:  # at the limit, the integral must not grow further (anti-windup)
             self._integral += self._integral_gain * gap * _STEP
@@ -251,10 +314,22 @@ class Plant:
         gain = self._velocity_gain
         up = gain * (self._speed_before(self.highest - self.position) - self.velocity)
         down = gain * (-self._speed_before(self.position - self.lowest) - self.velocity)
-        given = min(max(torque, down, self.lowest_torque), up, self.highest_torque)
-        given = max(given, self.lowest_torque)
+        given = self._limited(min(max(torque, down), up))
         self.is_saturated = given != torque
         return given
+
+    def _limited(self, torque: float) -> float:
+        """Return the torque within the drive's limits and, if the motor is overloaded, within its rated torque."""
+        if self.is_overloaded:
+            torque = min(max(torque, -self.rated_torque), self.rated_torque)
+        return min(max(torque, self.lowest_torque), self.highest_torque)
+
+    def _warm(self, seconds: float) -> None:
+        """Let the motor become warmer or cooler."""
+        if self._heat_limit == math.inf:
+            return
+        self._heat = max(0.0, self._heat + ((self.torque / self.rated_torque) ** 2 - 1.0) * seconds)
+        self.is_overloaded = self._heat >= (0.9 if self.is_overloaded else 1.0) * self._heat_limit
 
     def _speed_before(self, distance: float) -> float:
         """Return how fast the axis may be so far from an end of its range; below 0: it must come back."""
@@ -270,6 +345,6 @@ class Plant:
         before = self.velocity
         by_torque = _STEP / (self._inertia + self._viscous * _STEP)
         free = before + (self.torque - self.mechanics.load - self._viscous * before) * by_torque
-        friction = self._coulomb * by_torque
+        friction = (self.mechanics.coulomb_friction + self.mechanics.brake_torque * self.holds_brake) * by_torque
         self.velocity = 0.0 if abs(free) <= friction else free - math.copysign(friction, free)
         self.position += 0.5 * (before + self.velocity) * _STEP

@@ -38,6 +38,8 @@ from canopen_proto.simulated_drive.fallbacks import FALLBACKS
 from canopen_proto.simulated_drive.plant import STANDSTILL, Control, Mechanics, Plant
 from canopen_proto.simulated_drive.settings import DriveSettings
 
+BRAKE: Final = 1
+"""Bit 0 of 60FEh, "set brake": 1 closes it."""
 UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
 
@@ -174,7 +176,7 @@ class Servo:
         """Let the mass follow the demand. Without power the demand follows the mass."""
         plant.advance(self.time, self.demand)
         self.position, self.velocity = plant.position_at(self.time), plant.velocity
-        if not self.is_powered:
+        if not plant.is_powered:
             self.demand_position, self.demand_velocity = self.position, 0.0
         elif plant.control is not Control.POSITION:
             self.demand_position = self.position
@@ -200,6 +202,29 @@ class Servo:
     def limits_torque(self) -> bool:
         """Whether the torque is at its limit, so that the axis cannot follow."""
         return self._plant is not None and self._plant.is_saturated
+
+    @property
+    def is_overloaded(self) -> bool:
+        """Whether the torque is limited to the rated one, because the motor is too warm (I²t)."""
+        return self._plant is not None and self._plant.is_overloaded
+
+    @property
+    def opens_brake(self) -> bool:
+        """Whether the brake is still opening, so that the axis cannot move yet."""
+        return self._plant is not None and self.is_powered and self._plant.moves_brake
+
+    @property
+    def holds_brake(self) -> bool:
+        """Whether the brake is closed."""
+        return not self.is_powered if self._plant is None else self._plant.holds_brake
+
+    def command_brake(self) -> None:
+        """Take over bit 0 of 60FEh: the master commands the brake if it has set this bit of the mask 60FEh:02, else the drive."""
+        plant = self._plant
+        if plant is not None:
+            is_commanded = self.parameter(objects.DIGITAL_OUTPUT_MASK) & BRAKE
+            plant.brake_command = bool(self.parameter(objects.DIGITAL_OUTPUTS) & BRAKE) if is_commanded else None
+            self._wake(plant)
 
     @property
     def is_moving(self) -> bool:
@@ -243,7 +268,7 @@ class Servo:
             both = min(self.parameter(objects.MAX_TORQUE), self.parameter(objects.MAX_CURRENT))
             highest = max(0, min(both, self.parameter(objects.POSITIVE_TORQUE_LIMIT)))
             lowest = -max(0, min(both, self.parameter(objects.NEGATIVE_TORQUE_LIMIT)))
-            plant.limit_torque(self.torque_of(lowest), self.torque_of(highest))
+            plant.limit_torque(self.torque_of(lowest), self.torque_of(highest), self.torque_of(_RATED_TORQUE))
             self._wake(plant)
 
     def move_to(
@@ -369,7 +394,8 @@ class Servo:
         if plant is None:
             plant = self._plant = Plant(Mechanics(), self.position)
             plant.velocity = self.velocity
-            plant.power(True)
+            plant.wake(self.time)
+            plant.power_on()
             plant.block(self.is_blocked)
             self.limit_torque()
         if plant.control is not Control.TORQUE:
@@ -395,21 +421,22 @@ class Servo:
         """Put the power on. An axis that still moves is braked by the quick stop ramp."""
         self.is_powered = True
         if self._plant is not None:
-            self._plant.power(True)
+            self._wake(self._plant)
+            self._plant.power_on()
             self.limit_torque()
             self._plan(motion.stop(self.time, self.position, self.velocity, self.ramp(2)))
 
-    def release(self) -> None:
+    def release(self, *, holds: bool = False) -> None:
         """Take the power off: the brake holds the axis where it is, and the demand is set to that position.
 
-        A mass first runs on until brake and friction have stopped it.
+        A mass first runs on until brake and friction have stopped it. holds: the motor holds it until the brake is closed.
         """
         self.is_powered = False
         self.internal_limit = False
         self._plan(motion.hold(self.time, self.position))
         self.demand_position, self.demand_velocity = self.position, 0.0
         if self._plant is not None:
-            self._plant.power(False)
+            self._plant.power_off(holds=holds)
         else:
             self.velocity = 0.0
             self.is_settled = True

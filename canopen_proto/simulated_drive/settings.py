@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import NamedTuple
 
+from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -42,6 +44,17 @@ class Track:
         return (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
 
 
+class ShownBit(NamedTuple):
+    """A bit of an object by which a drive shows something. value: the bit while that is so."""
+
+    mux: Mux
+    bit: int
+    value: int = 1
+
+
+_STO_OF_AX8000 = ShownBit(objects.DIGITAL_INPUTS, 31)
+
+
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
     """The properties of a simulated drive that are not in its dictionary.
@@ -57,6 +70,11 @@ class DriveSettings:
     5, as in Synapticon's drives. mode_change_state: the highest state in which it takes another mode (6060h), of Switch on
     disabled, Ready to switch on, Switched on, Operation enabled. changes_mode_halted: whether it does so while bit 8 of the
     controlword is set; Engel's drives do not. own_modes: modes of its maker, below 0; it stands in them.
+
+    torque_is_off: the STO input is active at power-on, as with an emergency stop that is pressed. sto_bit: the bit that shows it,
+    by default that of Beckhoff's AX8000. sto_fault: error code of the fault that STO makes in a drive with power; 0: none, it
+    goes to Switch on disabled. brake_bit: the bit that shows a closed brake. overload_fault: error code of the fault that an
+    overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one.
     """
 
     shape: Shape = Shape.STANDARD
@@ -73,3 +91,8 @@ class DriveSettings:
     mode_change_state: State = State.OPERATION_ENABLED
     changes_mode_halted: bool = True
     own_modes: frozenset[int] = frozenset()
+    torque_is_off: bool = False
+    sto_bit: ShownBit = _STO_OF_AX8000
+    sto_fault: int = 0
+    brake_bit: ShownBit | None = None
+    overload_fault: int = 0

@@ -66,7 +66,7 @@ class AnyOrder(RuleBasedStateMachine):
             self.bench.preset(index, value)
         self.bench.events()
         self.word = 0
-        self.had_torque = False
+        self.had_torque = self.sto = False
 
     def check(self, first: tuple[int, ...] | None = None) -> None:
         """What was reported is a walk through the table that ends where the drive is; `first` limits its first transition."""
@@ -117,6 +117,12 @@ class AnyOrder(RuleBasedStateMachine):
         self.bench.drive.connection_lost(self.bench.now, 0x8130)
         self.check(first=(7, 9, 10, 11, 12, 13))
 
+    @rule(is_active=st.booleans())
+    def switch_sto(self, is_active: bool) -> None:
+        self.bench.drive.set_safe_torque_off(is_active, self.bench.now)
+        self.sto = is_active
+        self.check(first=(7, 9, 10, 12, 14))
+
     @rule(blocked=st.booleans())
     def block(self, blocked: bool) -> None:
         self.bench.drive.block(blocked, self.bench.now)
@@ -156,6 +162,7 @@ class AnyOrder(RuleBasedStateMachine):
                 assert self.bench.read(0x606B) == 0
                 if not self.had_torque:  # which needs a mass; without power that runs on until its brake has stopped it
                     assert self.bench.read(0x606C) == 0
+            assert not self.sto or self.bench.state in (State.SWITCH_ON_DISABLED, State.FAULT, State.FAULT_REACTION_ACTIVE)
             assert (self.bench.read(0x603F) != 0) == (self.bench.state in (State.FAULT, State.FAULT_REACTION_ACTIVE))
             assert state_of(self.bench.read(0x6041)) is self.bench.drive.state
             for variable in self.bench.values.dictionary:
