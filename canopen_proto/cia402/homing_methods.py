@@ -94,12 +94,13 @@ _DIRECTIONS: Final = {-1: "negative", +1: "positive"}
 
 
 def homing_method_name(number: int) -> str:
-    """Return a homing method in a few words: "method 7: home switch, negative side, with index pulse; begins in positive
-    direction". Any integer has a name."""
-    return f"method {number}: {_name(number)}"
+    """Return a homing method and its name: "method 17: negative limit switch; begins in negative direction"."""
+    return f"method {number}: {homing_name(number)}"
 
 
-def _name(number: int) -> str:
+def homing_name(number: int) -> str:
+    """Return a homing method in a few words: "home switch, negative end in positive direction, with index pulse; begins in
+    positive direction". Any integer has a name."""
     if number == 0:
         return "no homing"
     if number < 0:
@@ -114,16 +115,17 @@ def _name(number: int) -> str:
     direction = _DIRECTIONS[method.start]
     if method.switch is None:
         return f"the next index pulse in {direction} direction"
-    side = f", {_DIRECTIONS[method.edge]} side" if method.switch is _HOME else ""
+    side = f", {_DIRECTIONS[method.edge]} end in {_DIRECTIONS[method.last]} direction" if method.switch is _HOME else ""
     index = ", with index pulse" if method.has_index else ""
-    return f"{method.switch.value}{side}{index}; begins in {direction} direction"
+    turns = f", turns at the {direction} limit switch" if method.turns else ""
+    return f"{method.switch.value}{side}{index}; begins in {direction} direction{turns}"
 
 
 def describe_homing(number: int) -> str:
     """Return, in one sentence, where a method goes and what is home; for methods without a picture, the name."""
     method = HOMING_METHODS.get(number)
     if method is None or not method.last:
-        return _name(number)
+        return homing_name(number)
     start, last = _DIRECTIONS[method.start], _DIRECTIONS[method.last]
     if method.switch is None:
         return f"goes in {start} direction; home is the next index pulse"

@@ -17,6 +17,7 @@ COMMANDS: Final = {
     "fault-reset": ("drive_state", "Reset a fault: a rising edge of bit 7."),
     "mode": ("drive_state", "Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one."),
     "enable": ("drive_power", "Give a drive power, in a mode in which that moves nothing, until Ctrl-C."),
+    "home": ("drive_home", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
     "move": ("drive_power", "Move a drive to POSITION by its own profile (profile position)."),
     "stop": ("drive_state", "Command a quick stop."),
     "disable": ("drive_state", "Take the power from a drive."),
@@ -43,6 +44,7 @@ def drive(ctx: click.Context, node_id: int) -> None:
     canopen drive 3 units -b demo      what a count is, and where that stands
     canopen drive 3 fault-reset -b demo
     canopen drive 3 mode -b demo       the modes that it has; with a mode: select it
+    canopen drive 3 home 19 -b demo    IT MOVES, to its reference; --list: the homing methods
     canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
     canopen drive 3 enable -b demo     power until Ctrl-C
     canopen drive 3 disable -b demo    no power, from any state

@@ -37,12 +37,13 @@ def run_on_node(
 
     async def command() -> T:
         async with open_session(settings, screen) as session:
-            return await session.master.run(procedure(session, session.node(_node_id())))
+            return await session.master.run(procedure(session, session.node(node_of_command())))
 
     return run(settings, screen, command, story=story)
 
 
-def _node_id() -> int:
+def node_of_command() -> int:
+    """Return the node-ID that stands before the command."""
     node_id: int = click.get_current_context().meta[NODE]
     return node_id
 
@@ -72,10 +73,10 @@ def command_drive(
         return (yield from procedure(session.master.device(node, settings=AxisSettings(counts_per_unit=counts)).axis))
 
     async def work(session: Session) -> None:
-        await session.master.run(whole(session, session.node(_node_id())))
+        await session.master.run(whole(session, session.node(node_of_command())))
 
     if settings.dry_run:
-        rehearse(settings, screen, (_node_id(),), work, ends=ends)
+        rehearse(settings, screen, (node_of_command(),), work, ends=ends)
         raise click.exceptions.Exit(ExitCode.OK)
     return run_on_node(settings, screen, whole, story)
 

@@ -1,55 +1,104 @@
-"""`canopen home`: home drives at the same time, and disable them afterwards."""
+"""`canopen home`: home drives at the same time, and disable them afterwards. `canopen drive NODE home`: the same for one."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, TypeVar
 
 import click
 import trio
 
 from canopen_cli.demo_view import DemoView, JointView
 from canopen_cli.failures import problem_of
-from canopen_cli.options import Duration, NodeId, Settings, common, enabling
+from canopen_cli.options import Duration, NodeId, Settings, commanding, common, enabling
 from canopen_cli.problem import usage
+from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import all_stand, run
 from canopen_cli.screen import escape, node_text
 from canopen_cli.session import Session, open_session
 from canopen_master.motion.joint_procedures import awake
 from canopen_proto import drive
+from canopen_proto.cia402.homing_methods import HOMING_METHODS, homing_name
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.drive.axis import Axis, AxisSettings, HomingStyle
 from canopen_proto.drive.identity import identify
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 REFRESH: Final = 0.1
 """Seconds between two updates of the picture."""
+METHOD: Final = click.IntRange(-128, 127)
 STYLES: Final = {"auto": None, "standard": HomingStyle.STANDARD, "schunk": HomingStyle.SCHUNK}
 
 
+class Homing(NamedTuple):
+    """How to home, as the command line says."""
+
+    style: str
+    method: int | None
+    limit: Time
+    reset_fault: bool
+
+
+def homing_options(command: F) -> F:
+    """Add the options of a command that homes."""
+    for each in (
+        common,
+        commanding,
+        enabling,
+        click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
+        click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
+        click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]"),
+        click.option(
+            "--style",
+            type=click.Choice(list(STYLES)),
+            default="auto",
+            help="How they home: as CiA 402 says, or as Schunk Powerball joints do.  [default: as the vendor-ID in 0x1018 says]",
+        ),
+    ):
+        command = each(command)
+    return command
+
+
 @click.command()
-@click.argument("node_ids", metavar="NODE...", nargs=-1, required=True, type=NodeId())
-@click.option(
-    "--style",
-    type=click.Choice(list(STYLES)),
-    default="auto",
-    help="How the drives home: as CiA 402 says, or as Schunk Powerball joints do.  [default: what the vendor-ID in 0x1018 says]",
-)
-@click.option("--method", type=int, help="Homing method, written to 0x6098 (17, 18, 19, 21, 33 to 37 ...).")
-@click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
-@click.option("--reset-fault", is_flag=True, help="Reset a fault first.")
-@enabling
-@common
+@click.argument("node_ids", metavar="NODE...", nargs=-1, type=NodeId())
+@click.option("--method", type=METHOD, help="Homing method, written to 0x6098; --list has them.")
+@homing_options
 @click.pass_obj
-def home(settings: Settings, node_ids: tuple[int, ...], style: str, method: int | None, limit: Time, reset_fault: bool) -> None:
+def home(
+    settings: Settings, node_ids: tuple[int, ...], style: str, method: int | None, limit: Time, reset_fault: bool, lists: bool
+) -> None:
     """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them."""
-    if style == "schunk" and method is not None:
-        raise usage("CO125", "--method is for drives that home as CiA 402 says", tries=("the same without --method",))
+    if lists:
+        list_methods(settings, node_ids)
+    elif not node_ids:
+        raise usage("CO001", "no NODE was named", tries=("canopen home 3", "canopen home --list    the homing methods"))
+    else:
+        home_nodes(settings, node_ids, Homing(style, method, limit, reset_fault))
+
+
+def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> None:
+    """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done."""
+    if homing.style == "schunk" and homing.method is not None:
+        raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
     screen = settings.screen()
     chosen = tuple(dict.fromkeys(node_ids))
+    limit = homing.limit
 
     def procedure(session: Session, axes: dict[int, Axis]) -> Procedure[list[None]]:
-        return all_of(*(_home(session, axes, node_id, style, method, limit, reset_fault) for node_id in chosen))
+        return all_of(*(_home(session, axes, node_id, homing) for node_id in chosen))
+
+    if settings.dry_run:
+
+        async def work(session: Session) -> None:
+            axes: dict[int, Axis] = {}
+            await session.master.run(procedure(session, axes))
+            await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
+
+        rehearse(settings, screen, chosen, work, ends=True)
+        return
 
     async def command() -> list[Axis]:
         async with open_session(settings, screen) as session:
@@ -102,9 +151,38 @@ def _as_json(axis: Axis) -> dict[str, Any]:
     }
 
 
-def _home(
-    session: Session, axes: dict[int, Axis], node_id: int, style: str, method: int | None, limit: Time, reset_fault: bool
-) -> Procedure[None]:
+def list_methods(settings: Settings, node_ids: Sequence[int]) -> None:
+    """Show the homing methods of the standard, or those that drives list."""
+    screen = settings.screen()
+    lists: dict[int, tuple[int, ...] | None] = {}
+
+    async def command() -> None:
+        async with open_session(settings, screen) as session:
+            for node_id in dict.fromkeys(node_ids):
+                lists[node_id] = await session.master.run(drive.read_homing_methods(session.node(node_id).remote))
+
+    if node_ids:
+        run(settings, screen, command)
+    listed = {method for methods in lists.values() for method in methods or ()}
+    shown = sorted(listed) if listed and None not in lists.values() else sorted({*HOMING_METHODS, *listed})
+    if settings.json:
+        screen.json(
+            {
+                "methods": [{"method": each, "name": homing_name(each)} for each in shown],
+                "listed": {str(node_id): None if methods is None else list(methods) for node_id, methods in lists.items()},
+            }
+        )
+        return
+    tells = {node_id: methods for node_id, methods in lists.items() if methods is not None}
+    columns = tuple(f"node {node_id}" for node_id in tells)
+    rows = [(str(each), *("yes" if each in has else "" for has in tells.values()), homing_name(each)) for each in shown]
+    screen.table(("method", *columns, "home, and where it begins"), rows, right=("method",))
+    for node_id in lists.keys() - tells.keys():
+        screen.say(f"{node_text(node_id)} does not tell its methods (0x60E3): its manual does")
+
+
+def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing) -> Procedure[None]:
+    style, method, limit, reset_fault = homing
     node = session.node(node_id)
     yield from awake(node)
     settings = AxisSettings(counts_per_unit=1.0, homing=STYLES[style], homing_method=method, homing_timeout=limit)

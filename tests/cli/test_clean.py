@@ -130,6 +130,7 @@ COMMANDS = [
     ("demo", "--chains", "good.csv", "--seconds", "0.5"),
     ("demo", "--eds", NAMED_EDS, "--seconds", "0.5"),
     ("home", "5", *DEMO, "-e", NAMED_EDS),
+    ("drive", "5", "home", *DEMO, "-e", NAMED_EDS),
     *[("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO) for word in ("state", "units")],
     *[
         ("drive", "5", word, "-e", "device.eds", "--overlay", "odd.toml", *DEMO)

@@ -22,6 +22,9 @@ def test_the_pictures_come_in_mirrored_pairs(one: int, mirrored: int) -> None:
         assert right.switch is (ends.get(left.switch, left.switch) if left.switch is not None else None)
 
 
+TURNS = ", turns at the positive limit switch"
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [
@@ -29,7 +32,8 @@ def test_the_pictures_come_in_mirrored_pairs(one: int, mirrored: int) -> None:
         (0, "method 0: no homing"),
         (1, "method 1: negative limit switch, with index pulse; begins in negative direction"),
         (15, "method 15: reserved"),
-        (19, "method 19: home switch, negative side; begins in positive direction"),
+        (19, "method 19: home switch, negative end in negative direction; begins in positive direction"),
+        (26, "method 26: home switch, positive end in positive direction; begins in positive direction" + TURNS),
         (34, "method 34: the next index pulse in positive direction"),
         (35, "method 35: the present position; nothing moves"),
         (36, "method 36: touch probe"),
