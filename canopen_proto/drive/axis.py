@@ -44,7 +44,7 @@ from canopen_proto.drive.settings import AxisSettings as AxisSettings
 from canopen_proto.drive.settings import HomingStyle as HomingStyle
 from canopen_proto.drive.sub_modes import SubMode
 from canopen_proto.drive.units import DriveUnits
-from canopen_proto.drive.view import DriveView
+from canopen_proto.drive.view import DriveBit, DriveView
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
@@ -229,6 +229,8 @@ class Axis:
             rpdo=None if producer is None else producer.number,
             emcy=self.node.emcy.last,
             has_lost_reference=self.has_lost_reference,
+            safe_torque_off=self._if_shown(self._settings.sto_input),
+            brake=self._if_shown(self._settings.brake_bit),
             foreign=foreign_command(self.node, self.controlword if self.is_commanded else None, self.selected_mode),
             is_heard=objects.STATUSWORD in self._heard_at,
         )
@@ -405,6 +407,11 @@ class Axis:
         producer = self.node.rpdo_of(mux)
         if producer is not None:
             producer.trigger(now)
+
+    def _if_shown(self, bit: DriveBit | None) -> DriveBit | None:
+        """Return the bit if the drive shows it, as last heard, else None."""
+        value = None if bit is None else self._heard(bit.mux)
+        return bit if bit is not None and value is not None and bit.is_shown_by(value) else None
 
     def _heard(self, key: Mux) -> int | None:
         if key not in self._heard_at:

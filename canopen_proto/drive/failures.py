@@ -9,7 +9,6 @@ First comes what failed, then the one obstacle that was found (reasons.py), then
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
@@ -44,8 +43,8 @@ class DriveError(ProcedureError):
     def __init__(
         self, axis: Axis, failed: str, *, reason: str = "", remedy: str = "", view: DriveView | None = None, looks: bool = True
     ) -> None:
-        """failed: without the drive's name, as "is in fault". reason, remedy: by default those that `view` shows, unless `looks`
-        is False. view: by default what was heard."""
+        """failed: without the drive's name, as "is in fault". reason, remedy: without a reason, those that `view` shows count, if
+        it shows any and unless `looks` is False. view: by default what was heard."""
         self.view = axis.view() if view is None else view
         found = outer_reason(self.view) if looks and not reason else None
         self._tell(axis, f"{name_of(axis)} {failed}", found or Reason(reason, remedy))
@@ -167,10 +166,7 @@ def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeo
 
 def state_lost(axis: Axis, state: State, goal: str) -> StateLost:
     """Return the error to raise for a drive that went to `state` before it reached `goal`."""
-    view = replace(axis.view(), controlword=None)  # the drive left by itself: its voltage is gone because of that
-    found = outer_reason(view)
-    reason, remedy = ("", _WHAT_TOOK_IT) if found is None else (found.what, found.remedy)
-    return StateLost(axis, f"went to {state} while waiting for {goal}", reason=reason, remedy=remedy, looks=False)
+    return StateLost(axis, f"went to {state} while waiting for {goal}", remedy=_WHAT_TOOK_IT)
 
 
 def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:

@@ -18,13 +18,12 @@ from typing import Any, Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name, supported
-from canopen_proto.cia402.states import FAULT_STATES, ControlBit, State, StatusBit
+from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.foreign import COMPARED
 from canopen_proto.drive.units import read_number
 from canopen_proto.drive.view import DriveBit, DriveView, command_text
 from canopen_proto.error_codes import error_text
-from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time
 from canopen_proto.remote_node import RemoteNode
@@ -42,11 +41,9 @@ _SHOWN: Final = {
 _TELLING: Final = ("controlword", "wanted_mode", "error_code", "inputs")
 """Those that `look_closer` reads: no procedure looks at them by itself."""
 _SIGNED: Final = (objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY, objects.POSITION_ACTUAL_VALUE)
-_ASKED: Final = {
-    State.SWITCH_ON_DISABLED: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP,
-    State.READY_TO_SWITCH_ON: ControlBit.ENABLE_VOLTAGE | ControlBit.QUICK_STOP | ControlBit.SWITCH_ON,
-}
-"""The bits of the command that leads out of a state to one with voltage. Bit 2 is 0 for a quick stop."""
+_ASKED: Final = {State.SWITCH_ON_DISABLED: int(Command.SHUTDOWN), State.READY_TO_SWITCH_ON: int(Command.SWITCH_ON)}
+"""Bits 2, 1, 0 of the commands that lead out of a state to one with voltage."""
+_COMMAND: Final = ControlBit.QUICK_STOP | ControlBit.ENABLE_VOLTAGE | ControlBit.SWITCH_ON
 LIMIT_SWITCHES: Final = ("negative limit switch", "positive limit switch")
 """Bits 0 and 1 of 0x60FD."""
 _FOLLOWING: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
@@ -96,7 +93,7 @@ def look_closer(axis: Axis) -> Procedure[DriveView]:
             view = _with(view, name, value)
         for name, bit in (("safe_torque_off", axis.settings.sto_input), ("brake", axis.settings.brake_bit)):
             if bit is not None:
-                view = _with(view, name, (yield from _shown_bit(axis, bit)))
+                view = _with(view, name, (yield from _if_shown(axis.node, bit)))
     except ProcedureError:
         return view  # the error that is being explained is raised all the same
     return view
@@ -107,10 +104,9 @@ def _with(view: DriveView, name: str, value: int | DriveBit | None) -> DriveView
     return replace(view, **change)
 
 
-def _shown_bit(axis: Axis, bit: DriveBit) -> Procedure[DriveBit | None]:
+def _if_shown(node: RemoteNode, bit: DriveBit) -> Procedure[DriveBit | None]:
     """Return the bit if the drive shows it, else None."""
-    key: Mux = bit.mux
-    value = axis.statusword if key == objects.STATUSWORD else (yield from read_number(axis.node, key))
+    value = yield from read_number(node, bit.mux)
     return bit if value is not None and bit.is_shown_by(value) else None
 
 
@@ -157,8 +153,8 @@ def _fault(view: DriveView) -> Reason:
 def _not_enabled(view: DriveView) -> list[Reason]:
     found = []
     # Most drives show no voltage before they are told to switch on
-    asked = _ASKED.get(view.state, 0)
-    if (view.controlword or 0) & asked == asked and not view.statusword & StatusBit.VOLTAGE_ENABLED:
+    is_asked = view.controlword is not None and view.controlword & _COMMAND == _ASKED.get(view.state)
+    if is_asked and not view.statusword & StatusBit.VOLTAGE_ENABLED:
         found.append(Reason("its power stage has no voltage (bit 4 is 0)", "look at the motor supply, and at safe torque off"))
     if view.state is State.NOT_READY_TO_SWITCH_ON:
         return [*found, Reason("it is not ready to switch on: it still starts up", "wait", True)]

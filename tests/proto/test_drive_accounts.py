@@ -207,8 +207,8 @@ def test_a_drive_that_shows_nothing_wrong_gets_no_false_reason() -> None:
 
 REFUSED: dict[str, tuple[int, str, str]] = {
     "enable": (0x6040, "writing 0x6040:00", "in this NMT state"),
-    "mode": (0x6060, "writing 0x6060:00", "disable it first"),
-    "home": (0x6060, "writing 0x6060:00", "disable it first"),
+    "mode": (0x6060, "writing 0x6060:00", "some drives change their mode"),
+    "home": (0x6060, "writing 0x6060:00", "some drives change their mode"),
     "move": (0x607A, "writing 0x607A:00", "look at its limits"),
 }
 

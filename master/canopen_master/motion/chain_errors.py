@@ -20,6 +20,7 @@ from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drive import DriveError, DriveFault, ReferenceLost
+from canopen_proto.drive.reasons import outer_reason
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 
@@ -77,6 +78,8 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
 
 def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> ChainFault:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
+    found = None if cause else outer_reason(device.last_look or device.axis.view())
+    step = "find the cause" if found is None or device.has_fault else found.remedy
     home_again = ", chain.home(if_needed=True) and chain.follow()" if device.axis.has_lost_reference else ""
     return ChainFault(
         chain,
@@ -89,6 +92,6 @@ def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> Cha
         error_code=device.error_code,
         emcy=device.emcy,
         seen=device.describe(),
-        cause=cause,
-        tries=(f"find the cause, then await chain.recover(){home_again}",),
+        cause=cause if found is None else found.what,
+        tries=(f"{step}, then await chain.recover(){home_again}",),
     )

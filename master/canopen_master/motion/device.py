@@ -17,6 +17,7 @@ from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.limits import limits_of
 from canopen_proto.drive.motion_plan import MotionPlan
+from canopen_proto.drive.view import DriveView
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.multiplexer import Mux
@@ -31,7 +32,8 @@ class Device:
     """A joint; see this module's text. axis: the core's view of the drive. cyclic: the objects that it sends at every n-th SYNC
     (mux -> n), which show that it is alive; without any, only its heartbeat does. plan: how it follows set-points, once
     `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. following: whether the joint follows its set-points.
-    limits: for its set-points; the drive's own are read each time that it begins to follow set-points.
+    limits: for its set-points; the drive's own are read each time that it begins to follow set-points. last_look: what the drive
+    showed when its chain was stopped, if it had no power then.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
@@ -46,6 +48,7 @@ class Device:
         self.sdo_round_trips = 0
         self.limits = limits_of(axis)
         node.leave_pdos()  # those of a drive are its chain's business
+        self.last_look: DriveView | None = None
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None
         self._position: tuple[Time, int] | None = None  # when the last one came, in counts

@@ -10,12 +10,14 @@ from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, Key, PdoDescription
 from canopen_proto.drive import engage_brake, halt, shut_down, start_cyclic_position, start_interpolation
 from canopen_proto.drive.following import UNCERTAIN, following_limit
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import Limit, read_limits
 from canopen_proto.drive.motion_plan import exchange_planned, plan_motion
+from canopen_proto.drive.reasons import look_closer
 from canopen_proto.drive.slow_position import profile_lag, start_slow_position
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -112,6 +114,7 @@ def exchange_own(device: Device, cycle_time: Time, mode: Mode | None) -> Procedu
 def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
     """See that the joint answers, identify it, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
     node = device.node.remote
+    device.last_look = None
     yield from awake(device.node)
     yield from identify(device.axis)
     # Where it stands; PDOs keep it up to date from the first one on
@@ -160,10 +163,12 @@ def follow(
 
 
 def stop(device: Device) -> Procedure[None]:
-    """Halt the joint, and wait until it stands, also at the end of a fault reaction. Of a joint in fault, read the error code."""
+    """Halt the joint, and wait until it stands, also at the end of a fault reaction. If it has no power, read what tells why."""
     if device.has_fault:
         yield from read_if_present(device.node.remote, objects.ERROR_CODE)
     yield from halt(device.axis)
+    if device.state is not State.OPERATION_ENABLED:
+        device.last_look = yield from look_closer(device.axis)
 
 
 def power_down(device: Device) -> Procedure[None]:
