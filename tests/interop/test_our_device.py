@@ -1,59 +1,22 @@
-"""The master's side of canopen 2.4.1 (`RemoteNode`, `BaseNode402`) against our device and our simulated drive."""
+"""The master's side of canopen 2.4.1 (`RemoteNode`) against our device."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import canopen
 import pytest
-from canopen.profiles.p402 import BaseNode402
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Access
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import Outbox, Time
+from canopen_proto.machine import Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectAccessPending
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
-from tests.interop.driver import LIMIT, Driver
-from tests.interop.peer import new_channel, peer_dictionary, peer_network
+from tests.interop.device_rig import NODE, Rig
+from tests.interop.driver import Driver
+from tests.interop.peer import new_channel, peer_network
 from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
-
-NODE = 5
-
-
-class Rig:
-    """Our device, booted, and the peer's view of it, on one bus."""
-
-    def __init__(
-        self,
-        driver: Driver,
-        peer: canopen.Network,
-        make: Callable[[Outbox], LocalNode],
-        view: Callable[[int, canopen.ObjectDictionary], canopen.RemoteNode],
-    ) -> None:
-        self.driver = driver
-        self.peer = peer
-        self.device = driver.add(make)
-        self.remote = peer.add_node(view(NODE, peer_dictionary(self.device.dictionary, NODE)))
-        self.remote.sdo.RESPONSE_TIMEOUT = 20
-        driver.do(self.device.boot)
-        self.wait(lambda: self.remote.nmt.state == "PRE-OPERATIONAL")
-
-    def wait(self, condition: Callable[[], bool]) -> None:
-        """Wait until the condition holds. It may ask the device by SDO, so the driver is not held meanwhile."""
-        end = time.monotonic() + LIMIT
-        while not condition():
-            assert self.driver.failure is None
-            assert time.monotonic() < end, f"not within {LIMIT} s"
-            time.sleep(0.001)
-
-    def start(self) -> None:
-        self.remote.nmt.state = "OPERATIONAL"
-        self.wait(lambda: self.device.state is NmtState.OPERATIONAL)
 
 
 @pytest.fixture
@@ -271,96 +234,3 @@ def test_a_mapping_that_can_not_be_is_refused_to_the_peer(rig: Rig) -> None:
     with pytest.raises(canopen.SdoAbortedError) as caught:
         pdo.save()
     assert caught.value.code == AbortCode.CANNOT_BE_MAPPED
-
-
-# ---- the simulated drive ----
-
-
-class PatientNode402(BaseNode402):
-    """With time enough for a machine under load."""
-
-    TIMEOUT_RESET_FAULT = 0.5  # it always passes, by a fault of theirs
-    TIMEOUT_SWITCH_OP_MODE = 20
-    TIMEOUT_SWITCH_STATE_FINAL = 20
-    TIMEOUT_SWITCH_STATE_SINGLE = 20
-    TIMEOUT_CHECK_TPDO = 20
-
-
-@pytest.fixture
-def drive() -> Iterator[Rig]:
-    channel = new_channel()
-    driver = Driver(channel)
-    with peer_network(channel) as peer, driver:
-        rig = Rig(driver, peer, lambda out: DriveNode(out, NODE, DriveSettings()), PatientNode402)
-        for number in (1, 2):  # statusword, mode: by SYNC, since the peer knows only what a TPDO has told it
-            pdo = rig.remote.tpdo[number]
-            pdo.read()
-            pdo.trans_type = 1
-            pdo.save()
-        rig.remote.setup_402_state_machine()
-        rig.start()
-        peer.sync.start(0.005)
-        yield rig
-
-
-def drive_of(rig: Rig) -> DriveNode:
-    assert isinstance(rig.device, DriveNode)
-    return rig.device
-
-
-def test_the_peer_enables_and_disables_our_drive(drive: Rig) -> None:
-    remote = drive.remote
-    for state, ours in [
-        ("READY TO SWITCH ON", State.READY_TO_SWITCH_ON),
-        ("SWITCHED ON", State.SWITCHED_ON),
-        ("OPERATION ENABLED", State.OPERATION_ENABLED),
-        ("SWITCH ON DISABLED", State.SWITCH_ON_DISABLED),
-        ("OPERATION ENABLED", State.OPERATION_ENABLED),
-    ]:
-        remote.state = state
-        assert drive_of(drive).drive.state is ours
-        assert remote.state == state
-
-
-MODES = [("PROFILED POSITION", 1), ("HOMING", 6), ("INTERPOLATED POSITION", 7), ("CYCLIC SYNCHRONOUS POSITION", 8)]
-
-
-@pytest.mark.parametrize(("mode", "number"), MODES)
-def test_the_peer_selects_modes_of_our_drive(drive: Rig, mode: str, number: int) -> None:
-    drive.remote.op_mode = mode
-    assert drive_of(drive).drive.mode == number
-    assert drive.remote.op_mode == mode
-
-
-def test_the_peer_homes_our_drive(drive: Rig) -> None:
-    remote = drive.remote
-    remote.sdo[0x6098].raw = 35  # where it stands
-    assert remote.homing(timeout=20)
-    drive.wait(lambda: remote.sdo[0x6064].raw == 0)
-    assert remote.is_homed()
-
-
-def test_the_peer_moves_our_drive(drive: Rig) -> None:
-    remote = drive.remote
-    remote.op_mode = "PROFILED POSITION"
-    remote.state = "OPERATION ENABLED"
-    start = remote.sdo[0x6064].raw
-    remote.sdo[0x607A].raw = start + 500
-    remote.controlword = 0x1F
-    drive.wait(lambda: bool(remote.sdo[0x6041].raw & 0x1000))  # set-point acknowledged
-    remote.controlword = 0x0F
-    drive.wait(lambda: bool(remote.sdo[0x6041].raw & 0x0400))  # target reached
-    drive.wait(lambda: abs(remote.sdo[0x6064].raw - start - 500) <= 10)
-
-
-def test_a_fault_of_our_drive_reaches_the_peer_and_is_reset(drive: Rig) -> None:
-    remote, node = drive.remote, drive_of(drive)
-    remote.state = "OPERATION ENABLED"
-    drive.driver.do(lambda now: node.raise_fault(0x7320, now))
-    drive.wait(lambda: remote.state == "FAULT")
-    drive.wait(lambda: [error.code for error in remote.emcy.active] == [0x7320])
-    assert remote.is_faulted()
-    assert remote.sdo[0x603F].raw == 0x7320
-    remote.reset_from_fault()
-    assert remote.state == "OPERATION ENABLED"
-    drive.wait(lambda: not remote.emcy.active)

@@ -87,7 +87,7 @@ TASKS: Final = {
     "into pp": Task(lambda rig: drive.set_mode(rig.axis, Mode.PROFILE_POSITION), lambda rig: rig.drive.mode == 1),
     "into pv": Task(lambda rig: drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY), lambda rig: rig.drive.mode == 3),
     "move": Task(lambda rig: drive.move_to(rig.axis, 0.1, timeout=MOVE), lambda rig: is_at(rig, 0.1), moves=True),
-    "move back": Task(lambda rig: drive.move_to(rig.axis, -0.1, timeout=MOVE), lambda rig: is_at(rig, -0.1), moves=True),
+    "move back": Task(lambda rig: drive.move_to(rig.axis, 0.02, timeout=MOVE), lambda rig: is_at(rig, 0.02), moves=True),
     "home": Task(lambda rig: drive.home(rig.axis), lambda rig: stands(rig) and rig.drive._homing.is_referenced, moves=True),
     "ip": Task(
         lambda rig: drive.start_interpolation(rig.axis, CYCLE, sends_itself=True),
