@@ -7,6 +7,8 @@
     home          homing, to its end; home_if_needed                          manual: homing
     start_interpolation                                                       manual: enableIPmode
     start_cyclic_position, start_cyclic_velocity, start_cyclic_torque
+    move_to       profile position: to one target
+    move_along    profile position: a set of targets, each with its own profile
     halt          bit 8: the drive stops by 0x605D and stays enabled
     quick_stop    the drive stops by 0x605A
     engage_brake  down to Ready to switch on                                  manual: enableBreak
@@ -16,7 +18,7 @@ A procedure that moves the drive halts it if the procedure is cancelled or fails
 start of interpolation: both begin on its rising edge.
 
 watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py,
-interpolation.py and synchronous.py move; failures.py has the errors.
+target_sequence.py, interpolation.py and synchronous.py move; failures.py has the errors.
 
 A wait ends as soon as its goal is reached or out of reach: DriveFault, StateLost (a quick stop or disable that was not ours),
 ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
@@ -59,6 +61,10 @@ from canopen_proto.drive.state import shut_down as shut_down
 from canopen_proto.drive.synchronous import start_cyclic_position as start_cyclic_position
 from canopen_proto.drive.synchronous import start_cyclic_torque as start_cyclic_torque
 from canopen_proto.drive.synchronous import start_cyclic_velocity as start_cyclic_velocity
+from canopen_proto.drive.target_sequence import RelativeTo as RelativeTo
+from canopen_proto.drive.target_sequence import Start as Start
+from canopen_proto.drive.target_sequence import Target as Target
+from canopen_proto.drive.target_sequence import move_along as move_along
 from canopen_proto.drive.watching import read_position as read_position
 from canopen_proto.drive.watching import read_statusword as read_statusword
 from canopen_proto.drive.watching import wait_for_statusword as wait_for_statusword

@@ -29,6 +29,7 @@ Source: IEC 61800-7-201 (CiA 402-2).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
     from canopen_proto.procedures.steps import Procedure
 
 _OPEN: Final = AxisSettings()
+_EXACT: Final = 1 + 1e-12
+"""What is a whole number but for the rounding of floating point is not rounded down to the next one."""
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
 
@@ -283,6 +286,19 @@ class Axis:
                 "Try: AxisSettings(velocity_unit=...), in counts per second, by its manual"
             )
         return round(self._direction * velocity * self._scale / unit)
+
+    def speed_to_wire(self, speed: float) -> int:
+        """Convert a speed of a profile (0 or more) to the drive's velocity unit, rounded down. Raises as `velocity_to_wire`."""
+        self.velocity_to_wire(0.0)
+        return math.floor(speed * self._scale / (self.velocity_unit or 1.0) * _EXACT)
+
+    def rate_to_wire(self, rate: float) -> int:
+        """Convert an acceleration (0 or more) in the user's unit per second² to the drive's unit, rounded down. Raises
+        LocalProtocolError as `velocity_to_wire`, unless the settings name the acceleration unit."""
+        unit = self._settings.acceleration_unit
+        if unit is None:
+            return self.speed_to_wire(rate)
+        return math.floor(rate * self._scale / unit * _EXACT)
 
     def velocity_from_wire(self, number: float) -> float:
         """Convert a velocity in the drive's unit (a count per second if it is not known) to the user's unit per second."""

@@ -26,9 +26,9 @@ NO_WINDOW: Final = 2**32 - 1
 _NO_NEARER: Final = 0.001
 """A drive comes no nearer to its target if it loses less than this share of its way in `reaction_time`."""
 
-_OTHER_TARGET: Final = "a target within the limit, or another limit"
+OTHER_TARGET: Final = "a target within the limit, or another limit"
 
-_TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
+_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 """The controlword with which a new set-point drops the one before."""
 
 
@@ -48,34 +48,41 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     settings = axis.settings
     counts = axis.to_counts(position) - (settings.offset if relative else 0)
     if not axis.has_lost_reference:
-        start = yield from _demand(axis)
-        _require_within_limits(axis, start, counts + (start if relative else 0))
+        start = yield from demand_of(axis)
+        require_within_limits(axis, start, counts + (start if relative else 0))
     relation = ModeControl.RELATIVE if relative else 0
     try:
         if axis.mode != Mode.PROFILE_POSITION:
             yield from halt(axis)
         yield from set_mode(axis, Mode.PROFILE_POSITION)
+        yield from _end_at_rest(axis)
         yield from enable(axis)
         if relative and axis.controlword & ControlBit.HALT:
             # The drive may count from the target that the halt kept: so first make its present position the target.
-            yield from _give_set_point(axis, (yield from _demand(axis)), 0)
-            yield from _wait_for_acknowledge(axis, True)
-        target = counts + ((yield from _demand(axis)) if relative else 0)
+            yield from _give_set_point(axis, (yield from demand_of(axis)), 0)
+            yield from wait_for_acknowledge(axis, True)
+        target = counts + ((yield from demand_of(axis)) if relative else 0)
         yield from _give_set_point(axis, counts, relation)
         given_at = yield from current_time()
         try:
-            yield from _wait_for_acknowledge(axis, True)
+            yield from wait_for_acknowledge(axis, True)
         except StepTimeout as refused:
-            limit = yield from _limit_before(axis, target)
+            limit = yield from limit_before(axis, target)
             if limit:
-                raise LimitReached(axis, "did not take its target", reason=limit, remedy=_OTHER_TARGET) from refused
+                raise LimitReached(axis, "did not take its target", reason=limit, remedy=OTHER_TARGET) from refused
             raise
         axis.started_at = OBEYED
-        yield from command(axis, _TAKES_AT_ONCE | relation)
-        yield from _wait_for_target(axis, target, given_at, timeout, relative)
+        yield from command(axis, _AT_ONCE | relation)
+        yield from wait_for_target(axis, target, given_at, timeout, relative)
     except (Cancelled, ProcedureError) as cause:
         yield from halt_after(axis, cause)
         raise
+
+
+def _end_at_rest(axis: Axis) -> Procedure[None]:
+    """Write 0 to the end velocity (0x6082), if another tool left one: the drive would not stop at its target."""
+    if (yield from read_if_present(axis.node, objects.END_VELOCITY)):
+        yield from write(axis.node, objects.END_VELOCITY, 0)
 
 
 def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
@@ -84,21 +91,21 @@ def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
     A halt keeps the drive's target, and a word without bit 8 lets the drive go on to it. So the halt ends with the same word that
     gives the new set-point. A halted drive need not accept a set-point, then: the standard does not say whether it does.
     """
-    yield from command(axis, _TAKES_AT_ONCE | relation | axis.controlword & ControlBit.HALT)
-    yield from _wait_for_acknowledge(axis, False)
+    yield from command(axis, _AT_ONCE | relation | axis.controlword & ControlBit.HALT)
+    yield from wait_for_acknowledge(axis, False)
     yield from write(axis.node, objects.TARGET_POSITION, counts)
-    yield from command(axis, _TAKES_AT_ONCE | relation | ModeControl.NEW_SET_POINT)
+    yield from command(axis, _AT_ONCE | relation | ModeControl.NEW_SET_POINT)
 
 
-def _require_within_limits(axis: Axis, start: int, target: int) -> None:
+def require_within_limits(axis: Axis, start: int, target: int) -> None:
     """Raise LimitReached for a target, in counts, beyond the limits of the settings."""
     limit = limits_of(axis).position_excess(axis.from_counts(start), axis.from_counts(target))
     if limit is not None:
         raise LimitReached(
             axis,
             f"was not moved to {axis.from_counts(target):g}",
-            reason=f"{limit.source} say {limit.value:g}; nothing was sent",
-            remedy=_OTHER_TARGET,
+            reason=f"{limit.source} say {limit.value:g}; it got no such target",
+            remedy=OTHER_TARGET,
         )
 
 
@@ -116,12 +123,14 @@ def _wait_for_bit(axis: Axis, bit: int, wanted: bool, timeout: Time, goal: str) 
     )
 
 
-def _wait_for_acknowledge(axis: Axis, wanted: bool) -> Procedure[None]:
+def wait_for_acknowledge(axis: Axis, wanted: bool, timeout: Time | None = None) -> Procedure[None]:
+    """Wait until bit 12 is 1 (the set-point was taken) or 0 (there is room for one). timeout: ns; None: `state_timeout`."""
     goal = f"set-point acknowledge (bit 12) = {int(wanted)}"
-    yield from _wait_for_bit(axis, ModeStatus.SET_POINT_ACKNOWLEDGE, wanted, axis.settings.state_timeout, goal)
+    limit = axis.settings.state_timeout if timeout is None else timeout
+    yield from _wait_for_bit(axis, ModeStatus.SET_POINT_ACKNOWLEDGE, wanted, limit, goal)
 
 
-def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, relative: bool) -> Procedure[None]:
+def wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, relative: bool) -> Procedure[None]:
     """Wait for bit 10 at the target. For `reaction_time` it may still belong to the target before."""
     deadline = (yield from current_time()) + timeout
     while True:
@@ -134,7 +143,7 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
             break
         yield from sleep(POLL_INTERVAL)
     position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
-    limit = yield from _limit_before(axis, target)
+    limit = yield from limit_before(axis, target)
     if not limit:
         limit = yield from _switch_before(axis, target - position)
     if not limit and statusword & StatusBit.INTERNAL_LIMIT:
@@ -145,7 +154,7 @@ def _wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rel
             f"stands at {axis.from_counts(position):g} ({position} counts), not at its target {axis.from_counts(target):g} "
             f"({target} counts)",
             reason=limit,
-            remedy=_OTHER_TARGET,
+            remedy=OTHER_TARGET,
         )
 
 
@@ -183,7 +192,7 @@ def _switch_before(axis: Axis, way: int) -> Procedure[str]:
     return f"it stands on its {LIMIT_SWITCHES[side]} (0x60FD)" if is_active and way else ""
 
 
-def _demand(axis: Axis) -> Procedure[int]:
+def demand_of(axis: Axis) -> Procedure[int]:
     """Return the present position demand (0x6062) of the drive, in counts; the actual position if it has no demand."""
     demand = yield from read_if_present(axis.node, objects.POSITION_DEMAND_VALUE)
     return demand if isinstance(demand, int) else (yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE))
@@ -215,7 +224,7 @@ def _distance(position: int, target: int, turn: int) -> int:
     return min(distance % turn, -distance % turn) if turn else distance
 
 
-def _limit_before(axis: Axis, target: int) -> Procedure[str]:
+def limit_before(axis: Axis, target: int) -> Procedure[str]:
     """Return the software limit (0x607D) that lies before a target, in words; "" if there is none.
 
     The standard counts the limits from the mechanical zero: the home offset (0x607C) is subtracted before they are compared. Not

@@ -41,6 +41,7 @@ class AxisSettings:
     counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count. unit: the name of
     the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
     velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
+    acceleration_unit: counts per second² in one unit of 0x6083 and 0x6084; None: its velocity unit per second.
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
     homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098. homing_speed, homing_zero_speed:
     in the user's unit per second, fast to the switch and slow to the home point (0x6099). homing_acceleration: in the user's unit
@@ -65,6 +66,9 @@ class AxisSettings:
     mode_change_state: the highest state in which the drive takes another mode of operation; it is led down to this state first,
     and loses its power on the way if need be. Most drives take one while they are enabled. changes_mode_halted: whether it does
     so while bit 8 of the controlword is set; Engel's drives do not. Such a drive is led down to Switched on.
+
+    queues_set_points: whether the drive keeps a set-point of profile position until the one before is reached (bit 5 = 0).
+    Synapticon's drives do not. Such a drive gets each one when it has reached the one before.
     """
 
     counts_per_unit: float | None = None
@@ -92,14 +96,17 @@ class AxisSettings:
     changes_mode_halted: bool = True
     unit: Unit | None = None
     velocity_unit: float | None = None
+    acceleration_unit: float | None = None
+    queues_set_points: bool = True
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
         if scale is not None and not (math.isfinite(scale) and scale > 0):
             raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
-        unit = self.velocity_unit
-        if unit is not None and not (math.isfinite(unit) and unit > 0):
-            raise LocalProtocolError(f"velocity_unit must be a finite number above 0, or None; it is {unit!r}")
+        for name in ("velocity_unit", "acceleration_unit"):
+            unit = getattr(self, name)
+            if unit is not None and not (math.isfinite(unit) and unit > 0):
+                raise LocalProtocolError(f"{name} must be a finite number above 0, or None; it is {unit!r}")
         if self.direction not in (1, -1):
             raise LocalProtocolError(f"direction must be 1 or -1; it is {self.direction!r}")
         lowest = -math.inf if self.min_position is None else self.min_position
