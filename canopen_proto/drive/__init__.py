@@ -9,6 +9,7 @@
     start_cyclic_position, start_cyclic_velocity, start_cyclic_torque
     move_to       profile position: to one target
     move_along    profile position: a set of targets, each with its own profile
+    apply_torque  profile torque for a time, then a halt
     halt          bit 8: the drive stops by 0x605D and stays enabled
     quick_stop    the drive stops by 0x605A
     engage_brake  down to Ready to switch on                                  manual: enableBreak
@@ -26,6 +27,7 @@ ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), Limi
 Source: IEC 61800-7-201 (CiA 402-2).
 """
 
+from canopen_proto.drive.bounds import bounds_of as bounds_of
 from canopen_proto.drive.controlword import command as command
 from canopen_proto.drive.failures import AccessFailed as AccessFailed
 from canopen_proto.drive.failures import DriveError as DriveError
@@ -65,6 +67,7 @@ from canopen_proto.drive.target_sequence import RelativeTo as RelativeTo
 from canopen_proto.drive.target_sequence import Start as Start
 from canopen_proto.drive.target_sequence import Target as Target
 from canopen_proto.drive.target_sequence import move_along as move_along
+from canopen_proto.drive.torque import apply_torque as apply_torque
 from canopen_proto.drive.watching import read_position as read_position
 from canopen_proto.drive.watching import read_statusword as read_statusword
 from canopen_proto.drive.watching import wait_for_statusword as wait_for_statusword

@@ -44,6 +44,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.bounds import Bounds
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
 from canopen_proto.multiplexer import Mux, index_of, subindex_of
@@ -72,13 +73,15 @@ SILENT_TIME: Final = 20 * MILLISECOND
 """An adapter may hold frames back this long (a serial one over USB: 16 ms by default)."""
 
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
-assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated and cyclic synchronous position mode alike
+assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated position and in the cyclic synchronous modes alike
 _NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
 _NAMES: Final[dict[Mux, str]] = {
     objects.STATUSWORD: "statusword",
     objects.MODES_OF_OPERATION_DISPLAY: "mode (0x6061)",
     objects.POSITION_ACTUAL_VALUE: "position",
+    objects.VELOCITY_ACTUAL_VALUE: "velocity",
 }
+_WATCHED: Final = (objects.STATUSWORD, objects.MODES_OF_OPERATION_DISPLAY, objects.POSITION_ACTUAL_VALUE)
 
 
 class FollowingLost(Event):
@@ -112,6 +115,7 @@ class Following:
     __slots__ = (
         "_all_heard",
         "_axis",
+        "_bounds",
         "_catches_up",
         "_cyclic",
         "_flawless",
@@ -129,6 +133,7 @@ class Following:
         "_syncs_to_turn",
         "_turn_not_before",
         "_unanswered",
+        "_watched",
         "error",
         "largest_error",
         "unsent",
@@ -138,6 +143,8 @@ class Following:
         self._axis = axis
         self._is_on = False
         self._mode = 0
+        self._bounds: Bounds | None = None
+        self._watched: tuple[Mux, ...] = _WATCHED
         self._limit = Limit(0.0, "")
         self._lag = LAG
         self._points: deque[int] = deque()  # the set-points of the last cycles, in counts
@@ -185,17 +192,29 @@ class Following:
         limit: of the following error, in the user's unit. mode: the mode of operation that 0x6061 has to show. cyclic: as for
         `expect`. lag: SYNCs from sending a set-point to reaching it. slack: further SYNCs that the drive may be behind;
         more than UNCERTAIN for a drive with a profile of its own. catches_up: statuswords in a row in which bit 11 is no finding.
-        silent_syncs: unanswered SYNCs in a row that make the drive
-        count as silent.
+        silent_syncs: unanswered SYNCs in a row that make the drive count as silent.
         """
-        self._limit, self._mode, self._lag = limit, mode, lag
-        self._silent_syncs = silent_syncs
-        self.expect(cyclic)
+        self._limit, self._lag, self._bounds, self._catches_up = limit, lag, None, catches_up
+        self._begin(mode, cyclic, silent_syncs, _WATCHED)
         self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + slack + 1)
+
+    def begin_within(self, bounds: Bounds, mode: int, *, cyclic: Mapping[Mux, int], silent_syncs: int = SILENT_SYNCS) -> None:
+        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py.
+
+        It has no following error: its position and its speed must stay within `bounds`. Bits 11 and 13 of its statusword are not
+        judged: limits of torque and speed are what such a drive works against. Else as `begin`.
+        """
+        self._bounds, self._lag = bounds, LAG
+        self._begin(mode, cyclic, silent_syncs, (*_WATCHED, *bounds.watched))
+        self._points = deque([self._axis.set_point_counts], maxlen=1)
+
+    def _begin(self, mode: int, cyclic: Mapping[Mux, int], silent_syncs: int, watched: tuple[Mux, ...]) -> None:
+        self._mode, self._silent_syncs, self._watched = mode, silent_syncs, watched
+        self.expect(cyclic)
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
         self._flawless = None
-        self._limited, self._catches_up = 0, catches_up
+        self._limited = 0
         self.error = 0.0
         self._is_on = True
 
@@ -204,7 +223,7 @@ class Following:
         self._cyclic = cyclic
         self._pdo, self._is_answered, self._all_heard, self._unanswered = None, False, None, {}
         dictionary = self._axis.node.dictionary
-        self.unsent = {mux for mux in _NAMES if mux not in cyclic and mux in dictionary}
+        self.unsent = {mux for mux in self._watched if mux not in cyclic and mux in dictionary}
 
     @property
     def limit(self) -> Limit:
@@ -241,7 +260,9 @@ class Following:
             self._judge_mode()
         if objects.STATUSWORD in muxes:
             self._judge_statusword()
-        if objects.POSITION_ACTUAL_VALUE in muxes:
+        if self._bounds is not None:
+            self._judge_bounds(self._bounds)
+        elif objects.POSITION_ACTUAL_VALUE in muxes:
             self._judge_position()
 
     def _judge_mode(self) -> None:
@@ -257,7 +278,7 @@ class Following:
             self._limited = 0
             return
         self._old_bits &= word
-        news = word & ~self._old_bits
+        news = word & ~self._old_bits if self._bounds is None else 0
         is_limited = bool(news & StatusBit.INTERNAL_LIMIT)
         if axis.state is not State.OPERATION_ENABLED:
             self.lose(f"left operation enabled by itself: {axis.state}")
@@ -269,6 +290,11 @@ class Following:
             self.lose("is held by a limit of its own: bit 11 of its statusword is 1 (position 0x607D, speed, torque or current)")
         self._limited = self._limited + 1 if is_limited else 0
         self._flawless = None if is_limited else word
+
+    def _judge_bounds(self, bounds: Bounds) -> None:
+        excess = bounds.judge()
+        if excess:
+            self.lose(excess)
 
     def _judge_position(self) -> None:
         axis, points, limit = self._axis, self._points, self._limit.value

@@ -48,6 +48,9 @@ _SHOWS_STANDSTILL: Final = (
 )
 """Modes in which bit 10 of the statusword means "velocity 0" while bit 8 of the controlword is set. Other modes reserve it."""
 
+_WITHOUT_SPEED: Final = (Mode.TORQUE, Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+"""Modes in which a drive may answer bit 8 by taking its torque away: an axis without friction moves on then."""
+
 _CAN_BE_ENABLED: Final = (State.READY_TO_SWITCH_ON, State.SWITCHED_ON)
 """States from which one controlword leads to Operation enabled (from the first: in drives that take two steps at once)."""
 
@@ -64,9 +67,10 @@ def halt(axis: Axis) -> Procedure[None]:
     A drive that is not enabled is not commanded; if it brakes, its standstill is awaited. A drive that was commanded to enable,
     and is not enabled yet, is watched for `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced:
     by the halt, or by a word that keeps a disabled drive in its state. Any later command without bit 8 ends the halt. The wait
-    lasts as long as the drive slows down (0x606C, else 0x6064). Raises StepTimeout if the drive still moves and did not become
-    slower within a step, or if it shows no state for `reaction_time`; SdoFailed, NodeLost. A halt that is cancelled is not
-    taken back: it begins again, as the clean-up.
+    lasts as long as the drive slows down (0x606C, else 0x6064). In torque modes, where bit 8 may only take the torque away, a
+    drive that moves on gets a quick stop, and most drives have no power then. Raises StepTimeout if the drive still moves and did
+    not become slower within a step, or if it shows no state for `reaction_time`; SdoFailed, NodeLost. A halt that is cancelled is
+    not taken back: it begins again, as the clean-up.
     """
     try:
         yield from _stop(axis)
@@ -102,7 +106,13 @@ def _stop(axis: Axis) -> Procedure[None]:
         yield from command_held(axis, STAYS.get(state, _halt_word(axis)))
         if state not in POWERED:
             return
-    yield from _wait_for_standstill(axis)
+    try:
+        yield from _wait_for_standstill(axis)
+    except StepTimeout:
+        if axis.state is not State.OPERATION_ENABLED or axis.mode not in _WITHOUT_SPEED:
+            raise
+        yield from command(axis, int(Command.QUICK_STOP))
+        yield from _wait_for_standstill(axis)
 
 
 def _may_be_enabled(axis: Axis) -> bool:

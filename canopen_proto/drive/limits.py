@@ -48,7 +48,8 @@ DEFAULT_SPEED: Final = 30_000
 """Counts per second, for a drive whose speed nothing limits: three times the speed of the manual's paths. On the manual's arm it
 is 30 degrees per second. Half a metre from the joint that is 250 mm/s, which ISO 10218-1 calls reduced speed."""
 
-_DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
+BY_DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
+"""The source of a speed limit that nobody gave."""
 _TOLERANCE: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
 
@@ -130,7 +131,7 @@ def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
     if settings.max_speed is not None:
         speed = Limit(settings.max_speed, "the settings (max_speed)")
     else:
-        speed = _converted(told.speed, axis.amount_from_counts) or Limit(axis.amount_from_counts(DEFAULT_SPEED), _DEFAULT)
+        speed = _converted(told.speed, axis.amount_from_counts) or Limit(axis.amount_from_counts(DEFAULT_SPEED), BY_DEFAULT)
     profile = _converted(told.profile_speed, axis.amount_from_counts)
     if profile is not None and profile.value < speed.value:
         speed = profile

@@ -12,7 +12,12 @@ Interpolated position mode (ip) begins in the same way; see interpolation.py. Ea
 So nothing jumps. If a start fails or is cancelled, it halts the drive. From then on the caller gives set-points
 (`Axis.set_position`, `set_velocity`, `set_torque`), and watches the drive (`Following`).
 
-In csv and cst no position is commanded. An axis with position limits needs a reference there too.
+In csv and cst no position is commanded, and there is no following error. `bounds_of` first reads the limits within which the
+drive may move, and `Following.begin_within` watches them:
+
+    bounds = yield from bounds_of(axis, max_speed)
+    yield from start_cyclic_torque(axis, cycle_time)
+    following.begin_within(bounds, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cyclic=cyclic)
 
 Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position, velocity, torque mode; interpolation time period 60C2h.
 """
@@ -32,7 +37,6 @@ from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import DriveError, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.identity import learn_units
-from canopen_proto.drive.limits import read_limits
 from canopen_proto.drive.set_points import OFFSETS_OF
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import read_statusword, wait_for_statusword
@@ -70,11 +74,10 @@ def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
 
     The drive's units are read first. Raises DriveError if its velocity unit is not known; else as `start_cyclic_position`.
     """
-    yield from _require_reference_for_limits(axis)
     carried = (objects.TARGET_VELOCITY,)
     require_carried(axis, carried, sends_itself)
     yield from learn_units(axis)
-    require_velocity_unit(axis)
+    _require_velocity_unit(axis)
 
     def align(axis: Axis) -> Procedure[float]:
         axis.set_velocity(0.0)
@@ -95,7 +98,6 @@ def start_cyclic_torque(
     and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Only the caller's torques and its
     watch (`Following.begin_within`) limit speed and position. Else as `start_cyclic_position`.
     """
-    yield from _require_reference_for_limits(axis)
     carried = (objects.TARGET_TORQUE,)
     require_carried(axis, carried, sends_itself)
     held = torque
@@ -120,15 +122,7 @@ def holding_torque(axis: Axis) -> Procedure[float]:
     return axis.torque or 0.0
 
 
-def _require_reference_for_limits(axis: Axis) -> Procedure[None]:
-    """Raise ReferenceLost if the axis has position limits that mean nothing: it was homed, and has lost its reference since."""
-    if axis.has_lost_reference:
-        limits = yield from read_limits(axis)
-        if limits.lowest is not None or limits.highest is not None:
-            require_reference(axis)
-
-
-def require_velocity_unit(axis: Axis) -> None:
+def _require_velocity_unit(axis: Axis) -> None:
     """Raise DriveError if it is not known what the numbers of velocities mean."""
     if axis.velocity_unit is None:
         raise DriveError(

@@ -74,7 +74,8 @@ class DriveSettings:
     torque_is_off: the STO input is active at power-on, as with an emergency stop that is pressed. sto_bit: the bit that shows it,
     by default that of Beckhoff's AX8000. sto_fault: error code of the fault that STO makes in a drive with power; 0: none, it
     goes to Switch on disabled. brake_bit: the bit that shows a closed brake. overload_fault: error code of the fault that an
-    overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one.
+    overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one. coasts: whether
+    bit 8 only takes the torque away in tq and cst, so that a mass without friction moves on.
     """
 
     shape: Shape = Shape.STANDARD
@@ -96,3 +97,4 @@ class DriveSettings:
     sto_fault: int = 0
     brake_bit: ShownBit | None = None
     overload_fault: int = 0
+    coasts: bool = False

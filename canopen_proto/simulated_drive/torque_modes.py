@@ -32,6 +32,15 @@ _WINDOW = 1
 """Per mille of the rated torque between torque and target that count as reached."""
 
 
+def _halt_or_coast(mode: OperationMode) -> None:
+    """Stop the axis by 605Dh; in a drive that coasts, take the torque away."""
+    servo = mode.servo
+    if servo.settings.coasts:
+        servo.push(0)
+    else:
+        servo.brake(servo.ramp(servo.parameter(objects.HALT_OPTION_CODE)))
+
+
 class ProfileTorque(OperationMode):
     """Profile torque mode (tq)."""
 
@@ -56,6 +65,9 @@ class ProfileTorque(OperationMode):
     def written(self, key: Mux) -> None:
         if not self.is_halted:
             self._push()
+
+    def _halt(self) -> None:
+        _halt_or_coast(self)
 
     def _push(self) -> None:
         servo = self.servo
@@ -133,6 +145,9 @@ class CyclicTorque(_CyclicMode):
     """Cyclic synchronous torque mode (cst)."""
 
     __slots__ = ()
+
+    def _halt(self) -> None:
+        _halt_or_coast(self)
 
     def _target(self) -> int:
         return self.servo.parameter(objects.TARGET_TORQUE)
