@@ -4,6 +4,7 @@
     modes.py         modes of operation, their bits, texts
     option_codes.py  how a drive stops, and on what
     objects.py       the objects' multiplexers
+    drive_bit.py     where makers show what has no object
     names.py         words for the values of a drive's objects
 
 The master's side of a drive is in `canopen_proto.drive`, the device's side in `canopen_proto.simulated_drive`. Neither needs the

@@ -34,6 +34,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Final, Protocol
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
@@ -45,7 +46,7 @@ from canopen_proto.drive.settings import AxisSettings as AxisSettings
 from canopen_proto.drive.settings import HomingStyle as HomingStyle
 from canopen_proto.drive.sub_modes import SubMode
 from canopen_proto.drive.units import DriveUnits
-from canopen_proto.drive.view import DriveBit, DriveView
+from canopen_proto.drive.view import DriveView
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode

@@ -17,12 +17,13 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name, supported
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.foreign import COMPARED
 from canopen_proto.drive.units import read_number
-from canopen_proto.drive.view import DriveBit, DriveView, command_text
+from canopen_proto.drive.view import DriveView, command_text
 from canopen_proto.error_codes import error_text
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time

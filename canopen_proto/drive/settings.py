@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Final
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.units import DriveUnits, Unit
-from canopen_proto.drive.view import DriveBit
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.simulated_drive.servo import Servo
-from canopen_proto.simulated_drive.settings import Shape, ShownBit
+from canopen_proto.simulated_drive.settings import Shape
 
 _STATE_BITS: Final[dict[State, int]] = {
     State.UNKNOWN: 0x0000,
@@ -60,7 +61,7 @@ def show_values(servo: Servo, *, torque_is_off: bool) -> None:
         _show_bit(servo, servo.settings.brake_bit, servo.holds_brake)
 
 
-def _show_bit(servo: Servo, shown: ShownBit, is_active: bool) -> None:
+def _show_bit(servo: Servo, shown: DriveBit, is_active: bool) -> None:
     word = servo.store.get(shown.mux)
     if isinstance(word, int):
         bit = 1 << shown.bit

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -44,15 +44,7 @@ class Track:
         return (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
 
 
-class ShownBit(NamedTuple):
-    """A bit of an object by which a drive shows something. value: the bit while that is so."""
-
-    mux: Mux
-    bit: int
-    value: int = 1
-
-
-_STO_OF_AX8000 = ShownBit(objects.DIGITAL_INPUTS, 31)
+_STO_OF_AX8000 = DriveBit(objects.DIGITAL_INPUTS, 31)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +85,8 @@ class DriveSettings:
     changes_mode_halted: bool = True
     own_modes: frozenset[int] = frozenset()
     torque_is_off: bool = False
-    sto_bit: ShownBit = _STO_OF_AX8000
+    sto_bit: DriveBit = _STO_OF_AX8000
     sto_fault: int = 0
-    brake_bit: ShownBit | None = None
+    brake_bit: DriveBit | None = None
     overload_fault: int = 0
     coasts: bool = False

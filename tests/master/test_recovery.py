@@ -24,15 +24,26 @@ from canopen_master import (
     standard_drives,
 )
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import DriveSettings
 from canopen_transports import BusState, BusStateChanged, Received, Report
 from tests.master.world import Link, arm_of, drives, position_of, value, virtual_time
 
 TENTH = 100 * MILLISECOND
-SETTINGS = AxisSettings(MILLIDEGREES_PER_RADIAN, homing_method=35, reaction_time=TENTH, halt_time=TENTH)
+STO = DriveBit(objects.DIGITAL_INPUTS, 31)
+SETTINGS = AxisSettings(
+    counts_per_unit=MILLIDEGREES_PER_RADIAN,
+    homing_method=35,
+    state_timeout=5 * TENTH,
+    reaction_time=TENTH,
+    halt_time=TENTH,
+    sto_input=STO,
+)
+DRIVE = DriveSettings()
 RADIANS_PER_CYCLE = 0.001
 GRIP = 0.5
 """Seconds until a drive misses the heartbeat of its master."""
@@ -41,8 +52,9 @@ GRIP = 0.5
 class Joint:
     """A drive with a cable and a power switch of its own."""
 
-    def __init__(self, nursery: trio.Nursery, node_id: int) -> None:
+    def __init__(self, nursery: trio.Nursery, node_id: int, drive: DriveSettings) -> None:
         self._nursery = nursery
+        self._drive = drive
         self._power = trio.CancelScope()
         self.node_id = node_id
         self.cable = Link()
@@ -56,7 +68,7 @@ class Joint:
 
         async def live(task_status: trio.TaskStatus[Host]) -> None:
             with self._power:
-                await simulate(self.cable, standard_drives(self.node_id), task_status=task_status)
+                await simulate(self.cable, standard_drives(self.node_id, settings=self._drive), task_status=task_status)
 
         self.host = await self._nursery.start(live)
 
@@ -69,6 +81,14 @@ class Joint:
 
     def plug_cable(self) -> None:
         self.cable.copies = lambda frame, is_sent: 1
+
+    def press_emergency_stop(self) -> None:
+        self.node.set_safe_torque_off(True, self.host.now())
+        self.host.pump()
+
+    def release_emergency_stop(self) -> None:
+        self.node.set_safe_torque_off(False, self.host.now())
+        self.host.pump()
 
     @property
     def node(self) -> DriveNode:
@@ -86,9 +106,9 @@ class Joint:
 
 
 @asynccontextmanager
-async def joints(*node_ids: int) -> AsyncIterator[list[Joint]]:
+async def joints(*node_ids: int, drive: DriveSettings = DRIVE) -> AsyncIterator[list[Joint]]:
     async with trio.open_nursery() as nursery:
-        made = [Joint(nursery, node_id) for node_id in node_ids]
+        made = [Joint(nursery, node_id, drive) for node_id in node_ids]
         for joint in made:
             await joint.switch_on()
         yield made
@@ -100,9 +120,11 @@ def chain_of(master: Master, *node_ids: int) -> Chain:
 
 
 @asynccontextmanager
-async def homed_arm(*node_ids: int, cable: Link | None = None) -> AsyncIterator[tuple[list[Joint], Chain]]:
+async def homed_arm(
+    *node_ids: int, cable: Link | None = None, drive: DriveSettings = DRIVE
+) -> AsyncIterator[tuple[list[Joint], Chain]]:
     """A chain that is homed and follows set-points."""
-    async with joints(*node_ids) as made, open_master(cable or Link(), heartbeat_timeout=0.3) as master:
+    async with joints(*node_ids, drive=drive) as made, open_master(cable or Link(), heartbeat_timeout=0.3) as master:
         arm = chain_of(master, *node_ids)
         await arm.initialise()
         await arm.home()
@@ -139,23 +161,28 @@ async def fails(arm: Chain, do: Callable[[], object]) -> ChainFault:
 # ---- emergency stop ----
 
 
+@pytest.mark.parametrize("code", [0, 0xFF01])
 @virtual_time
-async def test_an_emergency_stop_that_makes_a_fault() -> None:
-    async with homed_arm(3, 4) as ((one, two), arm):
-
-        def press() -> None:
-            two.node.raise_fault(0x5441, two.host.now(), lasting=True)
-            two.host.pump()
-
-        fault = await fails(arm, press)
-        assert (fault.joint, fault.error_code) == ("joint2", 0x5441)
-        assert two.state is State.FAULT
+async def test_an_emergency_stop_while_it_moves(code: int) -> None:
+    """code: of the fault that the drive makes of "safe torque off"; 0: it just loses its power."""
+    async with homed_arm(3, 4, drive=DriveSettings(sto_fault=code)) as ((one, two), arm):
+        fault = await fails(arm, two.press_emergency_stop)
+        assert fault.joint == "joint2"
+        assert two.state is (State.FAULT if code else State.SWITCH_ON_DISABLED)
+        assert two.node.values.store[objects.TORQUE_ACTUAL_VALUE] == 0
+        if code:
+            assert fault.error_code == code
+        else:
+            assert "left operation enabled by itself: switch on disabled" in fault.reason
+            assert fault.cause == "safe torque off is active (bit 31 of 0x60FD:00 is 1)"
+            assert fault.tries[0].startswith("release the emergency stop")
         assert one.state is State.OPERATION_ENABLED
         assert await one.stands()
-        with pytest.raises(ChainFault, match="joint2.*is in fault") as pressed:  # still pressed
-            await arm.recover()
-        assert "0x5441" in str(pressed.value)
-        two.node.drive.end_fault(0x5441)
+        for _ in range(2):  # still pressed
+            with pytest.raises(ChainError, match="joint2") as pressed:
+                await arm.recover()
+            assert ("0xFF01" if code else "safe torque off is active") in str(pressed.value)
+        two.release_emergency_stop()
         await arm.recover()
         assert arm.is_homed
         await assert_moves(arm)
@@ -164,23 +191,20 @@ async def test_an_emergency_stop_that_makes_a_fault() -> None:
 @virtual_time
 async def test_an_emergency_stop_at_boot() -> None:
     """Connecting does not fail: only what needs power does, and says why."""
-    async with joints(3, 4) as (one, two):
-        for joint in (one, two):
-            joint.node.raise_fault(0x5441, joint.host.now(), lasting=True)
-            joint.host.pump()
-        async with open_master(Link()) as master:
-            arm = chain_of(master, 3, 4)
-            assert await arm.devices[0].node.read("statusword") is not None
-            with pytest.raises(ChainFault, match="0x5441"):
-                await arm.initialise()
-            with pytest.raises(ChainError):
-                await arm.home()
-            for joint in (one, two):
-                joint.node.drive.end_fault(0x5441)
+    async with joints(3, 4, drive=DriveSettings(torque_is_off=True)) as made, open_master(Link()) as master:
+        arm = chain_of(master, 3, 4)
+        assert await arm.devices[0].node.read("statusword") is not None
+        with pytest.raises(ChainError, match="did not reach operation enabled") as pressed:
             await arm.initialise()
+        assert pressed.value.cause == "safe torque off is active (bit 31 of 0x60FD:00 is 1)"
+        with pytest.raises(ChainError, match="it is off"):
             await arm.home()
-            await arm.enable_interpolated_position()
-            await assert_moves(arm)
+        for joint in made:
+            joint.release_emergency_stop()
+        await arm.initialise()
+        await arm.home()
+        await arm.follow()
+        await assert_moves(arm)
 
 
 # ---- power, cables, the bus ----

@@ -10,11 +10,11 @@ import pytest
 from canopen_proto import drive
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary import Direction
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.settings import AxisSettings
-from canopen_proto.drive.view import DriveBit
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux

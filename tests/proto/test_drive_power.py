@@ -7,19 +7,20 @@ from dataclasses import replace
 
 import pytest
 
+from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER, Outbox
 from canopen_proto.simulated_drive.events import DriveFault
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.plant import Mechanics
-from canopen_proto.simulated_drive.settings import DriveSettings, ShownBit, Track
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from tests.proto.drive_bench import NODE_ID, Bench
 
 JOINT = Mechanics()
 UNITS = JOINT.units_per_radian
 BOTH = pytest.mark.parametrize("mechanics", [None, JOINT], ids=["lag", "mass"])
 WITH_BRAKE = DriveSettings(
-    position=0, brake_bit=ShownBit(0x60FD_00, 16), mechanics=replace(JOINT, load=5.0, brake_release=0.1, brake_apply=0.05)
+    position=0, brake_bit=DriveBit(0x60FD_00, 16), mechanics=replace(JOINT, load=5.0, brake_release=0.1, brake_apply=0.05)
 )
 
 
@@ -91,7 +92,7 @@ def test_sto_at_power_on_and_through_it() -> None:
 
 
 def test_a_makers_own_bit_shows_it() -> None:
-    bench = Bench(DriveSettings(sto_bit=ShownBit(0x60FE_02, 4, 0)))  # active low, in an object that the dictionary has
+    bench = Bench(DriveSettings(sto_bit=DriveBit(0x60FE_02, 4, 0)))  # active low, in an object that the dictionary has
     assert bench.read(0x60FE, 2) == 0x10
     bench.drive.set_safe_torque_off(True, bench.now)
     assert bench.read(0x60FE, 2) == 0
