@@ -41,6 +41,7 @@ COMMANDS: Final = {
     "sim": ("sim", "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own."),
     "plan": ("plan", "Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits."),
     "eds": ("eds", "Device descriptions: EDS, DCF, XDD and XDC files."),
+    "machine": ("machine", "The machine file: one file with the buses, devices, joints and chains of a machine."),
     "data": ("data", "The object dictionary and the chain files."),
 }
 """Listed in the order to try them."""
@@ -115,7 +116,7 @@ def _show(settings: Settings, problem: Problem) -> int:
     if settings.late is not None and settings.late is not problem:
         problem.also.append(f"{settings.late.failed}: {settings.late.seen}")
     try:
-        settings.screen().problem(problem.on_bus(settings.bus))
+        settings.screen().problem(problem.on_bus(*settings.typed_bus()))
     except BrokenPipeError:  # it may have been the problem itself
         _put_to_rest(sys.stderr)
         return CLOSED_PIPE

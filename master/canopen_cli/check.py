@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
@@ -15,12 +14,12 @@ from canopen_check.bench import Bench
 from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_cli.check_report import CaseRun, Report, list_cases, write_junit
-from canopen_cli.device_files import description_of, read_device_files
 from canopen_cli.eds_files import open_description
 from canopen_cli.fleet import drive_maker
 from canopen_cli.new_files import check_new_file
 from canopen_cli.nmt import confirm
-from canopen_cli.options import DEMO, Settings, common, node_id_of
+from canopen_cli.node_files import NodeFiles
+from canopen_cli.options import DEMO, Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, escape, node_text
@@ -37,7 +36,6 @@ from canopen_proto.verdict import Result, Verdict
 if TYPE_CHECKING:
     from canopen_data.description import DeviceDescription
 
-_NODE: Final = re.compile(r"(?:0[xX][0-9A-Fa-f]+|[0-9]+)")
 ANY_NODE: Final = 1
 """The node-ID of a device whose file is checked alone. No case that runs without the device uses it."""
 
@@ -89,10 +87,10 @@ def check(
     if junit:
         check_new_file(settings, screen, junit)
     failure: Exception | None = None
-    if _NODE.fullmatch(target) is None:
+    if not settings.is_node(target):
         report = _check_file(settings, target, cases)
     else:
-        report = Report(node_id_of(target), len(cases), tuple(left_out))
+        report = Report(settings.node_id(target), len(cases), tuple(left_out))
         try:
             _check_node(settings, screen, report, cases, strict, yes)
         except Exception as error:  # noqa: BLE001 - raised below, after the report so far
@@ -156,14 +154,14 @@ def _check_node(settings: Settings, screen: Screen, report: Report, cases: Seque
     node_id = report.node_id
     assert node_id is not None
     if not any(case.uses_device for case in cases):
-        description = description_of(read_device_files(settings.eds, read_dictionary(screen), screen, settings.encoding), node_id)
+        description = NodeFiles(settings, screen, read_dictionary(screen)).description_of(node_id)
         if description is None:
             raise _without_file(node_id)
         report.file = description.source
         _run_alone(report, cases, description, node_id)
         return
     bus = settings.required_bus()
-    if not settings.eds and bus != DEMO:
+    if bus != DEMO and NodeFiles(settings, screen, read_dictionary(screen)).description_of(node_id) is None:
         raise _without_file(node_id)
     effect = "it is reset and all of its objects are written, outputs and set-points too; commands go to ALL nodes of the bus"
     confirm(screen, f"check {node_text(node_id)}: {effect}", yes, needed=True)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from canopen_cli.backup_reading import both_notations, shown, tell_unread
-from canopen_cli.options import Kind, NodeId, Settings, common, node_id_of
+from canopen_cli.options import Kind, NodeId, Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape, node_text
@@ -29,7 +28,6 @@ from canopen_proto.procedures.backup import Backup, ObjectRead, back_up, same_va
 if TYPE_CHECKING:
     from canopen_data.description import DeviceDescription
 
-_NODE: Final = re.compile(r"(?:0[xX][0-9A-Fa-f]+|[0-9]+)")
 HIDDEN: Final = (Role.PROCESS, Role.COMMAND)
 """Roles of objects that change by themselves, or say nothing about how a device is set up."""
 
@@ -126,7 +124,7 @@ def compare(
     from canopen_cli.eds_files import open_description
 
     screen = settings.screen()
-    live = node_id_of(left) if _NODE.fullmatch(left) else None
+    live = settings.node_id(left) if settings.is_node(left) else None
     descriptions = [
         open_description(path, settings.encoding).description for path in ([right] if live is not None else [left, right])
     ]

@@ -78,7 +78,7 @@ class Plan:
     timeout: Time | None
     files: Mapping[int | None, DriveFile] = field(default_factory=dict)
     scale: float | None = None
-    grip: Grip = DEFAULT_GRIP
+    grip: Grip | None = DEFAULT_GRIP
 
     def file_of(self, node_id: int) -> DriveFile | None:
         """Return the file that describes the drive with this node-ID, or None."""

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import click
 
+from canopen_cli.chosen_machine import NUMBER
 from canopen_cli.drive_session import NODE
 from canopen_cli.lazy import LazyGroup
 from canopen_cli.options import NodeId
@@ -25,18 +26,19 @@ COMMANDS: Final = {
 
 
 class _Node(NodeId):
-    """A node-ID before a command: an exchange of the two is noticed."""
+    """A node-ID or a name before a command: an exchange of the two is noticed."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if str(value) in COMMANDS:
             raise usage("CO120", f"the node comes before {value!r}", tries=(f"canopen drive 3 {value}",))
-        return super().convert(value, param, ctx)
+        # The machine file of a name may be named behind it
+        return super().convert(value, param, ctx) if NUMBER.fullmatch(str(value)) else str(value)
 
 
 @click.group(cls=LazyGroup, table=COMMANDS)
 @click.argument("node_id", metavar="NODE", type=_Node())
 @click.pass_context
-def drive(ctx: click.Context, node_id: int) -> None:
+def drive(ctx: click.Context, node_id: int | str) -> None:
     """One drive (CiA 402): what it shows, why it does not move, what its numbers mean.
 
     \b

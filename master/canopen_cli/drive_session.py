@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 import click
 
-from canopen_cli.options import Settings
+from canopen_cli.options import NodeId, Settings
 from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import Story, run
@@ -26,7 +26,7 @@ from canopen_proto.remote_node import RemoteNode
 T = TypeVar("T")
 
 NODE: Final = "canopen.drive.node"
-"""The key of the node-ID in `click.Context.meta`."""
+"""The key of the node-ID, or of a name in the machine file, in `click.Context.meta`."""
 COUNTS: Final = "counts"
 
 
@@ -34,18 +34,19 @@ def run_on_node(
     settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
 ) -> T:
     """Run a procedure on the node that the command line names."""
+    node_id = node_of_command()  # a name also says which bus the session opens
 
     async def command() -> T:
         async with open_session(settings, screen) as session:
-            return await session.master.run(procedure(session, session.node(node_of_command())))
+            return await session.master.run(procedure(session, session.node(node_id)))
 
     return run(settings, screen, command, story=story)
 
 
 def node_of_command() -> int:
-    """Return the node-ID that stands before the command."""
-    node_id: int = click.get_current_context().meta[NODE]
-    return node_id
+    """Return the node-ID that stands before the command, or that of the name there."""
+    context = click.get_current_context()
+    return NodeId().convert(context.meta[NODE], None, context)
 
 
 def read_drive(settings: Settings, screen: Screen, procedure: Callable[[RemoteNode], Procedure[T]]) -> T:

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Final, cast
 import click
 import trio
 
-from canopen_cli.device_files import description_of, read_device_files
 from canopen_cli.new_files import check_new_file
+from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import NodeIds, Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.running import run, same_file
 from canopen_cli.screen import Screen, escape
 from canopen_cli.session import read_dictionary
 from canopen_master.plain_text import clean, json_text
-from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.decoding import Decoder
 from canopen_transports import open_transport
@@ -197,14 +196,8 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
     candump can0 | canopen log decode -
     """
     screen = settings.screen()
-    names = read_dictionary(screen)
-    files = read_device_files(settings.eds, names, screen, settings.encoding)
-
-    def dictionary_of(node_id: int) -> ObjectDictionary:
-        description = description_of(files, node_id)
-        return names if description is None else description.dictionary
-
-    reader, decoder = _reader(source), Decoder(dictionary_of)
+    files = NodeFiles(settings, screen, read_dictionary(screen))
+    reader, decoder = _reader(source), Decoder(files.dictionary_of)
     wanted = tuple(service.lower() for service in services)
     first = None
     for number, record in enumerate(reader):

@@ -1,8 +1,8 @@
 """The options and kinds of argument that all commands share.
 
-`common` adds -b, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They may
-also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus if no
-option does.
+`common` adds -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They
+may also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus, and
+CANOPEN_MACHINE the machine file, if no option does.
 """
 
 from __future__ import annotations
@@ -10,21 +10,23 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
+from canopen_cli.chosen_machine import MACHINE_VARIABLE, NUMBER, ChosenMachine
 from canopen_cli.importing import importing
 from canopen_cli.problem import Problem, usage
 from canopen_proto.frame import MAX_NODE_ID
-from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Time
 
 if TYPE_CHECKING:
     import trio
 
     from canopen_cli.screen import Screen
+    from canopen_master.machine_file import MachineFile
     from canopen_proto.procedures.grip import Grip
 
     Kind: TypeAlias = click.ParamType[Any, Any]
@@ -34,6 +36,7 @@ else:
 F = TypeVar("F", bound=Callable[..., Any])
 
 BUS_VARIABLE: Final = "CANOPEN_BUS"
+_NODE_ID: Final = re.compile(r"0[xX][0-9A-Fa-f]+|[0-9]+")
 DEMO: Final = "demo"
 """The bus on which six simulated drives live, in the same process."""
 
@@ -46,6 +49,7 @@ class Settings:
     the node-ID of our heartbeat, which the drives that we enable watch. dry_run: show the frames, and send nothing but reads."""
 
     bus: str | None = None
+    machine: Path | None = None
     eds: tuple[str, ...] = ()
     overlays: tuple[str, ...] = ()
     timeout: Time | None = None
@@ -59,13 +63,29 @@ class Settings:
     late: Problem | None = None
     master_id: int | None = None
     dry_run: bool = False
+    chosen: ChosenMachine = field(default_factory=ChosenMachine)
 
     @property
-    def grip(self) -> Grip:
-        """How enabled drives notice that this program is gone."""
+    def grip(self) -> Grip | None:
+        """How enabled drives notice that this program is gone; None if the machine file says that they shall not."""
         from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
-        return DEFAULT_GRIP if self.master_id is None else Grip(node_id=self.master_id)
+        if self.master_id is not None:
+            return Grip(node_id=self.master_id)
+        machine = self.machine_file()
+        return DEFAULT_GRIP if machine is None else machine.master.grip
+
+    @property
+    def sdo_timeout(self) -> float | None:
+        """Seconds for one answer of a node, by --timeout or the machine file; None if neither says it."""
+        machine = self.machine_file()
+        time = self.timeout if self.timeout is not None or machine is None else machine.master.timeout
+        return None if time is None else time / SECOND
+
+    def typed_bus(self) -> tuple[str | None, str | None]:
+        """Return what -b and -m of another command have to be for the same bus; None: not needed."""
+        bus = self.bus or (self.chosen.bus if self.chosen.has_several else None)
+        return bus or None, None if self.machine is None else str(self.machine)
 
     def screen(self) -> Screen:
         """The screen that the command writes to."""
@@ -73,13 +93,41 @@ class Settings:
             from canopen_cli.screen import Screen
         return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color)
 
+    def machine_file(self) -> MachineFile | None:
+        """Return the machine of -m or CANOPEN_MACHINE, or None. Raises DataError, DictionaryError."""
+        return self.chosen.file(self.machine, self.bus)
+
+    def machine_on_bus(self) -> tuple[MachineFile | None, str]:
+        """Return the machine, and the name of its bus that this command is about; "" if there is none, or it is not clear."""
+        machine = self.machine_file()
+        if machine is not None:
+            self.chosen.locator(machine, self.bus)
+        return machine, self.chosen.bus
+
+    def is_node(self, text: str) -> bool:
+        """Return whether a text that could also be a file means a node: it is a number, or a name in the machine file."""
+        if _NODE_ID.fullmatch(text):
+            return True
+        machine = None if Path(text).exists() else self.machine_file()
+        return machine is not None and machine.node_of(text) is not None
+
+    def node_id(self, text: str) -> int:
+        """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a Problem."""
+        machine = None if NUMBER.fullmatch(text) else self.machine_file()
+        return node_id_of(text) if machine is None else self.chosen.node_id(machine, text.strip())
+
     def named_bus(self) -> str | None:
-        """Return the bus of -b or CANOPEN_BUS, or None."""
+        """Return the bus that this command is about: of the machine file, else of -b or CANOPEN_BUS; None if it is not clear."""
+        machine = self.machine_file()
+        if machine is not None:
+            return self.chosen.locator(machine, self.bus)
         return self.bus or os.environ.get(BUS_VARIABLE) or None
 
     def required_bus(self, first: str = "-b demo                        six simulated drives, for trying things out") -> str:
         """Return the bus as `named_bus` does. Raises a Problem if there is none. first: what to try first."""
-        bus = self.named_bus()
+        bus, machine = self.named_bus(), self.machine_file()
+        if bus is None and machine is not None:
+            raise self.chosen.unclear(machine)
         if bus is None:
             raise usage(
                 "CO121",
@@ -95,12 +143,15 @@ class Settings:
 
 
 class NodeId(Kind):
-    """A node-ID: decimal, or hexadecimal with 0x."""
+    """A node-ID: decimal, or hexadecimal with 0x. With a machine file also the name of a joint or a node."""
 
     name = "node"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        return value if isinstance(value, int) else node_id_of(str(value))
+        if isinstance(value, int):
+            return value
+        settings = None if ctx is None else ctx.find_object(Settings)
+        return node_id_of(str(value)) if settings is None else settings.node_id(str(value))
 
 
 class NodeIds(Kind):
@@ -231,6 +282,13 @@ def common(command: F) -> F:
             "--bus",
             metavar="BUS",
             help=f"The bus: demo, socketcan:can0, pcan:PCAN_USBBUS1@500k, slcan:/dev/ttyACM0@250k ...  [env: {BUS_VARIABLE}]",
+        ),
+        _option(
+            "-m",
+            "--machine",
+            type=click.Path(dir_okay=False, path_type=Path),
+            metavar="FILE.toml",
+            help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
         ),
         _option(
             "-e",

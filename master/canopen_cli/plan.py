@@ -7,14 +7,16 @@ from typing import Any
 
 import click
 
-from canopen_cli.device_files import DeviceFiles, description_of, read_device_files
+from canopen_cli.device_files import description_of, read_device_files
 from canopen_cli.options import Duration, Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
+from canopen_master.machine_file import BusEntry, MachineFile
+from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.motion.chain import ChainSettings
-from canopen_master.motion.chain_file import JointDescription, read_chains
+from canopen_master.motion.chain_file import read_chains
 from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
 from canopen_master.planning import plan as plan_network
 from canopen_proto import indices
@@ -23,7 +25,7 @@ from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import mapped
 from canopen_transports import parse_bitrate
-from canopen_transports.locator import bitrate_text
+from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.wire import QueueOrder
 
 DEFAULTS = ChainSettings()
@@ -35,9 +37,9 @@ SYNCHRONOUS = 240
 
 
 @click.command()
-@click.option("--chains", "file", metavar="FILE", required=True, help="A chain file, as `canopen demo --chains` has it.")
-@click.option("--cycle", metavar="TIME", type=Duration(100 * MICROSECOND), required=True, help="Between two SYNCs: 4ms.")
-@click.option("--bitrate", metavar="RATE", required=True, help="1M, 500k, 125k ...")
+@click.option("--chains", "file", metavar="FILE", help="A chain file, as `canopen demo --chains` has it.")
+@click.option("--cycle", metavar="TIME", type=Duration(100 * MICROSECOND), help="Between two SYNCs: 4ms.")
+@click.option("--bitrate", metavar="RATE", help="1M, 500k, 125k ...")
 @click.option("--rpdo", default=DEFAULTS.rpdo, show_default=True, help="The PDO of PDOs.csv that goes to each joint.")
 @click.option("--tpdo", default=DEFAULTS.tpdo, show_default=True, help="The PDO of PDOs.csv that comes from each joint.")
 @click.option("--heartbeat", metavar="TIME", type=Duration(0), default="500ms", show_default=True, help="Of each joint; 0: none.")
@@ -57,9 +59,9 @@ SYNCHRONOUS = 240
 @click.pass_obj
 def plan(
     settings: Settings,
-    file: str,
-    cycle: Time,
-    bitrate: str,
+    file: str | None,
+    cycle: Time | None,
+    bitrate: str | None,
     rpdo: str,
     tpdo: str,
     heartbeat: Time,
@@ -77,29 +79,39 @@ def plan(
     those of --rpdo and --tpdo, or with -e FILE those that are valid in the device's own file: RPDOs once a cycle, synchronous
     TPDOs at each SYNC, the others once per inhibit time or event timer.
 
+    With a machine file (-m) the devices are all of its nodes, and cycle and bit rates are those of the file unless options say
+    otherwise.
+
     Exit status: 0 it fits, 1 it does not.
 
     \b
+    canopen plan -m cell.toml
     canopen plan --chains arm.csv --cycle 4ms --bitrate 1M
     canopen plan --chains arm.csv --cycle 10ms --bitrate 125k --json
     """
     try:
-        rate = parse_bitrate(bitrate)
+        rate = None if bitrate is None else parse_bitrate(bitrate)
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from error
     screen = settings.screen()
-    dictionary, _ = load_dictionary()
-    files = read_device_files(settings.eds, dictionary, screen, settings.encoding)
+    machine = settings.machine_file() if file is None else None
+    if machine is not None:
+        by_bus = _of_machine(machine, screen)
+        cycle = machine.master.cycle if cycle is None else cycle
+    elif file is not None:
+        by_bus = _of_chains(file, (rpdo, tpdo), settings, screen)
+    else:
+        raise usage("CO001", "which network?", tries=("--chains arm.csv --cycle 4ms --bitrate 1M", "-m cell.toml"))
+    if cycle is None:
+        raise usage("CO001", "which cycle?", tries=("--cycle 10ms",))
     background = Background(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
-    by_bus: dict[str, list[Exchange]] = {}
-    for chain in read_chains(file):
-        for joint in chain.joints:
-            exchange = _exchange(joint, f"{chain.name}.{joint.name}", dictionary, (rpdo, tpdo), files, screen)
-            by_bus.setdefault(joint.bus, []).append(exchange)
-    planned = {exchange.node_id for joints in by_bus.values() for exchange in joints}
-    for node_id in sorted({each for each in files if each is not None} - planned):
-        screen.say(f"[yellow]no joint of these chains has node-ID {node_id}: its file is left out[/]")
-    plans = [plan_network(bus, joints, cycle, rate, background) for bus, joints in by_bus.items()]
+    plans = []
+    for bus, exchanges in by_bus.items():
+        known = rate or (None if machine is None else _rate_of(machine.buses[bus]))
+        if known is None:
+            tries = ("--bitrate 500k", *([] if machine is None else [f'bitrate = "500k" in [buses.{bus}]']))
+            raise usage("CO001", f"which bit rate has {bus}?", tries=tries)
+        plans.append(plan_network(bus, exchanges, cycle, known, background))
     if settings.json:
         screen.json([_as_json(each) for each in plans])
     else:
@@ -108,18 +120,63 @@ def plan(
     return ExitCode.OK if all(each.fits for each in plans) else ExitCode.DIFFERENT
 
 
+def _of_chains(file: str, pdos: tuple[str, str], settings: Settings, screen: Screen) -> dict[str, list[Exchange]]:
+    """Return what the joints of a chain file exchange, by bus. pdos: of joints without a file."""
+    dictionary, _ = load_dictionary()
+    files = read_device_files(settings.eds, dictionary, screen, settings.encoding)
+    by_bus: dict[str, list[Exchange]] = {}
+    for chain in read_chains(file):
+        for joint in chain.joints:
+            description = description_of(files, joint.node_id)
+            exchange = _exchange(joint.node_id, f"{chain.name}.{joint.name}", dictionary, pdos, description, screen)
+            by_bus.setdefault(joint.bus, []).append(exchange)
+    planned = {exchange.node_id for joints in by_bus.values() for exchange in joints}
+    for node_id in sorted({each for each in files if each is not None} - planned):
+        screen.say(f"[yellow]no joint of these chains has node-ID {node_id}: its file is left out[/]")
+    return by_bus
+
+
+def _of_machine(machine: MachineFile, screen: Screen) -> dict[str, list[Exchange]]:
+    """Return what the nodes of a machine exchange, by bus. A node without a file that is in no chain exchanges nothing."""
+    dictionary, _ = load_dictionary()
+    dictionaries = Dictionaries(machine, dictionary)
+    joints = {machine.joints[name].node: (chain, name) for chain in machine.chains.values() for name in chain.joints}
+    by_bus: dict[str, list[Exchange]] = {}
+    for node in machine.nodes.values():
+        chain, joint = joints.get(node.name, (None, node.name))
+        description = dictionaries.description_of(node)
+        if chain is None and description is None:
+            screen.say(f"[yellow]{escape(node.name)} has no file, and is in no chain: it is left out[/]")
+            continue
+        settings = DEFAULTS if chain is None else chain.settings
+        if chain is not None and not settings.own_pdos and settings.mode is not None:
+            description = None
+        name = joint if chain is None else f"{chain.name}.{joint}"
+        exchange = _exchange(node.node_id, name, dictionary, (settings.rpdo, settings.tpdo), description, screen)
+        by_bus.setdefault(node.bus, []).append(exchange)
+    return by_bus
+
+
+def _rate_of(bus: BusEntry) -> int | None:
+    return bus.bitrate or parse_locator(bus.locator).bitrate
+
+
 def _exchange(
-    joint: JointDescription, name: str, dictionary: ObjectDictionary, pdos: tuple[str, str], files: DeviceFiles, screen: Screen
+    node_id: int,
+    name: str,
+    dictionary: ObjectDictionary,
+    pdos: tuple[str, str],
+    description: DeviceDescription | None,
+    screen: Screen,
 ) -> Exchange:
-    description = description_of(files, joint.node_id)
     if description is not None:
-        return _of_file(description, joint.node_id, name, screen)
+        return _of_file(description, node_id, name, screen)
     rpdo, tpdo = (dictionary.pdo(each) for each in pdos)
     return Exchange(
         name,
-        joint.node_id,
-        ((rpdo.can_id(joint.node_id), (rpdo.bit_length + 7) // 8),),
-        ((tpdo.can_id(joint.node_id), (tpdo.bit_length + 7) // 8),),
+        node_id,
+        ((rpdo.can_id(node_id), (rpdo.bit_length + 7) // 8),),
+        ((tpdo.can_id(node_id), (tpdo.bit_length + 7) // 8),),
     )
 
 

@@ -71,10 +71,14 @@ class Problem(Explained, Exception):
         self.subindex = subindex
         self.abort = abort
 
-    def on_bus(self, bus: str | None) -> Problem:
-        """Add the bus of -b to each command that it advises, so that the next command asks the same bus. Returns itself."""
-        if bus is not None:
-            self.tries = tuple(_with_bus(step, bus) for step in self.tries)
+    def on_bus(self, bus: str | None, machine: str | None = None) -> Problem:
+        """Add the bus of -b, and the machine file of -m, to each command that it advises, so that the next command asks the same
+        bus. Returns itself."""
+        options = "".join(
+            f" {option} {shlex.quote(value)}" for option, value in (("-m", machine), ("-b", bus)) if value is not None
+        )
+        if options:
+            self.tries = tuple(_with_bus(step, options) for step in self.tries)
         return self
 
     def as_json(self) -> dict[str, Any]:
@@ -103,7 +107,7 @@ _ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|sim|backup|res
 _BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # before a remark, or before arguments that must stand last
 
 
-def _with_bus(step: str, bus: str) -> str:
+def _with_bus(step: str, options: str) -> str:
     if _ON_A_BUS.match(step) is None or re.search(r" (-b|--bus|--help)\b", step) is not None:
         return step
-    return _BEFORE_BUS.sub(lambda place: f" -b {shlex.quote(bus)}", step, count=1)
+    return _BEFORE_BUS.sub(lambda place: options, step, count=1)

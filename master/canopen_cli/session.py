@@ -8,29 +8,26 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import replace
 from typing import Final
 
 import trio
 
-from canopen_cli.device_files import DeviceFiles, description_of, read_device_files
 from canopen_cli.failures import advice, problem_of
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
+from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import DEMO, Settings
-from canopen_cli.overlays import overlaid
 from canopen_cli.problem import Problem
 from canopen_cli.screen import Screen, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.findings import Severity
 from canopen_master.errors import NO_ANSWER, SdoTimeout
-from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.master import Master
 from canopen_master.node import Node
 from canopen_master.session import open_master
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed
@@ -42,25 +39,23 @@ LOOK_AGAIN: Final = 0.05
 
 
 class Session:
-    """An open master with the dictionary of the data files and those of the devices' own files."""
+    """An open master of one bus, and the files of the devices on it."""
 
-    def __init__(self, master: Master, dictionary: ObjectDictionary, files: DeviceFiles) -> None:
+    def __init__(self, master: Master, files: NodeFiles) -> None:
         self.master = master
-        self._dictionary = dictionary
-        self._files = files
+        self.files = files
 
     def node(self, node_id: int) -> Node:
         """Return a node of the only bus."""
         return self.master.node(node_id, self.dictionary_of(node_id))
 
     def dictionary_of(self, node_id: int) -> ObjectDictionary:
-        """Return the dictionary of a node: of its own file if -e names one."""
-        description = self.description_of(node_id)
-        return self._dictionary if description is None else description.dictionary
+        """Return the dictionary of a node; see NodeFiles."""
+        return self.files.dictionary_of(node_id)
 
     def description_of(self, node_id: int) -> DeviceDescription | None:
         """Return the description of a node in its own file, or None."""
-        return description_of(self._files, node_id)
+        return self.files.description_of(node_id)
 
     @property
     def network(self) -> Network:
@@ -83,19 +78,15 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
 async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Session]:
     """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
     bus = settings.required_bus()
-    names = read_dictionary(screen)
-    files = {
-        node_id: replace(each, dictionary=overlaid(each.dictionary, settings.overlays, screen))
-        for node_id, each in read_device_files(settings.eds, names, screen, settings.encoding).items()
-    }
-    dictionary = overlaid(names, settings.overlays, screen)
-    timeout = SDO_TIMEOUT if settings.timeout is None else settings.timeout / SECOND
+    files = NodeFiles(settings, screen, read_dictionary(screen))
     async with AsyncExitStack() as stack:
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
-        master = await stack.enter_async_context(open_master(bus, sdo_timeout=timeout, dictionary=dictionary, grip=settings.grip))
-        session = Session(master, dictionary, files)
+        master = await stack.enter_async_context(
+            open_master(bus, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
+        )
+        session = Session(master, files)
         try:
             yield session
         except Exception as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +16,8 @@ from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices
 from canopen_cli.options import DEMO, NodeIds, Settings, common
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
-from canopen_cli.sim_devices import SHAPES, models, wanted
+from canopen_cli.sim_devices import SHAPES, devices_of, machine_of, models, wanted
+from canopen_master.machine_file import MachineFile
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry
 from canopen_proto.error_codes import error_text
@@ -72,9 +74,14 @@ def sim(
     canopen sim drive.eds --id 5 -b can0
     canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
     canopen sim plant.toml
+    canopen sim cell.toml                  each device of a machine file, on all of its buses; with -b NAME on that one
     """
     screen = settings.screen()
     files += settings.eds  # -e means the same here: the file of a device
+    machine = None if node_ids else machine_of(files, settings)
+    if machine is not None:
+        _serve_machine(settings, screen, machine, state, seconds)
+        return
     common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults, encoding=settings.encoding)
     plant = wanted(files, node_ids, common_entry) if files else None
     if plant is not None and plant.bus and settings.named_bus() is None:
@@ -82,9 +89,6 @@ def sim(
     bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")
     locator = DEMO_LOCATOR if bus == DEMO else bus
     tell = _teller(screen)
-
-    def report(text: str) -> None:
-        screen.err.print(escape(text), style="yellow", highlight=False, soft_wrap=True)
 
     def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
         if plant is None:
@@ -94,7 +98,7 @@ def sim(
         made = models(plant.devices, screen)
         keeper = _keeper(state or plant.state)
         what = counted(len(made), "simulated device")
-        return what, simulated_devices({locator: made}, tell, keeper=keeper, say=report)
+        return what, simulated_devices({locator: made}, tell, keeper=keeper, say=partial(_report, screen))
 
     async def serve() -> None:
         what, fleet = devices()
@@ -107,6 +111,26 @@ def sim(
             await trio.sleep(math.inf if seconds is None else seconds)
 
     run_until_interrupted(settings, screen, serve, devices=True)
+
+
+def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, state: str | None, seconds: float | None) -> None:
+    """Serve the devices of a machine until Ctrl-C, or for some seconds."""
+    by_bus = devices_of(machine, settings, screen)
+    keeper = _keeper(state or machine.beside(machine.state))
+
+    async def serve() -> None:
+        for name, (locator, made) in by_bus.items():
+            screen.say(f"[bold]{counted(len(made), 'simulated device')} on {escape(name)}[/], {escape(locator)}")
+        async with simulated_devices(dict(by_bus.values()), _teller(screen), keeper=keeper, say=partial(_report, screen)):
+            if settings.json:
+                screen.json({name: locator for name, (locator, _) in by_bus.items()})
+            await trio.sleep(math.inf if seconds is None else seconds)
+
+    run_until_interrupted(settings, screen, serve, devices=True)
+
+
+def _report(screen: Screen, text: str) -> None:
+    screen.err.print(escape(text), style="yellow", highlight=False, soft_wrap=True)
 
 
 def _teller(screen: Screen) -> Callable[[Event], None]:

@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from canopen_cli.options import NodeIds
+from canopen_cli.fleet import drive_maker
+from canopen_cli.options import NodeIds, Settings
 from canopen_cli.overlays import overlaid, read_text
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape, node_text
@@ -18,9 +19,11 @@ from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
 from canopen_data.device_notices import notices_of
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
+from canopen_data.toml_file import parse_toml
 from canopen_master.hooks import Script
+from canopen_master.machine_file import MachineFile
 from canopen_master.plant import DeviceEntry, Plant, parse_plant
-from canopen_master.simulation import DeviceModel
+from canopen_master.simulation import DeviceMaker, DeviceModel
 from canopen_proto.cia402.names import is_drive, with_drive_names
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
@@ -62,6 +65,44 @@ def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: Devic
             raise usage("CO127", "--id is for one file", tries=("canopen sim 5=a.eds 6=b.eds     node-IDs of several",))
         entries = [replace(entries[0], node_ids=node_ids)]
     return Plant(tuple(entries))
+
+
+def machine_of(files: Sequence[str], settings: Settings) -> MachineFile | None:
+    """Return the machine to simulate: that of the only argument, or without arguments that of -m; None if there is none.
+
+    A file with [buses] is a machine file, one with [[device]] a plant file. Raises Problem, DictionaryError.
+    """
+    if not files:
+        return settings.machine_file()
+    path = Path(files[0])
+    if len(files) > 1 or path.suffix.lower() != PLANT_SUFFIX or "buses" not in parse_toml(read_text(path), str(path)):
+        return None
+    settings.machine = path
+    return settings.machine_file()
+
+
+def devices_of(machine: MachineFile, settings: Settings, screen: Screen) -> dict[str, tuple[str, list[DeviceMaker]]]:
+    """Return the locator of each bus of a machine, and the simulated devices on it; with -b of that bus only.
+
+    A node without a file is a joint of the manual's arm. Raises Problem.
+    """
+    buses = {bus.name: bus.locator for bus in machine.buses.values()}
+    if settings.bus is not None:
+        locator = settings.required_bus()
+        buses = {settings.chosen.bus: locator}
+    made: dict[str, tuple[str, list[DeviceMaker]]] = {}
+    for name, locator in buses.items():
+        nodes = [node for node in machine.nodes.values() if node.bus == name]
+        described = models([_beside_machine(machine, node.device, settings) for node in nodes if node.device.file], screen)
+        joints = [drive_maker(number, node.node_id) for number, node in enumerate(nodes) if not node.device.file]
+        if nodes:
+            made[name] = locator, [*described, *joints]
+    return made
+
+
+def _beside_machine(machine: MachineFile, entry: DeviceEntry, settings: Settings) -> DeviceEntry:
+    overlays = (*settings.overlays, *map(machine.path, entry.overlays))
+    return replace(entry, file=machine.path(entry.file), script=machine.path(entry.script), overlays=overlays)
 
 
 def _path(plant: Path, name: str) -> str:

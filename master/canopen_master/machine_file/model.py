@@ -86,6 +86,10 @@ class MachineFile:
         beside = None if self.folder is None or not name else self.folder / name
         return str(beside) if beside is not None and beside.exists() else name
 
+    def beside(self, name: str) -> str:
+        """Return the path of a file that may not be there yet; "" stays as it is."""
+        return name if self.folder is None or not name else str(self.folder / name)
+
     def node_of(self, name: str) -> NodeEntry | None:
         """Return the node of this name, or that of the joint of this name; None if there is neither."""
         joint = self.joints.get(name)

@@ -1,0 +1,228 @@
+"""-m and CANOPEN_MACHINE: every command takes bus, node-IDs and dictionaries from the machine file; `canopen machine`."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canopen_cli import session
+from canopen_cli.fleet import simulated_fleet
+from canopen_cli.problem import ExitCode, Problem
+from canopen_master.machine_file import parse_machine
+from tests.cli.cli_support import Run
+
+CELL = """
+[buses.left]
+locator = "virtual:left"
+bitrate = "1M"
+
+[buses.right]
+locator = "virtual:right"
+
+[nodes.shoulder]
+bus = "left"
+id = 3
+
+[nodes.drive4]
+bus = "right"
+id = 4
+file = "sample_drive.eds"
+overlay = "units.toml"
+
+[joints.shoulder]
+[joints.wrist]
+node = "drive4"
+
+[chains.arm]
+joints = ["shoulder", "wrist"]
+"""
+ONE = "[buses.can0]\n[nodes]\nshoulder = { id = 3 }\nelbow = { id = 4 }\n[joints]\nshoulder = {}\nelbow = {}\n"
+
+
+@pytest.fixture
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A machine with two buses, in the current folder; on each a simulated joint is there while a command runs."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "units.toml").write_text("[objects.6064]\naliases = ['place']\nunit = 'deg'\nfactor = 0.001\n")
+    (tmp_path / "cell.toml").write_text(CELL)
+    (tmp_path / "one.toml").write_text(ONE)
+    open_master = session.open_master
+
+    @asynccontextmanager
+    async def with_drives(bus: str, **options: Any) -> AsyncIterator[Any]:
+        async with simulated_fleet([("virtual:left", 3), ("virtual:right", 4)]), open_master(bus, **options) as master:
+            yield master
+
+    monkeypatch.setattr(session, "open_master", with_drives)
+    return "cell.toml"
+
+
+def test_joints_and_nodes_are_named_in_place_of_bus_and_node_id(run: Run, cell: str) -> None:
+    for name, node_id in (("shoulder", 3), ("wrist", 4), ("drive4", 4)):
+        done = run("read", name, "statusword", "-m", cell, "--json")
+        assert (done.status, done.json["node"]) == (ExitCode.OK, node_id), done.err
+    done = run("read", "wrist", "place", "-m", cell, "--json")
+    assert done.json["unit"] == "deg"  # by the side file of the machine file
+    assert run("read", "shoulder", "place", "-m", cell).status == ExitCode.USAGE
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_the_file_may_stand_before_the_command_or_in_the_environment(
+    run: Run, cell: str, monkeypatch: pytest.MonkeyPatch, before: bool
+) -> None:
+    if before:
+        assert run("-m", cell, "drive", "wrist", "state").status == ExitCode.OK
+        assert run("drive", "wrist", "state", "-m", cell).status == ExitCode.OK
+    else:
+        monkeypatch.setenv("CANOPEN_MACHINE", cell)
+        monkeypatch.setenv("CANOPEN_BUS", "virtual:nowhere")
+        assert run("drive", "wrist", "state").status == ExitCode.OK
+        assert run("home", "shoulder").status == ExitCode.OK
+        assert run("nmt", "start", "wrist").status == ExitCode.OK
+
+
+def test_a_command_about_a_bus_needs_its_name_if_there_are_several(run: Run, cell: str) -> None:
+    done = run("scan", "-m", cell)
+    assert done.status == ExitCode.USAGE
+    assert "CO121: which bus of cell.toml?" in done.err
+    assert "its buses are left, right" in done.err
+    assert [row["node"] for row in run("scan", "-m", cell, "-b", "right", "--json").json] == [4]
+    assert run("read", "4", "statusword", "-m", cell, "-b", "right").status == ExitCode.OK
+    done = run("read", "wrist", "statusword", "-m", cell, "-b", "left")
+    assert "CO121: -b is on bus 'left' of cell.toml, and this command is about bus 'right'" in done.err
+    done = run("home", "shoulder", "wrist", "-m", cell)
+    assert "CO121: wrist is on bus 'right' of cell.toml, and this command is about bus 'left'" in done.err
+
+
+def test_the_demos_drives_in_the_place_of_the_machines(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "one.toml"
+    path.write_text(ONE)
+    assert run("read", "elbow", "statusword", "-m", str(path), "-b", "demo", "--json").json["node"] == 4
+    assert run("home", "shoulder", "elbow", "-m", str(path), "-b", "demo").status == ExitCode.OK
+    assert run("drive", "elbow", "stop", "--dry-run", "-m", str(path), "-b", "demo").status == ExitCode.OK
+
+
+def test_a_b_goes_before_the_environment(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL.replace('overlay = "units.toml"', ""))
+    monkeypatch.setenv("CANOPEN_MACHINE", str(path))
+    assert run("read", "5", "statusword", "-b", "demo").status == ExitCode.OK
+    done = run("read", "wrist", "statusword", "-b", "demo")
+    assert "CO120: 'wrist' is not a node-ID" in done.err
+    assert run("read", "wrist", "statusword").status == ExitCode.NO_ANSWER
+
+
+def test_a_name_that_is_none(run: Run, cell: str) -> None:
+    done = run("read", "rist", "statusword", "-m", cell)
+    assert done.status == ExitCode.USAGE
+    assert "CO120: 'rist' is neither a node-ID nor a name in cell.toml" in done.err
+    assert "did you mean wrist" in done.err
+    assert "is not a node-ID" in run("drive", "rist", "state", "-b", "demo").err
+    done = run("read", "wrist", "statusword", "-m", "none.toml")
+    assert (done.status, "there is no file 'none.toml'" in done.err) == (ExitCode.BAD_FILE, True)
+
+
+def test_the_next_command_asks_the_same_bus(run: Run, cell: str) -> None:
+    done = run("read", "9", "statusword", "-m", cell, "-b", "right")
+    assert done.status == ExitCode.NO_ANSWER
+    assert "canopen scan -m cell.toml -b right" in done.err
+    problem = Problem(ExitCode.NO_ANSWER, "CO201", "x", tries=("canopen info 5    (what it is)",))
+    assert problem.on_bus(None, "a b.toml").tries == ("canopen info 5 -m 'a b.toml'    (what it is)",)
+
+
+def test_the_files_of_the_machine_serve_every_command(run: Run, cell: str, tmp_path: Path) -> None:
+    assert run("info", "wrist", "-m", cell, "--json").json["file"]["name"] == "sample_drive.eds"
+    (tmp_path / "a.log").write_text("(0.000000) can0 604#4001140100000000\n")
+    of_machine, of_data_files = (run("log", "decode", "a.log", *options).out for options in (("-m", cell, "-b", "right"), ()))
+    assert of_machine.rpartition("1401:01")[2].strip()  # a name, which only the device's own file has
+    assert not of_data_files.rpartition("1401:01")[2].strip()
+    assert run("compare", "wrist", "sample_drive.eds", "-m", cell).status in (ExitCode.DIFFERENT, ExitCode.PARTIAL)
+    assert "the file of node 3 (0x03) is needed" in run("check", "shoulder", "-m", cell).err
+    assert run("check", "wrist", "--case", "2", "-m", cell, "--yes").status in (ExitCode.OK, ExitCode.DIFFERENT)
+
+
+# ---- sim, plan ----
+
+
+def test_every_device_of_a_machine_is_simulated(run: Run, cell: str) -> None:
+    done = run("sim", cell, "--seconds", "1", "--json")
+    assert done.json == {"left": "virtual:left", "right": "virtual:right"}
+    assert "1 simulated device on left, virtual:left" in done.err
+    assert "node 4 (0x04)  sample_drive.eds: a simulated drive" in done.err
+    assert run("sim", "-m", cell, "-b", "right", "--seconds", "1", "--json").json == {"right": "virtual:right"}
+    assert "which bus of cell.toml?" in run("sim", cell, "-b", "virtual:other", "--seconds", "1").err
+    assert run("sim", "one.toml", "-b", "virtual:other", "--seconds", "1", "--json").json == {"can0": "virtual:other"}
+
+
+def test_a_machine_is_planned(run: Run, cell: str) -> None:
+    done = run("plan", "-m", cell)
+    assert "CO001: which bit rate has right?" in done.err
+    left, right = run("plan", "-m", cell, "--bitrate", "500k", "--cycle", "5ms", "--json").json
+    assert (left["bus"], left["bitrate"], left["cycle_ms"], left["fits"]) == ("left", 500_000, 5, True)
+    assert {each["name"] for each in right["streams"] if each["node"] == 4} >= {"TPDO arm.wrist", "RPDO arm.wrist"}
+    Path(cell).write_text(CELL.replace('"virtual:right"', '"virtual:right"\nbitrate = "125k"'))
+    assert [each["bitrate"] for each in run("plan", "-m", cell, "--json").json] == [1_000_000, 125_000]
+    done = run("plan")
+    assert (done.status, "which network?" in done.err) == (ExitCode.USAGE, True)
+
+
+# ---- canopen machine ----
+
+
+def test_a_machine_file_is_checked(run: Run, cell: str) -> None:
+    done = run("machine", "check", cell)
+    assert done.status == ExitCode.OK
+    assert "no error" in done.err
+    assert run("machine", "check", "-m", cell, "--json").json["chains"] == {"arm": ["shoulder", "wrist"]}
+    Path(cell).write_text(CELL + "joint = 1\n[nodes.x]\n")
+    done = run("machine", "check", cell)
+    assert done.status == ExitCode.DIFFERENT
+    assert "cell.toml:25:1: error CO301 chains.arm: there is no entry 'joint'; did you mean joints?" in done.out
+    assert "3 errors" in done.err
+    found = run("machine", "check", cell, "--json").json["findings"]
+    assert [each["line"] for each in found] == [25, 26, 26]
+    assert run("machine", "check", "none.toml").status == ExitCode.BAD_FILE
+    assert run("machine", "check").status == ExitCode.USAGE
+
+
+def test_faults_of_the_files_that_it_names(run: Run, cell: str, tmp_path: Path) -> None:
+    (tmp_path / "units.toml").write_text("[objects.6064]\nfactor = 'x'\n")
+    done = run("machine", "check", cell)
+    assert done.status == ExitCode.DIFFERENT
+    assert "units.toml" in done.out
+    assert "objects.6064.factor" in done.out
+
+
+def test_a_chain_file_becomes_a_machine_file_which_is_not_overwritten(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    done = run("machine", "from-chains", "multiple_devices.csv", "-o", str(path))
+    assert done.status == ExitCode.OK, done.err
+    machine = parse_machine(path.read_text())
+    assert [machine.nodes[name].node_id for name in machine.chains["arm1"].joints] == [3, 4, 5, 6, 7, 8]
+    assert machine.buses["pcan32"].locator == "/dev/pcan32"
+    before = path.read_bytes()
+    done = run("machine", "from-chains", "single_device.csv", "-o", str(path))
+    assert (done.status, "CO135" in done.err) == (ExitCode.USAGE, True)
+    assert path.read_bytes() == before
+    done = run("machine", "from-chains", "single_device.csv", "-o", str(path), "--force", "--json")
+    assert done.json["chains"] == {"chain1": ["joint1"]}
+
+
+def test_names_of_buses_are_told_what_they_mean(run: Run, tmp_path: Path) -> None:
+    chains, path = tmp_path / "arm.csv", tmp_path / "cell.toml"
+    chains.write_text("arm j1 left 3 j2 right 3\n")
+    arguments = ("machine", "from-chains", str(chains), "-o", str(path))
+    done = run(*arguments)
+    assert (done.status, "--locator left=socketcan:can0" in done.err) == (ExitCode.USAGE, True)
+    assert not path.exists()
+    assert run(*arguments, "--locator", "left=can0", "--locator", "right=virtual:b").status == ExitCode.OK
+    assert {bus.name: bus.locator for bus in parse_machine(path.read_text()).buses.values()} == {
+        "left": "can0",
+        "right": "virtual:b",
+    }
+    assert run(*arguments, "--locator", "left").status == ExitCode.USAGE
+    assert run(*arguments, "--force", "--locator", "middle=can0").status == ExitCode.USAGE
