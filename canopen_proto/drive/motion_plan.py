@@ -36,16 +36,18 @@ from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
 from canopen_proto.pdo.settings import COB_ID, PdoSettings, RemapStep, communication_index
+from canopen_proto.procedures.configure_pdo import read_pdo
 from canopen_proto.procedures.described_pdos import (
     CYCLIC_TYPES,
     EACH_SYNC,
     choose_pdos,
     cyclic_objects,
     exchange_pdos,
+    has_settings,
     muxes_of,
     read_commanded,
 )
-from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.objects import ABSENT, read_if_present
 from canopen_proto.procedures.pdo_slots import (
     EVENT_DRIVEN,
     Slot,
@@ -155,26 +157,27 @@ class MotionPlan:
     def _carried(self, direction: Direction) -> set[Mux]:
         return {key for pdo in self.pdos if pdo.direction is direction for key in muxes_of(pdo.entries)}
 
-    def pdo_text(self, pdo: PdoSettings) -> str:
-        """Return one PDO of the plan for people: "RPDO 1 on 0x203, at each SYNC: controlword (0x6040:00), ..."."""
-        return (
-            f"{pdo.direction} {pdo.number} on {key_text(pdo.cob_id)}, {_when(pdo.transmission_type)}: "
-            f"{shown_entries(self.dictionary, pdo.entries)}"
-        )
+    @property
+    def facts(self) -> list[tuple[str, str]]:
+        """The plan without its mode for people: names and texts, as ("RPDO 1", "on 0x203, at each SYNC: controlword ...")."""
+        facts = []
+        for pdo in self.pdos:
+            entries = shown_entries(self.dictionary, pdo.entries)
+            comes = "" if pdo in self.written else ", as in the file"
+            facts.append((_name(pdo), f"on {key_text(pdo.cob_id)}, {_when(pdo.transmission_type)}{comes}: {entries}"))
+        facts += [(_name(pdo), "is to be destroyed: its CAN-ID is another node's") for pdo in self.destroyed]
+        for keys, name in ((self.commands_by_sdo, "written by SDO"), (self.watched_by_sdo, "read by SDO")):
+            if keys:
+                facts.append((name, ", ".join(map(self._label, keys))))
+        if self.extras:
+            facts.append(("carried besides", f"{', '.join(map(self._label, self.extras))}: sent back as the drive shows it"))
+        return facts + [("note", note) for note in self.notes]
 
     def describe(self) -> str:
         """Return the plan for people, a line for each fact."""
         lines = [f"node {self.node_id}: {mode_name(self.mode)}: {self.reason}"]
         lines += [f"  not {short_name(each.mode)}: {each.reason}" for each in self.rejected]
-        for pdo in self.pdos:
-            lines.append(f"  {self.pdo_text(pdo)} ({'to be written' if pdo in self.written else 'as it is'})")
-        lines += [f"  {pdo.direction} {pdo.number}: to be destroyed, its CAN-ID is another node's" for pdo in self.destroyed]
-        for keys, what in ((self.commands_by_sdo, "written"), (self.watched_by_sdo, "read beside the cycle")):
-            if keys:
-                lines.append(f"  by SDO, {what}: {', '.join(map(self._label, keys))}")
-        if self.extras:
-            lines.append(f"  its RPDOs also carry {', '.join(map(self._label, self.extras))}: sent back as the drive shows them")
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+        return "\n".join([*lines, *(f"  {name}: {text}" for name, text in self.facts)])
 
     def _label(self, key: Mux) -> str:
         variable = self.dictionary.get(*split_mux(key))
@@ -211,22 +214,43 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     A PDO that shall be destroyed is left alone if the node itself has another CAN-ID than the file. An event-driven RPDO is sent
     at each SYNC, but for a slow plan. The node should be Pre-operational. Raises as `exchange_pdos`.
     """
-    for pdo in plan.destroyed:
-        yield from _destroy(node, pdo)
+    for index, subindex, data in (yield from _destroying(node, plan)):
+        yield from download(node.sdo, index, subindex, data)
     yield from read_commanded(node, plan.extras)
     yield from exchange_pdos(node, plan.pdos, sends_at_sync=not plan.is_slow)
 
 
-def _destroy(node: RemoteNode, pdo: PdoSettings) -> Procedure[None]:
-    index = communication_index(pdo.direction, pdo.number)
-    try:
-        cob_id = int.from_bytes((yield from upload(node.sdo, index, COB_ID)), "little")
-    except SdoFailed as failed:
-        if failed.abort_code in ABSENT:
-            return
-        raise
-    if not cob_id & COB_ID_INVALID and not is_ours(cob_id, node.node_id):
-        yield from download(node.sdo, index, COB_ID, (cob_id | COB_ID_INVALID).to_bytes(4, "little"))
+def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]]:
+    """Return the writes that `exchange_planned` would make in the node now, in order; the node is only read. Raises SdoFailed,
+    StrangePdo, UnexpectedLength."""
+    steps = yield from _destroying(node, plan)
+    for pdo in plan.pdos:
+        present = yield from read_pdo(node, pdo.direction, pdo.number)
+        if not has_settings(present, pdo):
+            steps += pdo.steps(present.cob_id)
+    return steps
+
+
+def _destroying(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]]:
+    """Return the writes that destroy those PDOs of the plan that have another node's CAN-ID in the node itself."""
+    steps: list[RemapStep] = []
+    for pdo in plan.destroyed:
+        index = communication_index(pdo.direction, pdo.number)
+        try:
+            cob_id = int.from_bytes((yield from upload(node.sdo, index, COB_ID)), "little")
+        except SdoFailed as failed:
+            if failed.abort_code not in ABSENT:
+                raise
+            continue
+        if not cob_id & COB_ID_INVALID and not is_ours(cob_id, node.node_id):
+            steps.append((index, COB_ID, (cob_id | COB_ID_INVALID).to_bytes(4, "little")))
+    return steps
+
+
+def read_modes(node: RemoteNode) -> Procedure[int | None]:
+    """Return the supported modes that the drive shows (0x6502), for `plan_motion`; None if it shows none. Raises SdoFailed."""
+    modes = yield from read_if_present(node, objects.SUPPORTED_DRIVE_MODES)
+    return modes if isinstance(modes, int) and modes else None
 
 
 class _Told(NamedTuple):
@@ -378,6 +402,10 @@ def _plan(
         tuple(rejected),
         tuple(notes),
     )
+
+
+def _name(pdo: PdoSettings) -> str:
+    return f"{pdo.direction} {pdo.number}"
 
 
 def _when(transmission_type: int) -> str:

@@ -15,11 +15,12 @@ Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
 from canopen_proto.multiplexer import Mux, mapped, mux, split_mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, PdoSettings, place_of
@@ -89,9 +90,14 @@ def exchange_pdos(node: RemoteNode, pdos: Iterable[PdoSettings], *, sends_at_syn
     """
     for settings in pdos:
         present = yield from read_pdo(node, settings.direction, settings.number)
-        if present != settings:
+        if not has_settings(present, settings):
             yield from configure_pdo(node, settings)
         yield from act(lambda now, settings=settings: _exchange(node, settings, sends_at_sync, now))  # type: ignore[misc]
+
+
+def has_settings(present: PdoSettings, wanted: PdoSettings) -> bool:
+    """Return whether a PDO of a device is as it is wanted. Bit 30 of the COB-ID does not count: we send no remote requests."""
+    return replace(present, cob_id=present.cob_id | COB_ID_NO_RTR) == replace(wanted, cob_id=wanted.cob_id | COB_ID_NO_RTR)
 
 
 def read_commanded(node: RemoteNode, keys: Iterable[Mux]) -> Procedure[None]:

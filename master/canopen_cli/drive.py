@@ -16,6 +16,7 @@ COMMANDS: Final = {
     "state": ("drive_state", "Show state, mode and position of a drive, and what keeps it from moving."),
     "units": ("drive_state", "Show what the numbers of a drive mean, and which of its objects say so (the factor group)."),
     "fault-reset": ("drive_state", "Reset a fault: a rising edge of bit 7."),
+    "plan": ("drive_plan", "Show how a drive would follow set-points: mode, PDOs, what would be written. Nothing is written."),
     "mode": ("drive_state", "Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one."),
     "enable": ("drive_power", "Give a drive power, in a mode in which that moves nothing, until Ctrl-C."),
     "home": ("drive_home", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
@@ -46,6 +47,7 @@ def drive(ctx: click.Context, node_id: int | str) -> None:
     canopen drive 3 units -b demo      what a count is, and where that stands
     canopen drive 3 fault-reset -b demo
     canopen drive 3 mode -b demo       the modes that it has; with a mode: select it
+    canopen drive 3 plan -e FILE ...   how it would follow set-points: mode and PDOs; nothing is written
     canopen drive 3 home 19 -b demo    IT MOVES, to its reference; --list: the homing methods
     canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
     canopen drive 3 enable -b demo     power until Ctrl-C

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +14,8 @@ import trio
 from canopen_cli import session
 from canopen_cli.fleet import Fleet, simulated_fleet
 from canopen_cli.problem import ExitCode
+from canopen_data.describing import describe
+from canopen_data.eds.writer import write_eds
 from canopen_master.simulation import simulate
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
@@ -20,7 +23,9 @@ from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import Shape
 from canopen_transports import open_transport
 from tests.cli.cli_support import Alarm, Run, stands
 from tests.proto.devices import io_device
@@ -281,3 +286,33 @@ def test_wrong_words(run: Run) -> None:
     assert run("drive", "3", "dance", *DEMO).status == ExitCode.USAGE
     assert run("drive", "200", "state", *DEMO).status == ExitCode.USAGE
     assert run("drive", "99", "state", *DEMO).status == ExitCode.NO_ANSWER
+
+
+def test_a_plan_says_how_a_drive_would_follow_set_points_and_writes_nothing(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drives = prepare(monkeypatch, lambda drive: None)
+    file = tmp_path / "drive.eds"
+    file.write_text(write_eds(describe(drive_dictionary(Shape.SCHUNK_POWERBALL))), encoding="utf-8")
+    outcome = run("drive", "3", "plan", "-e", str(file), *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "mode              interpolated position (ip): the first of csp, ip and pp that works" in outcome.out
+    assert "not csp: 0x6502 of the drive lists pp, vl, ip" in outcome.out
+    assert "RPDO 1            on 0x203, at each SYNC, as in the file" in outcome.out
+    assert "Nothing would be written" in outcome.err
+    before = dict(drives[-1].values.store)
+    outcome = run("drive", "3", "plan", "--mode", "pp", "--json", "-e", str(file), *DEMO)
+    assert outcome.json["mode"] == "pp"
+    assert outcome.json["writes"][0] == {"object": "0x1401:01", "value": "0x80000303"}
+    assert {key: drives[-1].values.store[key] for key in before if 0x140000 <= key < 0x1C0000} == {
+        key: value for key, value in before.items() if 0x140000 <= key < 0x1C0000
+    }
+    refused = run("drive", "3", "plan", "--mode", "csp", "-e", str(file), *DEMO)
+    assert refused.status == ExitCode.DRIVE_FAULT
+    assert "0x6502 of the drive lists pp, vl, ip" in refused.err
+
+
+def test_a_plan_needs_the_drives_file(run: Run) -> None:
+    outcome = run("drive", "3", "plan", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "CO134" in outcome.err

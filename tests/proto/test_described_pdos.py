@@ -19,7 +19,7 @@ from canopen_proto.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
@@ -138,6 +138,14 @@ def test_a_device_that_has_them_is_only_read() -> None:
     assert scene.written == []
     assert (list(scene.node.rpdos), list(scene.node.tpdos)) == ([1], [1])
     assert cyclic_objects(scene.pdos) == dict.fromkeys((STATUSWORD, TORQUE_ACTUAL_VALUE, POSITION_ACTUAL_VALUE), 1)
+
+
+def test_a_device_that_allows_remote_requests_is_left_as_it_is() -> None:
+    ours = configured(SCHUNK, {(0x1800, 1): 0x185})
+    assert not described_pdos(ours, 5)[1].cob_id & COB_ID_NO_RTR
+    scene = Scene(SCHUNK, ours)
+    assert scene.exchange() == []
+    assert scene.written == []
 
 
 def test_a_device_that_has_others_is_set_up() -> None:

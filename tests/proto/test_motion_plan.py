@@ -135,8 +135,7 @@ def test_pdos_that_carry_what_is_needed_stay_as_they_are() -> None:
     assert pdos(made)["RPDO4"] == (CONTROLWORD, SET_POINT)
     assert made.steps == []
     assert made.written == ()
-    assert "as it is" in made.describe()
-    assert "to be written" not in made.describe()
+    assert "RPDO 4: on 0x505, at each SYNC, as in the file: controlword (0x6040:00), " in made.describe()
 
 
 def test_an_rpdo_of_another_type_becomes_synchronous_and_keeps_its_objects() -> None:
@@ -158,7 +157,7 @@ def test_a_mapping_to_be_written() -> None:
     assert [pdo.cob_id & 0x7FF for pdo in made.pdos] == [0x205, 0x185]
     assert made.commands_by_sdo == (objects.MODES_OF_OPERATION,)
     assert made.watched_by_sdo == ()
-    assert made.describe().count("to be written") == 2
+    assert "as in the file" not in made.describe()
     first, *_, last = made.steps
     assert first == (0x1400, 1, (COB_ID_INVALID | 0x205).to_bytes(4, "little"))  # the device's own CAN-ID, destroyed
     assert last[:2] == (0x1800, 1)

@@ -16,7 +16,7 @@ from canopen_proto.drive import engage_brake, halt, shut_down, start_cyclic_posi
 from canopen_proto.drive.following import UNCERTAIN, following_limit
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import Limit, read_limits
-from canopen_proto.drive.motion_plan import exchange_planned, plan_motion
+from canopen_proto.drive.motion_plan import exchange_planned, plan_motion, read_modes
 from canopen_proto.drive.reasons import look_closer
 from canopen_proto.drive.slow_position import profile_lag, start_slow_position
 from canopen_proto.machine import MILLISECOND, SECOND, Time
@@ -104,9 +104,8 @@ def exchange_own(device: Device, cycle_time: Time, mode: Mode | None) -> Procedu
     NoMotionPlan.
     """
     node = device.node.remote
-    modes = yield from read_if_present(node, objects.SUPPORTED_DRIVE_MODES)
-    told = modes if isinstance(modes, int) and modes else None
-    plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=told, wish=mode)
+    modes = yield from read_modes(node)
+    plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=modes, wish=mode)
     yield from exchange_planned(node, plan)
     device.plan, device.cyclic = plan, plan.cyclic
 

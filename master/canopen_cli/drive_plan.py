@@ -1,0 +1,88 @@
+"""`canopen drive NODE plan`: the mode in which a drive would follow set-points, and its PDOs. The drive is only read."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import click
+
+from canopen_cli.demo import CYCLE
+from canopen_cli.drive_session import read_drive
+from canopen_cli.options import Settings, common
+from canopen_cli.problem import usage
+from canopen_proto.cia402.modes import mode_name, short_name
+from canopen_proto.drive.motion_plan import MODES, MotionPlan, pending_steps, plan_motion, read_modes
+from canopen_proto.machine import Time
+from canopen_proto.multiplexer import mux_text
+from canopen_proto.pdo.settings import RemapStep
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
+
+_SHORT: Final = {short_name(mode): mode for mode in MODES}
+
+
+@click.command()
+@click.option("--mode", "wish", type=click.Choice(list(_SHORT)), help="Only this mode.  [default: the first that works]")
+@click.option("--cycle", type=CYCLE, default="10ms", show_default=True, help="Time between two SYNCs.")
+@common
+@click.pass_obj
+def plan(settings: Settings, wish: str | None, cycle: Time) -> None:
+    """Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it. Nothing is written.
+
+    The drive's file (-e) says which PDOs it has and what they may carry; 0x6502 of the drive says its modes. So does a chain with
+    ChainSettings(mode=None), and `canopen demo --eds`.
+
+    \b
+    canopen drive 3 plan -e drive.eds -b socketcan:can0
+    canopen drive 3 plan -e drive.eds -b socketcan:can0 --mode pp
+    """
+    if not settings.eds:
+        raise usage(
+            "CO134",
+            "a plan needs the drive's own file, which says what its PDOs may carry",
+            tries=("-e FILE.eds, from the maker of the drive",),
+        )
+
+    def procedure(node: RemoteNode) -> Procedure[tuple[MotionPlan, list[RemapStep]]]:
+        modes = yield from read_modes(node)
+        made = plan_motion(node.dictionary, node.node_id, cycle, modes=modes, wish=None if wish is None else _SHORT[wish])
+        return made, (yield from pending_steps(node, made))
+
+    screen = settings.screen()
+    made, steps = read_drive(settings, screen, procedure)
+    if settings.json:
+        screen.json(_as_json(made, steps))
+        return
+    screen.fact("mode", f"{mode_name(made.mode)}: {made.reason}")
+    for obstacle in made.rejected:
+        screen.fact("", f"not {short_name(obstacle.mode)}: {obstacle.reason}")
+    for name, lines in made.facts:
+        screen.fact(name, lines)
+    screen.table(("would be written", "value"), [(place, value) for place, value in map(_step, steps)])
+    screen.say("Nothing was written." if steps else "Nothing would be written: the drive has these PDOs.")
+
+
+def _step(step: RemapStep) -> tuple[str, str]:
+    index, subindex, data = step
+    return f"0x{index:04X}:{subindex:02X}", f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
+
+
+def _as_json(made: MotionPlan, steps: list[RemapStep]) -> dict[str, Any]:
+    return {
+        "mode": short_name(made.mode),
+        "reason": made.reason,
+        "rejected": [{"mode": short_name(each.mode), "reason": each.reason} for each in made.rejected],
+        "pdos": [
+            {
+                "pdo": f"{pdo.direction} {pdo.number}",
+                "cob_id": pdo.cob_id,
+                "transmission_type": pdo.transmission_type,
+                "entries": list(pdo.entries),
+            }
+            for pdo in made.pdos
+        ],
+        "written_by_sdo": [mux_text(key) for key in made.commands_by_sdo],
+        "read_by_sdo": [mux_text(key) for key in made.watched_by_sdo],
+        "notes": list(made.notes),
+        "writes": [{"object": place, "value": value} for place, value in map(_step, steps)],
+    }
