@@ -84,7 +84,7 @@ DOINGS: dict[str, Callable[[Rig], object]] = {
 }
 
 
-STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position}
+STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position, "csv": drive.start_cyclic_velocity}
 
 
 @pytest.mark.parametrize("start", STARTS)
