@@ -161,7 +161,7 @@ def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
 def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeout]:
     """Return the error to raise for a drive that did not do something in time. looks: read first what tells why."""
     view = (yield from look_closer(axis)) if looks else axis.view()
-    return DriveTimeout(axis, failed, view=view)
+    return DriveTimeout(axis, failed, remedy="more time, if it is only slow", view=view)
 
 
 def state_lost(axis: Axis, state: State, goal: str) -> StateLost:

@@ -18,8 +18,8 @@ from typing import Any, Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
-from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name, supported
-from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, StatusBit
+from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus, mode_name, supported
+from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, StatusBit, enables_operation
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.foreign import COMPARED
 from canopen_proto.drive.units import read_number
@@ -53,7 +53,7 @@ _OBEYS: Final = (
 )  # fmt: skip
 _BY_PDO: Final = (Mode.INTERPOLATED_POSITION, *_OBEYS)
 """The modes whose set-points come by PDO."""
-_TO_A_POSITION: Final[tuple[int, ...]] = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
+_BY_BIT_4: Final = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION)
 
 
 class Reason(NamedTuple):
@@ -139,7 +139,7 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
     found.extend(_command(view))
     found.extend(_mode(view))
     found.extend(_limits(view))
-    if view.state is State.OPERATION_ENABLED and view.mode in _TO_A_POSITION and not found:
+    if not found and _refuses_positions(view):
         found.extend(_reference(view))
     return tuple(found)
 
@@ -170,8 +170,8 @@ def _command(view: DriveView) -> list[Reason]:
     is_ours = sent is None or not (word ^ sent) & COMPARED
     if word & ControlBit.HALT and (is_ours or (sent is not None and sent & ControlBit.HALT)):
         return [Reason("its controlword commands a halt (bit 8)", "a command without bit 8", True)]
-    if is_ours or sent is None:
-        return []
+    if is_ours or sent is None or (view.state is State.OPERATION_ENABLED and not enables_operation(word)):
+        return []  # some drives do not show in 0x6040 what came by PDO
     differs = f"its controlword is {command_text(word)}, not the {command_text(sent)} that it was sent"
     if word & ControlBit.HALT:
         return [Reason(f"its controlword commands a halt (bit 8): {differs}", "find the other master that halts it")]
@@ -224,6 +224,14 @@ def _limits(view: DriveView) -> list[Reason]:
     if view.mode in _FOLLOWING and view.statusword & ModeStatus.FOLLOWING_ERROR:
         found.append(Reason("its following error is too large (bit 13)", "look for a blocked axis; move more slowly"))
     return found
+
+
+def _refuses_positions(view: DriveView) -> bool:
+    """Return whether the drive does not take up a position that it was given, by bit 4 or in csp: bit 12 is 0."""
+    if view.state is not State.OPERATION_ENABLED or view.statusword & ModeStatus.SET_POINT_ACKNOWLEDGE:
+        return False
+    is_started = bool((view.commanded or 0) & ModeControl.NEW_SET_POINT)
+    return view.mode == Mode.CYCLIC_SYNCHRONOUS_POSITION or (view.mode in _BY_BIT_4 and is_started)
 
 
 def _reference(view: DriveView) -> list[Reason]:

@@ -201,8 +201,16 @@ def test_a_drive_that_shows_nothing_wrong_gets_no_false_reason() -> None:
     stubborn = Stubborn({objects.STATUSWORD: DISABLED})  # it has voltage, and simply does not obey
     error = stubborn.run(drive.enable(stubborn.axis))
     assert isinstance(error, drive.DriveTimeout)
-    assert (error.reason, error.remedy) == ("", "")
+    assert (error.reason, error.remedy) == ("", "more time, if it is only slow")
     assert "statusword 0x0250: switch on disabled, voltage enabled, remote; commanded 0x0006 (shutdown)" in str(error)
+
+
+def test_a_move_that_takes_longer_than_it_may_gets_no_false_reason() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis.settings = SHORT
+    with pytest.raises(drive.DriveTimeout, match="did not reach its target position within 0.1 s: statusword") as caught:
+        rig.run(drive.move_to(rig.axis, 100_000, timeout=100 * MILLISECOND))
+    assert (caught.value.reason, caught.value.remedy) == ("", "more time, if it is only slow")
 
 
 REFUSED: dict[str, tuple[int, str, str]] = {

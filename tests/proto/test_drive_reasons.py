@@ -54,6 +54,19 @@ CASES: dict[str, tuple[DriveView, tuple[str, ...]]] = {
     ),
     "not ready": (replace(MOVES, statusword=0x0210), ("it is not ready to switch on",)),
     "halt": (replace(MOVES, controlword=0x011F), ("its controlword commands a halt (bit 8)",)),
+    "a controlword that does not show what came by PDO": (replace(MOVES, controlword=0, commanded=0x001F), ()),
+    "another controlword": (
+        replace(MOVES, statusword=0x0231, controlword=0x0006, commanded=0x0007),
+        ("it is not enabled", "its controlword is 0x0006 (shutdown), not the 0x0007 (switch on) that it was sent"),
+    ),
+    "a halt that we did not send": (
+        replace(MOVES, controlword=0x011F, commanded=0x001F),
+        ("its controlword commands a halt (bit 8): its controlword is 0x011F",),
+    ),
+    "a mode that we did not send": (
+        replace(MOVES, wanted_mode=Mode.PROFILE_POSITION, selected_mode=Mode.INTERPOLATED_POSITION),
+        ("0x6060 holds profile position (pp), not interpolated position (ip) as it was sent",),
+    ),
     "no mode": (replace(MOVES, mode=0, wanted_mode=0), ("no mode of operation is selected",)),
     "another mode": (
         replace(MOVES, wanted_mode=Mode.PROFILE_POSITION),
