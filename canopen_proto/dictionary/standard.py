@@ -13,7 +13,8 @@ supported". A device may have eight axes; each one has the CiA 402 objects 0x800
 
 Sources: CiA 301 v4.2.0, 7.5.2. CiA 402: a majority of seven drives' dictionaries and CiA's own sample. They differ in two
 objects: 6060 is `wo` in the sample and readable in every drive; 60B2 has 32 bits in one drive and 16, like all torques, in the
-others. Objects that only CiA 302 and newer profile versions have are left out.
+others. 60D5 to 60D8, 60E3 and 60E4 are of the newer edition, as two makers have them. Other objects that only CiA 302 and newer
+profile versions have are left out.
 """
 
 from __future__ import annotations
@@ -217,9 +218,14 @@ _DRIVE: Final = """
 60C4      06    U8   wo    interpolation_data_configuration:buffer_clear
 60C5      00    U32  rww   max_acceleration
 60C6      00    U32  rww   max_deceleration
+60D5      00    U16  ro+   touch_probe_1_positive_edge_counter
+60D6      00    U16  ro+   touch_probe_1_negative_edge_counter
+60D7      00    U16  ro+   touch_probe_2_positive_edge_counter
+60D8      00    U16  ro+   touch_probe_2_negative_edge_counter
 60E0      00    I16  rww   positive_torque_limit_value
 60E1      00    I16  rww   negative_torque_limit_value
 60E3      01-FE I8   ro    supported_homing_methods:homing_method_{s}
+60E4      01-FE I32  ro+   additional_position_actual_value:position_{s}
 60F2      00    U16  rww   positioning_option_code
 60F4      00    I32  ro+   following_error_actual_value
 60F8      00    I32  rww   max_slippage

@@ -14,6 +14,7 @@
     torque_modes.py       its tq, csv and cst modes
     display.py            the values that it shows: position, velocity, torque, inputs, outputs
     homing.py             its homing: searches for switches and index pulses
+    inputs.py             its inputs: touch probes
     fallbacks.py          the values of objects that its dictionary lacks
     servo.py              its mechanics: track, lag, limits
     plant.py              a mass under control loops and a limited torque, instead of the lag

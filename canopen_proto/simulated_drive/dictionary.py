@@ -38,6 +38,7 @@ from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
 from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, subindex_of
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
 from canopen_proto.simulated_drive.homing import METHODS
+from canopen_proto.simulated_drive.inputs import FUNCTIONS
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY
 from canopen_proto.simulated_drive.settings import Shape
 
@@ -92,7 +93,9 @@ _COMMON: Final = (
     0x607C, 0x607D, 0x6081, 0x6083, 0x6086, 0x60C0, 0x60C1, 0x60C2, 0x60C4, 0x60F4, 0x60FD, 0x6502,
 )  # fmt: skip
 _VELOCITY_MODE: Final = (0x6042, 0x6043, 0x6044, 0x6046, 0x6048, 0x6049, 0x604A, 0x604B, 0x604C)
-_INPUTS_AND_PROBES: Final = (0x60E3,)
+_INPUTS_AND_PROBES: Final = (
+    0x60B8, 0x60B9, 0x60BA, 0x60BB, 0x60BC, 0x60BD, 0x60D5, 0x60D6, 0x60D7, 0x60D8, 0x60E3, 0x60E4,
+)  # fmt: skip
 _ONLY: Final = {
     Shape.STANDARD: (
         0x6007, *_VELOCITY_MODE, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x606D, 0x606E, 0x606F, 0x6070, 0x6071, 0x6072, 0x6073,
@@ -126,6 +129,7 @@ ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
     objects.INTERPOLATION_TIME_INDEX: range(-6, 1),
     objects.BUFFER_ORGANISATION: range(2),
     objects.BUFFER_CLEAR: range(2),
+    objects.TOUCH_PROBE_FUNCTION: FUNCTIONS,
     objects.POSITIONING_OPTION_CODE: range(3),
 }
 """The values that may be written to these objects; all others are refused with 06090030h."""

@@ -44,8 +44,8 @@ def statusword_of(state: State, mode_status: int, servo: Servo, *, is_referenced
 def show_values(servo: Servo, *, torque_is_off: bool) -> None:
     """Write the present values into the store. torque_is_off: by the STO input."""
     store, zero = servo.store, servo.zero
-    store[objects.POSITION_DEMAND_VALUE] = _wrapped(servo.demand_position - zero)
-    store[objects.POSITION_ACTUAL_VALUE] = _wrapped(servo.position - zero)
+    store[objects.POSITION_DEMAND_VALUE] = wrapped(servo.demand_position - zero)
+    store[objects.POSITION_ACTUAL_VALUE] = wrapped(servo.position - zero)
     store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
     store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
     if objects.VL_VELOCITY_DEMAND in store:
@@ -56,6 +56,8 @@ def show_values(servo: Servo, *, torque_is_off: bool) -> None:
     store[objects.TORQUE_ACTUAL_VALUE] = store[objects.CURRENT_ACTUAL_VALUE] = torque
     store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
     store[objects.DIGITAL_INPUTS] = servo.settings.track.inputs_at(servo.position)
+    if objects.ADDITIONAL_POSITION in store:  # the second encoder has a zero of its own
+        store[objects.ADDITIONAL_POSITION] = wrapped(servo.position * servo.settings.second_encoder)
     _show_bit(servo, servo.settings.sto_bit, torque_is_off)
     if servo.settings.brake_bit is not None:
         _show_bit(servo, servo.settings.brake_bit, servo.holds_brake)
@@ -68,7 +70,7 @@ def _show_bit(servo: Servo, shown: DriveBit, is_active: bool) -> None:
         servo.store[shown.mux] = word | bit if is_active is (shown.value == 1) else word & ~bit
 
 
-def _wrapped(position: float) -> int:
+def wrapped(position: float) -> int:
     """Return a position as INTEGER32; an endless axis starts again at the other end."""
     return (round(position) + _INT32) % (2 * _INT32) - _INT32
 

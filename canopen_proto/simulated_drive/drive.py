@@ -38,6 +38,7 @@ from canopen_proto.simulated_drive.display import show_values, statusword_of
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import TORQUE_LIMITS
 from canopen_proto.simulated_drive.homing import Homing, has_method
+from canopen_proto.simulated_drive.inputs import Inputs
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
 from canopen_proto.simulated_drive.modes import changes_mode, has_mode, modes_of
 from canopen_proto.simulated_drive.servo import UNLIMITED, Servo
@@ -54,7 +55,7 @@ _CONNECTION_FAULTS: Final = frozenset((HEARTBEAT_ERROR, COMMUNICATION_ERROR))
 _NO_STATES: Final = (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)
 _ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 _IN_ORDER: Final = (5, 8)  # transitions by which a drive that stands is disabled in order
-_BRAKE_COMMANDS: Final = (objects.DIGITAL_OUTPUTS, objects.DIGITAL_OUTPUT_MASK)
+_ACT_AT_ONCE: Final = {*TORQUE_LIMITS, objects.DIGITAL_OUTPUTS, objects.DIGITAL_OUTPUT_MASK, objects.TOUCH_PROBE_FUNCTION}
 _SHOWS_FOLLOWING_ERROR: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _STAY_IN_QUICK_STOP: Final = range(STAYS_FROM, STAYS_FROM + 4)
 
@@ -72,6 +73,7 @@ class Drive(Machine):
         "_deviates_since",
         "_faults",
         "_homing",
+        "_inputs",
         "_is_opening",
         "_lasting_faults",
         "_mode",
@@ -95,7 +97,7 @@ class Drive(Machine):
         self.mode: int = Mode.NO_MODE
         self._servo = Servo(values.store, settings)
         common = (self._servo, out, node_id)
-        self._homing = Homing(*common)
+        self._homing, self._inputs = Homing(*common), Inputs(*common)
         self._modes = modes_of(*common, self._homing)
         self._mode = self._modes[Mode.NO_MODE]
         self._controlword = 0
@@ -151,8 +153,7 @@ class Drive(Machine):
             return AbortCode.INVALID_VALUE
         if is_mode and value != self.mode and not changes_mode(self.settings, self.state, self._controlword):
             return AbortCode.DEVICE_STATE
-        mode = self._mode
-        if isinstance(mode, InterpolatedPosition) and key == mode.record_end and mode.is_full:
+        if isinstance(mode := self._mode, InterpolatedPosition) and key == mode.record_end and mode.is_full:
             return AbortCode.DEVICE_STATE
         needs_velocity = key == objects.INTERPOLATION_SUB_MODE_SELECT and value == POSITION_AND_VELOCITY
         if needs_velocity and objects.INTERPOLATION_VELOCITY not in self.values.dictionary:
@@ -177,12 +178,12 @@ class Drive(Machine):
         elif key in self._mode.listens_to and self._acts:
             self._advance(now)
             self._mode.written(key)
-        elif key in TORQUE_LIMITS:
+        elif key in _ACT_AT_ONCE:
             self._advance(now)
-            self._servo.limit_torque()
-        elif key in _BRAKE_COMMANDS:
-            self._advance(now)
-            self._servo.command_brake()
+            if key in TORQUE_LIMITS:
+                self._servo.limit_torque()
+            elif key != objects.TOUCH_PROBE_FUNCTION:
+                self._servo.command_brake()
         else:
             return
         self._show()
@@ -469,6 +470,7 @@ class Drive(Machine):
         statusword = self._statusword()
         self._put(objects.STATUSWORD, statusword)
         show_values(self._servo, torque_is_off=self._torque_is_off)
+        self._inputs.look()
         if statusword != shown:
             self.out.events.append(StatuswordChanged(self.node_id, statusword))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import Event
+from canopen_proto.multiplexer import Mux
 
 
 class DriveStateChanged(Event):
@@ -39,6 +40,18 @@ class ModeChanged(Event):
     def __init__(self, node_id: int, mode: int) -> None:
         self.node_id = node_id
         self.mode = mode
+
+
+class InputsChanged(Event):
+    """The digital inputs (60FDh) or the status of the touch probes (60B9h) have changed. mux: of the object; the node sends the
+    event-driven TPDOs that map it."""
+
+    __slots__ = ("mux",)
+    __match_args__ = ("node_id", "mux")
+
+    def __init__(self, node_id: int, mux: Mux) -> None:
+        self.node_id = node_id
+        self.mux = mux
 
 
 class DriveFault(Event):

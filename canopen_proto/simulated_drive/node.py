@@ -18,7 +18,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
-from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, ModeChanged, StatuswordChanged
+from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, InputsChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import UNSET_BY_ZERO
 from canopen_proto.simulated_drive.late_drive import LateDrive
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape
@@ -48,6 +48,7 @@ class DriveNode(LocalNode):
                 DriveFaultCleared: self._on_fault_cleared,
                 StatuswordChanged: self._on_statusword,
                 ModeChanged: self._on_mode,
+                InputsChanged: self._on_inputs,
                 PdoOverdue: self._on_rpdo_overdue,
             }
         )
@@ -83,6 +84,9 @@ class DriveNode(LocalNode):
 
     def _on_mode(self, change: ModeChanged, now: Time) -> None:
         self.pdos.trigger(MODES_OF_OPERATION_DISPLAY, now)
+
+    def _on_inputs(self, change: InputsChanged, now: Time) -> None:
+        self.pdos.trigger(change.mux, now)
 
     def _on_rpdo_overdue(self, overdue: PdoOverdue, now: Time) -> None:
         self._on_pdo_error(overdue, now)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
@@ -23,13 +25,16 @@ class Shape(Enum):
     statusword shows that it moves, bit 15 that it is referenced."""
 
 
+_NOWHERE: Final = (math.inf, math.inf)
+
+
 @dataclass(frozen=True, slots=True)
 class Track:
     """The switches and index pulses of an axis, in track positions.
 
     A limit switch is active at and beyond its position (infinite: there is none), the home switch from home_switch[0] to
     home_switch[1] (either may be infinite: a switch that stays active to the end of the track). Index pulses are at
-    index_offset + n * index_distance.
+    index_offset + n * index_distance. probes: the parts on which the inputs of touch probe 1 and 2 are active.
     """
 
     negative_limit: float = -180_000.0
@@ -37,11 +42,15 @@ class Track:
     home_switch: tuple[float, float] = (-10_000.0, 10_000.0)
     index_offset: float = 1_000.0
     index_distance: float = 36_000.0
+    probes: tuple[tuple[float, float], tuple[float, float]] = (_NOWHERE, _NOWHERE)
 
     def inputs_at(self, position: float) -> int:
-        """Return the low bits of 60FDh at a position: negative limit switch, positive limit switch, home switch."""
+        """Return 60FDh at a position: bit 0 negative limit switch, 1 positive limit switch, 2 home switch, 16 and 17 probes."""
         low, high = self.home_switch
-        return (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
+        inputs = (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
+        for bit, (begin, end) in enumerate(self.probes, start=16):
+            inputs |= (begin <= position <= end) << bit
+        return inputs
 
 
 _STO_OF_AX8000 = DriveBit(objects.DIGITAL_INPUTS, 31)
@@ -68,6 +77,7 @@ class DriveSettings:
     goes to Switch on disabled. brake_bit: the bit that shows a closed brake. overload_fault: error code of the fault that an
     overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one. coasts: whether
     bit 8 only takes the torque away in tq and cst, so that a mass without friction moves on.
+    second_encoder: counts of a second encoder (60E4h:01) for one of the first; it has the zero of the track.
     """
 
     shape: Shape = Shape.STANDARD
@@ -90,3 +100,4 @@ class DriveSettings:
     brake_bit: DriveBit | None = None
     overload_fault: int = 0
     coasts: bool = False
+    second_encoder: float = 1.0

@@ -11,7 +11,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
-from canopen_proto.simulated_drive.events import DriveStateChanged, ModeChanged, StatuswordChanged
+from canopen_proto.simulated_drive.events import DriveStateChanged, InputsChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.late_drive import LateDrive
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
@@ -115,7 +115,7 @@ class Bench:
 
     def events(self) -> list[Event]:
         """What was reported since the last call, but for changes of the statusword and of the mode."""
-        events = [each for each in self.out.events if not isinstance(each, StatuswordChanged | ModeChanged)]
+        events = [each for each in self.out.events if not isinstance(each, StatuswordChanged | ModeChanged | InputsChanged)]
         self.out.events.clear()
         return events
 
