@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -21,17 +22,18 @@ from canopen_master import (
     MasterError,
     open_master,
     simulate,
-    standard_drives,
 )
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings
 from canopen_transports import BusState, BusStateChanged, Received, Report
 from tests.master.world import Link, arm_of, drives, position_of, value, virtual_time
+from tests.proto.drive_dictionaries import changed, empty_pdos, supports
 
 TENTH = 100 * MILLISECOND
 STO = DriveBit(objects.DIGITAL_INPUTS, 31)
@@ -44,7 +46,8 @@ SETTINGS = AxisSettings(
     sto_input=STO,
 )
 DRIVE = DriveSettings()
-RADIANS_PER_CYCLE = 0.001
+CYCLES = 12
+RADIANS_PER_CYCLE = 0.002
 GRIP = 0.5
 """Seconds until a drive misses the heartbeat of its master."""
 
@@ -52,9 +55,9 @@ GRIP = 0.5
 class Joint:
     """A drive with a cable and a power switch of its own."""
 
-    def __init__(self, nursery: trio.Nursery, node_id: int, drive: DriveSettings) -> None:
+    def __init__(self, nursery: trio.Nursery, make: partial[DriveNode], node_id: int) -> None:
         self._nursery = nursery
-        self._drive = drive
+        self._make = partial(make, node_id=node_id)
         self._power = trio.CancelScope()
         self.node_id = node_id
         self.cable = Link()
@@ -68,7 +71,7 @@ class Joint:
 
         async def live(task_status: trio.TaskStatus[Host]) -> None:
             with self._power:
-                await simulate(self.cable, standard_drives(self.node_id, settings=self._drive), task_status=task_status)
+                await simulate(self.cable, [self._make], task_status=task_status)
 
         self.host = await self._nursery.start(live)
 
@@ -106,9 +109,12 @@ class Joint:
 
 
 @asynccontextmanager
-async def joints(*node_ids: int, drive: DriveSettings = DRIVE) -> AsyncIterator[list[Joint]]:
+async def joints(
+    *node_ids: int, drive: DriveSettings = DRIVE, dictionary: ObjectDictionary | None = None
+) -> AsyncIterator[list[Joint]]:
     async with trio.open_nursery() as nursery:
-        made = [Joint(nursery, node_id, drive) for node_id in node_ids]
+        make = partial(DriveNode, settings=drive, dictionary=dictionary)
+        made = [Joint(nursery, make, node_id) for node_id in node_ids]
         for joint in made:
             await joint.switch_on()
         yield made
@@ -116,28 +122,34 @@ async def joints(*node_ids: int, drive: DriveSettings = DRIVE) -> AsyncIterator[
 
 
 def chain_of(master: Master, *node_ids: int) -> Chain:
-    return arm_of(master, *node_ids, axes=SETTINGS, define_pdos=True, cycle_time=0.02)
+    return arm_of(master, *node_ids, axes=SETTINGS, define_pdos=True, cycle_time=0.04)
 
 
 @asynccontextmanager
 async def homed_arm(
-    *node_ids: int, cable: Link | None = None, drive: DriveSettings = DRIVE
+    *node_ids: int, cable: Link | None = None, drive: DriveSettings = DRIVE, dictionary: ObjectDictionary | None = None
 ) -> AsyncIterator[tuple[list[Joint], Chain]]:
-    """A chain that is homed and follows set-points."""
-    async with joints(*node_ids, drive=drive) as made, open_master(cable or Link(), heartbeat_timeout=0.3) as master:
-        arm = chain_of(master, *node_ids)
+    """A chain that is homed and follows set-points. dictionary: of each joint, by which the chain chooses mode and PDOs."""
+    line = cable or Link()
+    async with joints(*node_ids, drive=drive, dictionary=dictionary) as made, open_master(line, heartbeat_timeout=0.3) as master:
+        if dictionary is None:
+            arm = chain_of(master, *node_ids)
+        else:
+            for node_id in node_ids:
+                master.node(node_id, dictionary)
+            arm = arm_of(master, *node_ids, axes=SETTINGS, mode=None, cycle_time=0.04)
         await arm.initialise()
         await arm.home()
-        await arm.enable_interpolated_position()
+        await arm.follow()
         yield made, arm
 
 
-async def move(arm: Chain, cycles: int = 30, do: Callable[[], object] = lambda: None) -> None:
-    """Move along; after ten cycles, do something."""
+async def move(arm: Chain, cycles: int = CYCLES, do: Callable[[], object] = lambda: None) -> None:
+    """Move along; after four cycles, do something."""
     start = arm.positions
     async for cycle in arm.cycles():
         arm.set_positions([position + RADIANS_PER_CYCLE * cycle.number for position in start])
-        if cycle.number == 10:
+        if cycle.number == 4:
             do()
         if cycle.number >= cycles:
             break
@@ -148,8 +160,8 @@ async def assert_moves(arm: Chain) -> None:
     assert arm.state is ChainState.FOLLOWING
     before = arm.positions
     await move(arm)
-    await trio.sleep(0.1)
-    assert arm.positions == pytest.approx([position + 30 * RADIANS_PER_CYCLE for position in before], abs=1e-3)
+    await trio.sleep(0.2)
+    assert arm.positions == pytest.approx([position + CYCLES * RADIANS_PER_CYCLE for position in before], abs=1e-3)
 
 
 async def fails(arm: Chain, do: Callable[[], object]) -> ChainFault:
@@ -234,6 +246,29 @@ async def test_a_joint_that_is_power_cycled() -> None:
         await arm.home(if_needed=True)
         assert position_of(one.host, one.node) == before
         await arm.enable_interpolated_position()
+        await assert_moves(arm)
+
+
+@pytest.mark.parametrize("mode", [8, 7, 1])
+@virtual_time
+async def test_a_joint_that_is_power_cycled_gets_its_mapping_again(mode: int) -> None:
+    """In csp, ip and slowly in pp. Its file has no PDOs: the chain maps them, and a boot forgets that."""
+    dictionary = changed({**supports(0x20 | 1 << (mode - 1)), **empty_pdos()})
+    async with homed_arm(3, 4, dictionary=dictionary) as ((_, two), arm):
+        assert [device.plan.mode for device in arm.devices if device.plan is not None] == [mode] * 2
+        counts = [index << 8 for index in (*range(0x1600, 0x1604), *range(0x1A00, 0x1A04))]
+        mapped = [value(two.node, count) for count in counts]
+        assert any(mapped)
+        async with trio.open_nursery() as nursery:
+            await fails(arm, lambda: nursery.start_soon(two.switch_off))
+        await two.switch_on()
+        assert not any(value(two.node, count) for count in counts)
+        with pytest.raises(ChainError, match="joint2 .* has lost its reference"):
+            await arm.recover()
+        await arm.home(if_needed=True)
+        await arm.follow()
+        assert two.node.drive.mode == mode
+        assert [value(two.node, count) for count in counts] == mapped
         await assert_moves(arm)
 
 
@@ -417,10 +452,10 @@ async def test_a_chain_moves_away_from_an_internal_limit() -> None:
         start = arm.positions
         async for cycle in arm.cycles():
             arm.set_positions([position - RADIANS_PER_CYCLE * cycle.number for position in start])
-            if cycle.number >= 30:
+            if cycle.number >= CYCLES:
                 break
-        await trio.sleep(0.1)
-        assert arm.positions[0] == pytest.approx(start[0] - 30 * RADIANS_PER_CYCLE, abs=1e-3)
+        await trio.sleep(0.2)
+        assert arm.positions[0] == pytest.approx(start[0] - CYCLES * RADIANS_PER_CYCLE, abs=1e-3)
         assert not one.node.values.store[objects.STATUSWORD] & 0x800  # type: ignore[operator]
 
 
