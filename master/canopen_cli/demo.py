@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.demonstration import Demonstration, Plan
-from canopen_cli.drive_files import drive_files
+from canopen_cli.demo_plan import Plan
+from canopen_cli.demonstration import Demonstration
+from canopen_cli.drive_files import drive_files, drives_of
 from canopen_cli.new_files import check_new_file
 from canopen_cli.options import Duration, Fault, Settings, common, enabling
 from canopen_cli.plot import check_plot, write_plot
@@ -16,6 +17,7 @@ from canopen_cli.problem import usage
 from canopen_cli.running import run
 from canopen_cli.screen import escape
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.procedures.grip import DEFAULT_GRIP
 
 CHAINS = "multiple_devices.csv"
 CYCLE = Duration(MILLISECOND, 255 * MILLISECOND)
@@ -23,10 +25,10 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command()
-@click.option("--chains", default=CHAINS, metavar="FILE", help=f"A chain file, yours or an installed one.  [default: {CHAINS}]")
+@click.option("--chains", metavar="FILE", help=f"A chain file, yours or an installed one.  [default: {CHAINS}]")
 @click.option("--chain", metavar="NAME", help="Which chain of that file.  [default: the first]")
 @click.option("--seconds", type=click.FloatRange(0.5, 3600), default=5.0, show_default=True, help="How long to move.")
-@click.option("--cycle", type=CYCLE, default="10ms", show_default=True, help="Time between two SYNCs.")
+@click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @click.option(
     "--swing",
     type=click.FloatRange(0.1, 60),
@@ -48,10 +50,10 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.pass_obj
 def demo(
     settings: Settings,
-    chains: str,
+    chains: str | None,
     chain: str | None,
     seconds: float,
-    cycle: Time,
+    cycle: Time | None,
     swing: float,
     plot: Path | None,
     counts_per_degree: float | None,
@@ -67,6 +69,9 @@ def demo(
     which is slow. Real drives whose PDOs differ are set up accordingly: `canopen drive NODE plan` shows how. Simulated ones
     home where they stand.
 
+    With a machine file (-m; CANOPEN_MACHINE does not count) its chain moves: simulated, or for real with -b NAME of one of its
+    buses, then on all of its buses, in its units and limits.
+
     Exit status: 0 done, 7 done, but more than 5 % of the cycles were late.
 
     \b
@@ -74,6 +79,7 @@ def demo(
     canopen demo --plot arm.png
     canopen demo --fault 5@2.0                                what a drive's breakdown looks like
     canopen demo --eds drive.dcf                              drives made of a file
+    canopen demo -m cell.toml                                 a machine of yours, simulated
     canopen demo --bus socketcan:can0 --chains my.csv         the same on hardware
     """
     # CANOPEN_BUS does not count here: a demonstration must not move an arm because a variable was set long ago.
@@ -85,16 +91,26 @@ def demo(
         raise usage(
             "CO123", f"--fault: after {fault[1]:g} s the arm has stopped", seen=f"it moves for {seconds:g} s", tries=tries
         )
+    machine = None if settings.machine is None else settings.machine_file()
+    if machine is not None and (chains is not None or settings.eds or counts_per_degree is not None):
+        what = "--chains" if chains is not None else "--eds" if settings.eds else "--counts-per-degree"
+        raise usage("CO123", f"{what}: the machine file says that already", tries=("the same without -m",))
+    told = 10 * MILLISECOND if machine is None else machine.master.cycle
+    cycle = told if cycle is None else cycle
     check_cycle(cycle)
     if plot is not None:
         check_plot(plot)
         check_new_file(settings, settings.screen(), plot)
-    if defaults and not settings.eds:
+    if defaults and not settings.eds and machine is None:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
     files = drive_files(settings.eds, defaults, screen, settings.encoding)
+    drives = {} if machine is None else drives_of(machine, defaults)
     scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
-    plan = Plan(bus, chains, chain, seconds, cycle, swing, fault, settings.timeout, files, scale, settings.grip)
+    grip = DEFAULT_GRIP if machine is None and settings.master_id is None else settings.grip  # not that of CANOPEN_MACHINE
+    timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout
+    arm = chains or CHAINS
+    plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, grip, machine, drives)
     demonstration = Demonstration(screen, plan)
     try:
         run(settings, screen, demonstration.run, story=lambda _: demonstration.story())

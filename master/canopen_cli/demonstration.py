@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
 import trio
 
+from canopen_cli.demo_plan import Plan
 from canopen_cli.demo_view import DemoView, JointView
-from canopen_cli.drive_files import DriveFile
 from canopen_cli.failures import problem_of
 from canopen_cli.fleet import Fleet, drive_maker, simulated_fleet
-from canopen_cli.path import MAX_SPEED, Path
+from canopen_cli.path import Path
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.recording import JointTrack, Recording
 from canopen_cli.running import all_stand
@@ -28,16 +28,16 @@ from canopen_cli.screen import Screen, counted, escape
 from canopen_master.errors import CHAIN_FAULT, ChainFileError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.motion.chain import Chain, ChainSettings, ChainState
-from canopen_master.motion.chain_file import ChainDescription, read_chains, same_nodes
+from canopen_master.motion.chain_file import same_nodes
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402.modes import mode_name
-from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drive.limits import Limit
+from canopen_proto.drive.units import Unit
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
 REFRESH: Final = 0.08
 """Seconds between two redraws on a terminal."""
@@ -51,6 +51,7 @@ MAX_LATE_SHARE: Final = 0.05
 still in every twentieth period, and the motion takes that much longer: the cycle is too short for this computer."""
 LATE_SHARE: Final = 0.5
 """Of the speed at which a single late SYNC makes a joint lose all of its permitted following error."""
+_RADIANS: Final = {Unit.RADIAN: 1.0, Unit.DEGREE: math.pi / 180, Unit.TURN: 2 * math.pi}
 DEMO_FAULT: Final = 0x2310
 """Continuous over-current: the error code of a joint that hits something."""
 NEXT: Final = """Try next:
@@ -58,31 +59,6 @@ NEXT: Final = """Try next:
   [bold]canopen read 3 statusword -b demo[/]     an object of a drive
   [bold]canopen demo --plot arm.png[/]           a picture of this
   [bold]canopen demo --fault 5@2.0[/]            what a breakdown looks like"""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The options of the command. bus: None simulates. seconds: of motion; cycle: ns; swing: degrees; fault: node-ID, seconds.
-    scale: of real drives, counts per radian; None: as their vendor-ID says.
-
-    files: the drives' files, by node-ID (None: all others); without a file they are Powerball joints with the PDOs of PDOs.csv.
-    """
-
-    bus: str | None
-    chains: str
-    chain: str | None
-    seconds: float
-    cycle: Time
-    swing: float
-    fault: tuple[int, float] | None
-    timeout: Time | None
-    files: Mapping[int | None, DriveFile] = field(default_factory=dict)
-    scale: float | None = None
-    grip: Grip | None = DEFAULT_GRIP
-
-    def file_of(self, node_id: int) -> DriveFile | None:
-        """Return the file that describes the drive with this node-ID, or None."""
-        return self.files.get(node_id, self.files.get(None))
 
 
 @dataclass
@@ -139,7 +115,7 @@ class Demonstration:
         self.recording = Recording([])
         self.results: list[JointResult] = []
         self.cycles = CycleCounts()
-        self.description = self._chosen_chain()
+        self.description = plan.chosen_chain()
         self._check_fault()
         self._stage = "the drives were booting, and nothing had moved"
         self._has_begun = False  # to move
@@ -148,21 +124,6 @@ class Demonstration:
         self._arm: Chain | None = None  # once it follows set-points
         self._halts: Sequence[Halt] = ()
         self._latest: list[tuple[float, float]] = []  # of each joint: actual and commanded position
-
-    def _chosen_chain(self) -> ChainDescription:
-        chains = read_chains(self.plan.chains)
-        if self.plan.chain is None:
-            return chains[0]
-        for each in chains:
-            if each.name == self.plan.chain:
-                return each
-        names = ", ".join(each.name for each in chains)
-        raise usage(
-            "CO322",
-            f"{chains[0].source} has no chain {self.plan.chain!r}",
-            seen=f"its chains are: {names}",
-            tries=(f"--chain {chains[0].name}",),
-        )
 
     def _check_fault(self) -> None:
         nodes = [joint.node_id for joint in self.description.joints]
@@ -174,17 +135,11 @@ class Demonstration:
                 tries=(f"--fault {nodes[0]}@{self.plan.fault[1]:g}",),
             )
 
-    def _locators(self) -> dict[str, str]:
-        """Return the locator of each bus by its name in the chain file."""
-        if self.plan.bus is not None:
-            return dict.fromkeys(self.description.buses, self.plan.bus)
-        return {name: f"virtual:demo{number or ''}" for number, name in enumerate(self.description.buses)}
-
     # ---- the run ----
 
     async def run(self) -> None:
         """Run the whole demonstration. Raises a Problem if it fails; then every drive that still listens was halted."""
-        locators = self._locators()
+        locators = self.plan.locators(self.description)
         try:
             async with contextlib.AsyncExitStack() as stack:
                 if self.plan.bus is None:
@@ -203,18 +158,20 @@ class Demonstration:
 
     def _maker(self, number: int, node_id: int) -> DeviceMaker:
         """Return the maker of a simulated drive."""
-        file = self.plan.file_of(node_id)
+        file = self.plan.file_of(self.description.joints[number])
         return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
 
     def _after_fault(self, node_id: int | None) -> tuple[str, ...]:
         if self.plan.bus is None:
             return ("canopen demo    (the same without the fault)",)
-        bus = f" -b {self.plan.bus}"
+        bus = f" -b {self.plan.bus}" if self.plan.machine is None else ""  # else with -m, which is added to all advice
         return f"canopen info {node_id}{bus}    (what the drive remembers)", f"canopen home {node_id} --reset-fault{bus}"
 
     def _open_master(self, locators: dict[str, str]) -> contextlib.AbstractAsyncContextManager[Master]:
         timeout = SDO_TIMEOUT if self.plan.timeout is None else self.plan.timeout / SECOND
-        return open_master(*dict.fromkeys(locators.values()), sdo_timeout=timeout, grip=self.plan.grip)
+        heartbeat = 0 if self.plan.machine is None else self.plan.machine.master.heartbeat_timeout
+        buses = dict.fromkeys(locators.values())
+        return open_master(*buses, sdo_timeout=timeout, heartbeat_timeout=heartbeat / SECOND, grip=self.plan.grip)
 
     def _chain(self, master: Master, locators: dict[str, str]) -> Chain:
         joints = tuple(replace(joint, bus=locators[joint.bus]) for joint in self.description.joints)
@@ -222,19 +179,16 @@ class Demonstration:
         doubles = same_nodes([description])
         if doubles:
             raise ChainFileError(description.source, doubles)
-        axes, scale, max_speed = {}, self.plan.scale, None
-        if self.plan.bus is None:
-            # Every simulated drive sends millidegrees, whatever its file says.
-            scale, max_speed = MILLIDEGREES_PER_RADIAN, MAX_SPEED
+        axes = {}
         for joint in joints:
-            file = self.plan.file_of(joint.node_id)
-            axis = AxisSettings() if file is None else file.axis if self.plan.bus is not None else file.simulated_axis
-            axes[joint.name] = replace(axis, counts_per_unit=scale or axis.counts_per_unit, max_speed=max_speed)
-            if file is not None:
+            axes[joint.name] = self.plan.axis_of(joint)
+            if (file := self.plan.file_of(joint)) is not None:
                 master.node(joint.node_id, file.dictionary, bus=joint.bus)
-        cycle_time = self.plan.cycle / SECOND
-        settings = ChainSettings(cycle_time=cycle_time, mode=None) if self.plan.files else ChainSettings(cycle_time=cycle_time)
-        chain = master.chain(description, settings, axes=axes)
+        machine = self.plan.machine
+        settings = ChainSettings(mode=None) if self.plan.files else ChainSettings()
+        if machine is not None:
+            settings = machine.chains[description.name].settings
+        chain = master.chain(description, replace(settings, cycle_time=self.plan.cycle / SECOND), axes=axes)
         self._devices, self._halts = chain.devices, master.halts
         self._latest = [(0.0, 0.0)] * len(chain.devices)
         for number, device in enumerate(chain.devices):
@@ -258,7 +212,7 @@ class Demonstration:
                 device.node.node_id,
                 str(device.state),
                 device.is_homed,
-                math.degrees(device.largest_following_error),
+                math.degrees(_radians(device, device.largest_following_error)),
                 device.sdo_round_trips,
             )
             for device in self._devices
@@ -272,6 +226,8 @@ class Demonstration:
         for device in arm.devices:
             if device.axis.settings.counts_per_unit is None:
                 seen, tries = "only Schunk's joints tell it", ("--counts-per-degree 1000, or whatever it is",)
+                if self.plan.machine is not None:
+                    tries = (f'unit = "degree" in [joints.{device.name}]',)
                 raise usage("CO123", f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
         view.done(step, f"{counted(count, 'drive')} in operation enabled after {trio.current_time() - start:.2f} s")
         for text, names in _plans(arm).items():
@@ -295,9 +251,11 @@ class Demonstration:
         for device in arm.devices:
             device.following.largest_error = 0.0
         self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
-        speeds = [_speed_of(device) for device in arm.devices]
-        accelerations = [limit and limit.value for limit in (device.limits.acceleration for device in arm.devices)]
-        path = Path(arm.desired_positions, math.radians(plan.swing), plan.seconds, speeds, accelerations)
+        units = [1 / _radians(device, 1.0) for device in arm.devices]  # in a radian
+        speeds = [_radians(device, _speed_of(device)) for device in arm.devices]
+        accelerations = [limit and limit.value / unit for unit, limit in zip(units, map(_acceleration, arm.devices), strict=True)]
+        start = [position / unit for unit, position in zip(units, arm.desired_positions, strict=True)]
+        path = Path(start, math.radians(plan.swing), plan.seconds, speeds, accelerations)
         fault = plan.fault
         refresh = max(1, round(REFRESH * SECOND / plan.cycle))
         self._arm = arm
@@ -309,7 +267,7 @@ class Demonstration:
             if fault is not None and cycle.time >= fault[1]:
                 self._break(fault[0])
                 fault = None
-            arm.set_positions(path.at(cycle.time))
+            arm.set_positions([unit * position for unit, position in zip(units, path.at(cycle.time), strict=True)])
             if cycle.time > plan.seconds + SETTLING_TIME:
                 break
             if cycle.number % refresh == 0:  # right after a SYNC: drawing takes 3 ms, and must not delay the next one
@@ -335,7 +293,7 @@ class Demonstration:
         device = self._devices[number]
         position = device.position
         if position is not None:
-            self._latest[number] = position, position + device.following_error
+            self._latest[number] = _radians(device, position), _radians(device, position + device.following_error)
         if number == len(self._devices) - 1 and self._arm is not None and self._arm.state is ChainState.FAULT:
             self._record_stopping()
 
@@ -359,7 +317,7 @@ class Demonstration:
     def _redraw(self, view: DemoView) -> None:
         for joint, device in zip(view.joints, self._devices, strict=False):
             joint.state = str(device.state)
-            joint.position = None if device.position is None else math.degrees(device.position)
+            joint.position = None if device.position is None else math.degrees(_radians(device, device.position))
         view.refresh()
 
     # ---- the report ----
@@ -372,7 +330,7 @@ class Demonstration:
         how = f" in {', '.join(modes)}" if modes else "" if self.plan.files else " in interpolated position mode"
         title = f"{self.description.name}: {counted(count, 'joint')}{how}"
         source = f"{self.description.name} of {self.description.source}"
-        files = ", ".join(dict.fromkeys(file.source for file in self.plan.files.values()))
+        files = ", ".join(dict.fromkeys(file.source for file in (*self.plan.files.values(), *self.plan.drives.values())))
         drives += f" made of {files}" if files and self.plan.bus is None else ""
         return title, f"{source}, {drives}, one SYNC each {_ms(self.plan.cycle)}"
 
@@ -445,6 +403,16 @@ def _plans(arm: Chain) -> dict[str, list[str]]:
         if device.plan is not None:
             plans.setdefault(f"{mode_name(device.plan.mode)}: {device.plan.reason}", []).append(device.name)
     return plans
+
+
+def _radians(device: Device, amount: float) -> float:
+    """Return a position or a speed of a joint in radians; without a named unit it is in radians already."""
+    unit = device.axis.settings.unit
+    return amount if unit is None else amount * _RADIANS[unit]
+
+
+def _acceleration(device: Device) -> Limit | None:
+    return device.limits.acceleration
 
 
 def _speed_of(device: Device) -> float:

@@ -9,10 +9,13 @@ from typing import Final
 from canopen_cli.device_files import read_device_files
 from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.screen import Screen
-from canopen_cli.sim_devices import shape_of
+from canopen_cli.sim_devices import SHAPES, shape_of
 from canopen_data import load_dictionary
 from canopen_data.configured import without_configured_values
+from canopen_data.description import DeviceDescription
 from canopen_data.drive_from_file import drive_obstacle
+from canopen_master.machine_file import MachineFile
+from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_proto.cia402.objects import HOMING_METHOD
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings
@@ -60,14 +63,31 @@ def drive_files(texts: Sequence[str], defaults: bool, screen: Screen, encoding: 
         return {}
     made = {}
     for node_id, description in read_device_files(texts, load_dictionary()[0], screen, encoding).items():
-        dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
-        obstacle = drive_obstacle(dictionary)
-        if obstacle:
-            raise Problem(
-                ExitCode.BAD_FILE,
-                "CO332",
-                f"{description.source} describes no drive that can be moved: {obstacle}",
-                tries=(f"canopen eds show {description.source}", "the file of a CiA 402 drive"),
-            )
-        made[node_id] = DriveFile(description.source, dictionary, shape_of(description))
+        made[node_id] = _drive_file(description, defaults)
     return made
+
+
+def drives_of(machine: MachineFile, defaults: bool) -> dict[str, DriveFile]:
+    """Return the files of a machine's joints, by their names; joints without a file are left out. Raises as `drive_files`."""
+    dictionaries = Dictionaries(machine)
+    made = {}
+    for joint in machine.joints.values():
+        node = machine.nodes[joint.node]
+        description = dictionaries.description_of(node)
+        if description is not None:
+            file = _drive_file(description, defaults or node.device.defaults)
+            made[joint.name] = replace(file, shape=SHAPES[node.device.shape]) if node.device.shape else file
+    return made
+
+
+def _drive_file(description: DeviceDescription, defaults: bool) -> DriveFile:
+    dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
+    obstacle = drive_obstacle(dictionary)
+    if obstacle:
+        raise Problem(
+            ExitCode.BAD_FILE,
+            "CO332",
+            f"{description.source} describes no drive that can be moved: {obstacle}",
+            tries=(f"canopen eds show {description.source}", "the file of a CiA 402 drive"),
+        )
+    return DriveFile(description.source, dictionary, shape_of(description))

@@ -9,11 +9,13 @@ from typing import Any
 
 import pytest
 
-from canopen_cli import session
+from canopen_cli import demonstration, session
 from canopen_cli.fleet import simulated_fleet
 from canopen_cli.problem import ExitCode, Problem
+from canopen_master import ChainState, Master
 from canopen_master.machine_file import parse_machine
-from tests.cli.cli_support import Run
+from canopen_proto.sync import SyncSent
+from tests.cli.cli_support import SHORT, TWO, Run
 
 CELL = """
 [buses.left]
@@ -143,6 +145,78 @@ def test_the_files_of_the_machine_serve_every_command(run: Run, cell: str, tmp_p
     assert run("compare", "wrist", "sample_drive.eds", "-m", cell).status in (ExitCode.DIFFERENT, ExitCode.PARTIAL)
     assert "the file of node 3 (0x03) is needed" in run("check", "shoulder", "-m", cell).err
     assert run("check", "wrist", "--case", "2", "-m", cell, "--yes").status in (ExitCode.OK, ExitCode.DIFFERENT)
+
+
+# ---- demo ----
+
+
+def test_the_demonstration_moves_a_simulated_machine(run: Run, cell: str) -> None:
+    done = run("demo", "-m", cell, *SHORT, "--json")
+    assert done.status == ExitCode.OK, done.err
+    shown = done.json
+    assert (shown["chain"], shown["simulated"], shown["cycle_ms"]) == ("arm", True, 20)
+    assert [(each["joint"], each["node"], each["homed"]) for each in shown["joints"]] == [
+        ("shoulder", 3, True),
+        ("wrist", 4, True),
+    ]
+    assert "made of sample_drive.eds" in done.err
+    Path(cell).write_text('[master]\ncycle = "25ms"\n' + CELL)
+    assert run("demo", "-m", cell, "--seconds", "0.5", "--json").json["cycle_ms"] == 25
+    assert "CO322" in run("demo", "-m", cell, "--chain", "leg").err
+    assert "CO322: one.toml has no chain" in run("demo", "-m", "one.toml").err
+    for option in (("--chains", "x.csv"), ("--eds", "sample_drive.eds"), ("--counts-per-degree", "5")):
+        assert f"CO123: {option[0]}: the machine file says that already" in run("demo", "-m", cell, *option).err
+
+
+def test_a_machine_of_the_environment_does_not_move(run: Run, cell: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CANOPEN_MACHINE", cell)
+    assert run("demo", *TWO, "--json").json["chain"] != "arm"
+
+
+REAL = """
+[buses.left]
+locator = "virtual:left"
+[buses.right]
+locator = "virtual:right"
+[nodes]
+shoulder = { bus = "left", id = 3 }
+wrist = { bus = "right", id = 4 }
+[joints]
+shoulder = { unit = "degree", max_speed = 8 }
+wrist = { unit = "turn", max_speed = 0.02 }
+[chains.arm]
+joints = ["shoulder", "wrist"]
+"""
+
+
+def test_on_its_own_buses_a_machine_moves_within_its_limits(run: Run, cell: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_master = demonstration.open_master
+    fastest = {"shoulder": 0.0, "wrist": 0.0}
+
+    @asynccontextmanager
+    async def with_drives(*buses: str, **options: Any) -> AsyncIterator[Any]:
+        async with simulated_fleet([("virtual:left", 3), ("virtual:right", 4)]), open_master(*buses, **options) as master:
+            master.watch((SyncSent,), lambda _: look(master), master.bus("virtual:left"))
+            yield master
+
+    def look(master: Master) -> None:
+        for device in master.chains["arm"].devices if master.chains else ():
+            before, after = last.get(device.name), device.desired_position
+            if before is not None and master.chains["arm"].state is ChainState.FOLLOWING:
+                fastest[device.name] = max(fastest[device.name], abs(after - before) / 0.02)
+            last[device.name] = after
+
+    last: dict[str, float] = {}
+    monkeypatch.setattr(demonstration, "open_master", with_drives)
+    Path(cell).write_text(REAL)
+    done = run("demo", "-m", cell, "-b", "left", *SHORT, "--json")
+    assert done.status == ExitCode.OK, done.err
+    assert not done.json["simulated"]
+    assert 1 < fastest["shoulder"] <= 8.001
+    assert 0.002 < fastest["wrist"] <= 0.020001
+    Path(cell).write_text(REAL.replace('"turn"', '"millimetre"'))
+    done = run("demo", "-m", cell, "-b", "left", *SHORT)
+    assert (done.status, "wrist cannot swing by an angle" in done.err) == (ExitCode.USAGE, True)
 
 
 # ---- sim, plan ----

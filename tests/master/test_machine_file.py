@@ -30,7 +30,7 @@ from canopen_master.machine_file import (
     read_machine,
 )
 from canopen_master.machine_file.kinds import KINDS, kind_of
-from canopen_master.machine_file.reader import KEYS, MODES, have_files
+from canopen_master.machine_file.reader import KEYS, MODES, chain_defaults
 from canopen_master.plant import DeviceEntry
 from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode
@@ -130,7 +130,7 @@ def test_every_part_of_a_machine() -> None:
     )
     tilt = AxisSettings(unit=Unit.DEGREE, counts_per_unit=4096 / 360, max_speed=math.inf)
     assert machine.joints == {"shoulder": JointEntry("shoulder", "shoulder", shoulder), "tilt": JointEntry("tilt", "hand", tilt)}
-    settings = ChainSettings(cycle_time=0.004, max_missed_cycles=5)
+    settings = ChainSettings(cycle_time=0.004, max_missed_cycles=5, own_pdos=True)
     assert machine.chains == {"arm": ChainEntry("arm", ("shoulder", "tilt"), settings)}
     assert machine.node_of("tilt") is machine.node_of("hand") is machine.node_at("wrist", 3)
     assert machine.node_of("leg") is None
@@ -419,8 +419,10 @@ def test_each_key_stands_on_the_page_with_its_default() -> None:
     assert parse_machine(f"[buses.can0]\n[master]\ngrip = {grip[1]}") == parse_machine("[buses.can0]")
 
 
-def test_own_pdos_of_a_chain_that_names_no_joint_of_the_file() -> None:
+def test_a_chain_of_joints_with_and_without_files() -> None:
     machine = parse_machine(CELL)
-    assert not have_files(("none",), machine.nodes, machine.joints)
-    assert have_files(("tilt",), machine.nodes, machine.joints)
+    settings = machine.chains["arm"].settings
+    assert (settings.mode, settings.own_pdos) == (Mode.INTERPOLATED_POSITION, True)
+    assert chain_defaults(("none",), machine.nodes, machine.joints) == ("ip", False)
+    assert chain_defaults(("tilt",), machine.nodes, machine.joints) == ("auto", True)
     assert replace(machine, source="x") == machine

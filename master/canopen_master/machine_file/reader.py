@@ -216,11 +216,11 @@ class _Reader:
                 table.error(f"there is no joint {name!r}{did_you_mean(name, joints)}", "joints")
             if name in names[:position]:
                 table.error(f"{name!r} is in it twice", "joints")
-        has_files = have_files(names, nodes, joints)
-        word = table.take("mode", one_of(MODES)) or default_mode(has_files)
+        mode, own_pdos = chain_defaults(names, nodes, joints)
+        word = table.take("mode", one_of(MODES)) or mode
         settings = take_settings(table, ChainSettings, cycle_time=master.cycle / SECOND, mode=MODES[word]) or ChainSettings()
         if not table.has("own_pdos"):
-            settings = replace(settings, own_pdos=has_files)
+            settings = replace(settings, own_pdos=own_pdos)
         return ChainEntry(table.path[-1], names, settings)
 
     # ---- between entries ----
@@ -256,15 +256,15 @@ class _Reader:
             owners.setdefault(value, name)
 
 
-def have_files(names: tuple[str, ...], nodes: Mapping[str, NodeEntry], joints: Mapping[str, JointEntry]) -> bool:
-    """Return whether all joints of a chain have a device file. If they have, its PDOs are used, and it decides the mode."""
+def chain_defaults(names: tuple[str, ...], nodes: Mapping[str, NodeEntry], joints: Mapping[str, JointEntry]) -> tuple[str, bool]:
+    """Return `mode` and `own_pdos` of a chain that does not say them.
+
+    PDOs are those of the joints' own files, where there are any. If all joints have files, these decide the mode; else it is that
+    of the manual's joints.
+    """
     owners = [nodes.get(joints[name].node) for name in names if name in joints]
-    return bool(owners) and all(owner is not None and owner.device.file for owner in owners)
-
-
-def default_mode(has_files: bool) -> str:
-    """Return the mode of a chain that names none. Without files the joints are those of the manual."""
-    return "auto" if has_files else "ip"
+    files = [owner is not None and bool(owner.device.file) for owner in owners]
+    return "auto" if files and all(files) else "ip", any(files)
 
 
 def _is_bitrate(value: Any) -> bool:

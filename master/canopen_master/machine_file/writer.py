@@ -7,7 +7,7 @@ from typing import Any
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.kinds import settings_table
 from canopen_master.machine_file.model import BusEntry, ChainEntry, MachineFile, MasterEntry, NodeEntry
-from canopen_master.machine_file.reader import MODES, default_mode, have_files
+from canopen_master.machine_file.reader import MODES, chain_defaults
 from canopen_master.plant import AUTOMATIC
 from canopen_proto.procedures.grip import DEFAULT_GRIP
 from canopen_transports.locator import bitrate_text
@@ -70,11 +70,9 @@ def _node(node: NodeEntry) -> dict[str, Any]:
 
 
 def _chain(chain: ChainEntry, machine: MachineFile) -> dict[str, Any]:
-    settings, has_files = chain.settings, have_files(chain.joints, machine.nodes, machine.joints)
+    settings, defaults = chain.settings, chain_defaults(chain.joints, machine.nodes, machine.joints)
     table = settings_table(settings, "cycle_time", "mode", "own_pdos")
     mode = next(word for word, each in MODES.items() if each == settings.mode)
-    if mode != default_mode(has_files):
-        table["mode"] = mode
-    if settings.own_pdos != has_files:
-        table["own_pdos"] = settings.own_pdos
+    given = {"mode": mode, "own_pdos": settings.own_pdos}
+    table |= {key: value for (key, value), default in zip(given.items(), defaults, strict=True) if value != default}
     return {"joints": list(chain.joints), **table}
