@@ -16,11 +16,15 @@ COMMANDS: Final = {
     "state": ("drive_state", "Show state, mode and position of a drive, and what keeps it from moving."),
     "units": ("drive_state", "Show what the numbers of a drive mean, and which of its objects say so (the factor group)."),
     "fault-reset": ("drive_state", "Reset a fault: a rising edge of bit 7."),
-    "plan": ("drive_plan", "Show how a drive would follow set-points: mode, PDOs, what would be written. Nothing is written."),
+    "plan": (
+        "drive_plan",
+        "Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it.",
+    ),
     "mode": ("drive_state", "Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one."),
     "enable": ("drive_power", "Give a drive power, in a mode in which that moves nothing, until Ctrl-C."),
     "home": ("drive_home", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
     "move": ("drive_power", "Move a drive to POSITION by its own profile (profile position)."),
+    "torque": ("drive_torque", "Let a drive push with a torque (profile torque) for a time."),
     "stop": ("drive_state", "Command a quick stop."),
     "disable": ("drive_state", "Take the power from a drive."),
 }
@@ -50,6 +54,7 @@ def drive(ctx: click.Context, node_id: int | str) -> None:
     canopen drive 3 plan -e FILE ...   how it would follow set-points: mode and PDOs; nothing is written
     canopen drive 3 home 19 -b demo    IT MOVES, to its reference; --list: the homing methods
     canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
+    canopen drive 3 torque 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --seconds
     canopen drive 3 enable -b demo     power until Ctrl-C
     canopen drive 3 disable -b demo    no power, from any state
     canopen drive 3 stop -b demo       a quick stop

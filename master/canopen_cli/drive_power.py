@@ -6,7 +6,7 @@ from functools import partial
 
 import click
 
-from canopen_cli.drive_session import COUNTS, command_drive, counts_per, look_at_drive, show_drive
+from canopen_cli.drive_session import COUNTS, command_drive, counts_per, ends_unpowered, look_at_drive, show_drive
 from canopen_cli.options import Duration, Settings, commanding, common, enabling
 from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import mode_name
@@ -17,7 +17,7 @@ from canopen_proto.drive.units import Unit
 from canopen_proto.drive.view import DriveView
 from canopen_proto.drive.watching import Watch
 from canopen_proto.machine import NEVER, SECOND, Time
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+from canopen_proto.procedures.steps import Procedure, current_time
 
 
 @click.command()
@@ -33,17 +33,15 @@ def enable(settings: Settings, seconds: float | None) -> None:
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from identify(axis)
         yield from procedures.select_standing_mode(axis)
-        try:
-            yield from procedures.enable(axis)
-            screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
-            end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
-            watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
-            yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
-        except (Cancelled, ProcedureError):
-            yield from procedures.shut_down(axis)
-            raise
-        yield from procedures.shut_down(axis)
+        yield from ends_unpowered(axis, held(axis))
         return (yield from look_at_drive(axis.node))
+
+    def held(axis: Axis) -> Procedure[None]:
+        yield from procedures.enable(axis)
+        screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
+        end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
+        watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
+        yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
 
     show_drive(settings, screen, command_drive(settings, screen, procedure, ends=seconds is not None))
 

@@ -16,11 +16,12 @@ from canopen_cli.session import Session, open_session
 from canopen_master.motion.joint_procedures import awake
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name
+from canopen_proto.drive import shut_down
 from canopen_proto.drive.axis import Axis, AxisSettings
 from canopen_proto.drive.reasons import look_at, reasons
 from canopen_proto.drive.units import Unit, read_units
 from canopen_proto.drive.view import DriveView
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError
 from canopen_proto.remote_node import RemoteNode
 
 T = TypeVar("T")
@@ -80,6 +81,22 @@ def command_drive(
         rehearse(settings, screen, (node_of_command(),), work, ends=ends)
         raise click.exceptions.Exit(ExitCode.OK)
     return run_on_node(settings, screen, whole, story)
+
+
+def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
+    """Run a procedure that gives the drive power, and take the power away at its end, also if it fails or is cancelled."""
+    try:
+        result = yield from procedure
+    except (Cancelled, ProcedureError) as cause:
+        try:
+            yield from shut_down(axis)
+        except ProcedureError as error:
+            if isinstance(cause, Cancelled):
+                raise
+            cause.add_note(f"and it may still have power: {error}")
+        raise
+    yield from shut_down(axis)
+    return result
 
 
 def look_at_drive(node: RemoteNode) -> Procedure[DriveView]:
