@@ -10,6 +10,7 @@
     move_to       profile position: to one target
     move_along    profile position: a set of targets, each with its own profile
     apply_torque  profile torque for a time, then a halt
+    run_at        profile velocity or velocity: at a velocity, until it is cancelled
     halt          bit 8: the drive stops by 0x605D and stays enabled
     quick_stop    the drive stops by 0x605A
     engage_brake  down to Ready to switch on                                  manual: enableBreak
@@ -19,7 +20,7 @@ A procedure that moves the drive halts it if the procedure is cancelled or fails
 start of interpolation: both begin on its rising edge.
 
 watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py,
-target_sequence.py, interpolation.py and synchronous.py move; failures.py has the errors.
+target_sequence.py, velocity.py, interpolation.py and synchronous.py move; failures.py has the errors.
 
 A wait ends as soon as its goal is reached or out of reach: DriveFault, StateLost (a quick stop or disable that was not ours),
 ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
@@ -68,6 +69,8 @@ from canopen_proto.drive.target_sequence import Start as Start
 from canopen_proto.drive.target_sequence import Target as Target
 from canopen_proto.drive.target_sequence import move_along as move_along
 from canopen_proto.drive.torque import apply_torque as apply_torque
+from canopen_proto.drive.velocity import Running as Running
+from canopen_proto.drive.velocity import run_at as run_at
 from canopen_proto.drive.watching import read_position as read_position
 from canopen_proto.drive.watching import read_statusword as read_statusword
 from canopen_proto.drive.watching import wait_for_statusword as wait_for_statusword

@@ -270,6 +270,10 @@ class Axis:
         """Convert an amount, such as a speed, from counts to the user's unit."""
         return counts / self._scale
 
+    def counts_of_amount(self, amount: float) -> float:
+        """Convert an amount, such as a speed, from the user's unit to counts."""
+        return amount * self._scale
+
     @property
     def velocity_unit(self) -> float | None:
         """Counts per second in one velocity unit of the drive; None if it is not known."""

@@ -8,6 +8,7 @@ one step.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Final
 
@@ -137,10 +138,13 @@ def _halt_word(axis: Axis) -> int:
     return (axis.controlword if is_enabling else int(Command.ENABLE_OPERATION)) | ControlBit.HALT
 
 
-def halt_after(axis: Axis, cause: BaseException) -> Procedure[None]:
-    """Halt as the clean-up after `cause`. A halt that fails is noted in `cause`, or raised if `cause` is Cancelled."""
+def halt_after(axis: Axis, cause: BaseException, stop: Callable[[Axis], Procedure[None]] | None = None) -> Procedure[None]:
+    """Halt as the clean-up after `cause`. A halt that fails is noted in `cause`, or raised if `cause` is Cancelled.
+
+    stop: halts and does more; by default `halt`.
+    """
     try:
-        yield from halt(axis)
+        yield from (halt if stop is None else stop)(axis)
     except ProcedureError as error:
         if isinstance(cause, Cancelled):
             raise
@@ -180,6 +184,8 @@ class _Standstill:
             objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
             objects.VELOCITY_ACTUAL_VALUE: FRESH,
         }
+        if objects.POSITION_ACTUAL_VALUE not in axis.node.dictionary:  # as in frequency converters
+            reads[objects.VL_VELOCITY_ACTUAL_VALUE] = FRESH
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
@@ -207,6 +213,8 @@ class _Standstill:
             return None  # the meaning of bit 10 is not known yet
         elif has_position and (state is not State.OPERATION_ENABLED or self._axis.mode not in _SHOWS_STANDSTILL):
             return self._is_at_one_place() or None
+        elif self._axis.mode == Mode.VELOCITY and self.watch.heard(objects.VL_VELOCITY_ACTUAL_VALUE) is not None:
+            stands = self._axis.node.values.store.get(objects.VL_VELOCITY_ACTUAL_VALUE) == 0  # vl has no bit for it
         else:
             stands = bool(statusword & StatusBit.TARGET_REACHED)
         if not stands:
@@ -265,13 +273,13 @@ def _speed(axis: Axis) -> Procedure[float | None]:
 def _has_slowed(axis: Axis, before: float, now: float) -> Procedure[bool]:
     """Return whether the drive is clearly slower than a step ago."""
     loss = _SLOWER * before
-    ramp = yield from _ramp(axis)
+    ramp = yield from halt_ramp(axis)
     if ramp is not None:
         loss = min(loss, _OF_ITS_RAMP * ramp * axis.settings.halt_time / SECOND)
     return before - now > loss
 
 
-def _ramp(axis: Axis) -> Procedure[int | None]:
+def halt_ramp(axis: Axis) -> Procedure[int | None]:
     """Return the deceleration with which the drive halts (0x605D), in its own unit per second; None if it does not tell."""
     node = axis.node
     option = yield from read_if_present(node, objects.HALT_OPTION_CODE)

@@ -11,7 +11,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.units import DriveUnits, Unit
-from canopen_proto.machine import SECOND, LocalProtocolError, Time
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
 _MILLIDEGREES: Final = DriveUnits(per_turn=360_000.0)
@@ -42,6 +42,7 @@ class AxisSettings:
     the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
     velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
     acceleration_unit: counts per second² in one unit of 0x6083 and 0x6084; None: its velocity unit per second.
+    counts_per_motor_turn: for velocity mode (vl), which counts turns of the motor; None: as the drive tells.
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
     homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098. homing_speed, homing_zero_speed:
     in the user's unit per second, fast to the switch and slow to the home point (0x6099). homing_acceleration: in the user's unit
@@ -69,6 +70,9 @@ class AxisSettings:
 
     queues_set_points: whether the drive keeps a set-point of profile position until the one before is reached (bit 5 = 0).
     Synapticon's drives do not. Such a drive gets each one when it has reached the one before.
+
+    obeys_within: ns from a halt to the beginning of the drive's ramp, at most. A drive that runs at a velocity is halted so early
+    before min_position and max_position.
     """
 
     counts_per_unit: float | None = None
@@ -97,13 +101,15 @@ class AxisSettings:
     unit: Unit | None = None
     velocity_unit: float | None = None
     acceleration_unit: float | None = None
+    counts_per_motor_turn: float | None = None
     queues_set_points: bool = True
+    obeys_within: Time = 250 * MILLISECOND
 
     def __post_init__(self) -> None:
         scale = self.counts_per_unit
         if scale is not None and not (math.isfinite(scale) and scale > 0):
             raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
-        for name in ("velocity_unit", "acceleration_unit"):
+        for name in ("velocity_unit", "acceleration_unit", "counts_per_motor_turn"):
             unit = getattr(self, name)
             if unit is not None and not (math.isfinite(unit) and unit > 0):
                 raise LocalProtocolError(f"{name} must be a finite number above 0, or None; it is {unit!r}")
@@ -125,8 +131,8 @@ class AxisSettings:
                 raise LocalProtocolError(f"{name} must be a finite number above 0, or None for the drive's own; it is {rate!r}")
         if self.homing_method is not None and not -128 <= self.homing_method <= 127:
             raise LocalProtocolError(f"homing_method must be from -128 to 127; it is {self.homing_method!r}")
-        if self.reaction_time <= 0 or self.halt_time <= 0:
-            raise LocalProtocolError("reaction_time and halt_time must be above 0: they are in ns")
+        if self.reaction_time <= 0 or self.halt_time <= 0 or self.obeys_within <= 0:
+            raise LocalProtocolError("reaction_time, halt_time and obeys_within must be above 0: they are in ns")
         if self.mode_change_state not in MODE_CHANGE_STATES:
             raise LocalProtocolError(f"mode_change_state must be one of {', '.join(MODE_CHANGE_STATES)}")
         for name, bit in (("sto_input", self.sto_input), ("brake_bit", self.brake_bit)):
