@@ -277,6 +277,8 @@ def test_a_frequency_converter_without_a_position_is_seen_to_stand() -> None:
     hidden = (0x6062, 0x6064, 0x606C)
     rig.remote.dictionary = ObjectDictionary([each for index, each in rig.node.dictionary.objects.items() if index not in hidden])
     rig.run(drive.run_at(rig.axis, 10.0, mode=Mode.VELOCITY, duration=2 * SECOND))
+    assert abs(speed(rig)) <= 0.5  # 0x6044 rounds it to 0
+    rig.bus.run(100 * MILLISECOND)
     assert stands(rig)
     rig.axis.settings = replace(DEGREES, max_position=20.0)
     with pytest.raises(drive.DriveError, match="shows no position"):
