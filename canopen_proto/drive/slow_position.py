@@ -10,7 +10,8 @@ One target takes this handshake (CiA 402-2, profile position mode), in which tar
     bit 4 = 0
 
 The target is always in the drive before bit 4 rises, whatever the order of the objects in an RPDO. Set-points that come meanwhile
-are skipped: the newest one is next. So the drive gets a target each 10 to 60 ms, and the SYNC cycle waits for none of this.
+are skipped: the newest one is next. So the drive gets a target each 10 ms at best, or each seven SYNCs by RPDOs at
+SYNCs, and the SYNC cycle waits for none of this.
 
 **Lag.** The drive accelerates, and brakes before each target; it is behind the set-points by `profile_lag` at most. Whoever
 watches it has to allow for that (`Following.begin(slack=...)`), and sees later that it has stopped.
@@ -32,13 +33,15 @@ from canopen_proto.drive.following import Following
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.procedures.objects import read_if_present, read_int
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, act, current_time, download, sleep
 
 HANDSHAKE_TIME: Final = 200 * MILLISECOND
-"""A target that just missed one handshake waits for its end, and then takes one itself: twice 100 ms, with SDO and polls."""
+"""A target that just missed one handshake waits for its end, and then takes one itself: twice 100 ms, with SDO and polls ..."""
+HANDSHAKE_SYNCS: Final = 16
+"""... or twice 7 SYNCs if RPDOs at SYNCs carry it, and one for the answer each."""
 RAMP_TIME: Final = 500 * MILLISECOND
 """Of a drive that does not tell how fast it may go and accelerate."""
 LONGEST_RAMP: Final = 2 * SECOND
@@ -88,21 +91,21 @@ def feed_targets(following: Following) -> Procedure[None]:
             else:
                 yield from _give(axis, counts)
                 given = counts
-    except ProcedureError as error:
+    except (ProcedureError, LocalProtocolError) as error:
         following.lose(f"takes no more targets: {error}")
 
 
-def profile_lag(axis: Axis) -> Procedure[Time]:
-    """Return how far the drive may be behind its set-points, in ns: a handshake, and its ramps from 0 to its profile velocity.
+def profile_lag(axis: Axis, cycle_time: Time) -> Procedure[Time]:
+    """Return how far the drive may be behind its set-points, in ns: handshakes, and its ramps from 0 to its profile velocity.
 
-    Speed and ramps (0x6081, 0x6083, 0x6084) are the drive's; their quotient is a time if their units belong together, as in all
+    cycle_time: ns between two SYNCs. Speed and ramps (0x6081, 0x6083, 0x6084) are the drive's; their quotient is a time if their units belong together, as in all
     drives known. Raises SdoFailed if the drive does not answer.
     """
     speed = yield from _amount(axis, objects.PROFILE_VELOCITY)
     up = yield from _amount(axis, objects.PROFILE_ACCELERATION)
     down = (yield from _amount(axis, objects.PROFILE_DECELERATION)) or up
     ramps = sum(RAMP_TIME if not speed or not rate else round(speed * SECOND / rate) for rate in (up, down))
-    return HANDSHAKE_TIME + min(ramps, LONGEST_RAMP)
+    return max(HANDSHAKE_TIME, HANDSHAKE_SYNCS * cycle_time) + min(ramps, LONGEST_RAMP)
 
 
 def _amount(axis: Axis, key: Mux) -> Procedure[int]:

@@ -401,7 +401,11 @@ def _plans(arm: Chain) -> dict[str, list[str]]:
     plans: dict[str, list[str]] = {}
     for device in arm.devices:
         if device.plan is not None:
-            plans.setdefault(f"{mode_name(device.plan.mode)}: {device.plan.reason}", []).append(device.name)
+            changed = ", ".join(f"{pdo.direction} {pdo.number}" for pdo in (*device.plan.written, *device.plan.destroyed))
+            text = (
+                f"{mode_name(device.plan.mode)}: {device.plan.reason}{f'; set up unlike the file: {changed}' if changed else ''}"
+            )
+            plans.setdefault(text, []).append(device.name)
     return plans
 
 

@@ -207,6 +207,24 @@ async def test_a_slow_joint_in_fault_stops_its_chain() -> None:
 
 
 @virtual_time
+async def test_a_fault_that_no_pdo_shows_is_seen_when_it_is_read() -> None:
+    """Statusword, position and mode of three joints are read in turn, one behind each SYNC: every 90 ms."""
+    by_sdo = changed(SLOW | NOTHING_MAPPABLE, without=without_pdos())
+    async with planned_arm(by_sdo, by_sdo, by_sdo) as (host, _, arm):
+        await arm.follow()
+        for place in range(3):
+            drives(host)[place].raise_fault(0x2310, host.now())
+            host.pump()
+            began = trio.current_time()
+            while arm.state is not ChainState.FAULT:
+                arm.hold()
+                await trio.sleep(0.001)
+            assert trio.current_time() - began < 0.09 + 0.01
+            await arm.recover()
+        await arm.shut_down()
+
+
+@virtual_time
 async def test_a_joint_that_takes_no_targets_stops_its_chain() -> None:
     async with planned_arm(changed(SLOW | NOTHING_MAPPABLE, without=without_pdos())) as (host, _, arm):
         await arm.follow()

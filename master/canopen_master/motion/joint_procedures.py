@@ -153,7 +153,7 @@ def follow(
     ramps = 0.0 if acceleration is None else min(2 * device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)
     catches_up = max(1, math.ceil(ramps * SECOND / cycle_time))
     if mode is Mode.PROFILE_POSITION:
-        lag = yield from profile_lag(axis)
+        lag = yield from profile_lag(axis, cycle_time)
         yield from start_slow_position(axis)
         return Followed(limit, mode, catches_up, UNCERTAIN - (-lag // cycle_time))
     start = start_cyclic_position if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION else start_interpolation
