@@ -10,8 +10,8 @@ One target takes this handshake (CiA 402-2, profile position mode), in which tar
     bit 4 = 0
 
 The target is always in the drive before bit 4 rises, whatever the order of the objects in an RPDO. Set-points that come meanwhile
-are skipped: the newest one is next. So the drive gets a target each 10 ms at best, or each seven SYNCs by RPDOs at
-SYNCs, and the SYNC cycle waits for none of this.
+are skipped: the newest one is next. So the drive gets a target each 10 ms at best, and at every seventh SYNC if synchronous RPDOs
+carry them. The SYNC cycle waits for none of this.
 
 **Lag.** The drive accelerates, and brakes before each target; it is behind the set-points by `profile_lag` at most. Whoever
 watches it has to allow for that (`Following.begin(slack=...)`), and sees later that it has stopped.
@@ -98,8 +98,8 @@ def feed_targets(following: Following) -> Procedure[None]:
 def profile_lag(axis: Axis, cycle_time: Time) -> Procedure[Time]:
     """Return how far the drive may be behind its set-points, in ns: handshakes, and its ramps from 0 to its profile velocity.
 
-    cycle_time: ns between two SYNCs. Speed and ramps (0x6081, 0x6083, 0x6084) are the drive's; their quotient is a time if their units belong together, as in all
-    drives known. Raises SdoFailed if the drive does not answer.
+    cycle_time: ns between two SYNCs. Speed and ramps (0x6081, 0x6083, 0x6084) are the drive's; their quotient is a time if their
+    units belong together, as in all drives known. Raises SdoFailed if the drive does not answer.
     """
     speed = yield from _amount(axis, objects.PROFILE_VELOCITY)
     up = yield from _amount(axis, objects.PROFILE_ACCELERATION)

@@ -402,9 +402,8 @@ def _plans(arm: Chain) -> dict[str, list[str]]:
     for device in arm.devices:
         if device.plan is not None:
             changed = ", ".join(f"{pdo.direction} {pdo.number}" for pdo in (*device.plan.written, *device.plan.destroyed))
-            text = (
-                f"{mode_name(device.plan.mode)}: {device.plan.reason}{f'; set up unlike the file: {changed}' if changed else ''}"
-            )
+            text = f"{mode_name(device.plan.mode)}: {device.plan.reason}"
+            text += f"; set up unlike the file: {changed}" if changed else ""
             plans.setdefault(text, []).append(device.name)
     return plans
 
