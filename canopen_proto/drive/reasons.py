@@ -22,6 +22,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus, mode_name,
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, StatusBit, enables_operation
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.foreign import COMPARED
+from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import read_number
 from canopen_proto.drive.view import DriveView, command_text
 from canopen_proto.error_codes import error_text
@@ -56,6 +57,9 @@ _BY_PDO: Final = (Mode.INTERPOLATED_POSITION, *_OBEYS)
 _BY_BIT_4: Final = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION)
 
 
+_NO_SETTINGS: Final = AxisSettings()
+
+
 class Reason(NamedTuple):
     """An obstacle, and what to do about it; both in words. is_command: a command removes it; else something outside has to."""
 
@@ -69,10 +73,10 @@ def outer_reason(view: DriveView) -> Reason | None:
     return next((each for each in reasons(view) if not each.is_command), None)
 
 
-def look_at(node: RemoteNode) -> Procedure[DriveView | None]:
+def look_at(node: RemoteNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView | None]:
     """Read what a drive shows, by SDO, by number, whatever the dictionary has. Returns None for a node without a statusword.
 
-    Raises SdoFailed if the node does not answer.
+    settings: name the maker's bits (`sto_input`, `brake_bit`). Raises SdoFailed if the node does not answer.
     """
     statusword = yield from read_number(node, objects.STATUSWORD)
     if statusword is None:
@@ -80,7 +84,8 @@ def look_at(node: RemoteNode) -> Procedure[DriveView | None]:
     shown: dict[str, Any] = {}
     for name, key in _SHOWN.items():
         shown[name] = yield from read_number(node, key, signed=key in _SIGNED)
-    return DriveView(statusword, nmt_state=node.nmt_state, emcy=node.emcy.last, **shown)
+    view = DriveView(statusword, nmt_state=node.nmt_state, emcy=node.emcy.last, **shown)
+    return (yield from _with_bits(view, node, settings))
 
 
 def look_closer(axis: Axis) -> Procedure[DriveView]:
@@ -92,11 +97,16 @@ def look_closer(axis: Axis) -> Procedure[DriveView]:
             heard = axis.node.fresh(key, (yield from current_time()))
             value = heard if isinstance(heard, int) else (yield from read_number(axis.node, key, signed=key in _SIGNED))
             view = _with(view, name, value)
-        for name, bit in (("safe_torque_off", axis.settings.sto_input), ("brake", axis.settings.brake_bit)):
-            if bit is not None:
-                view = _with(view, name, (yield from _if_shown(axis.node, bit)))
+        return (yield from _with_bits(view, axis.node, axis.settings))
     except ProcedureError:
         return view  # the error that is being explained is raised all the same
+
+
+def _with_bits(view: DriveView, node: RemoteNode, settings: AxisSettings) -> Procedure[DriveView]:
+    """Read the maker's bits that the settings name."""
+    for name, bit in (("safe_torque_off", settings.sto_input), ("brake", settings.brake_bit)):
+        if bit is not None:
+            view = _with(view, name, (yield from _if_shown(node, bit)))
     return view
 
 

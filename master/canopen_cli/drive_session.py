@@ -29,6 +29,7 @@ T = TypeVar("T")
 NODE: Final = "canopen.drive.node"
 """The key of the node-ID, or of a name in the machine file, in `click.Context.meta`."""
 COUNTS: Final = "counts"
+_NO_SETTINGS: Final = AxisSettings()
 
 
 def run_on_node(
@@ -69,10 +70,13 @@ def command_drive(
     scale: reads the counts in one unit; by default the unit is the count. ends: it ends without a Ctrl-C.
     """
 
+    joint = joint_settings(settings)
+
     def whole(session: Session, node: Node) -> Procedure[T]:
         yield from awake(node)
         counts = 1.0 if scale is None else (yield from scale(node))
-        return (yield from procedure(session.master.device(node, settings=AxisSettings(counts_per_unit=counts)).axis))
+        axis = AxisSettings(counts_per_unit=counts, sto_input=joint.sto_input, brake_bit=joint.brake_bit)
+        return (yield from procedure(session.master.device(node, settings=axis).axis))
 
     async def work(session: Session) -> None:
         await session.master.run(whole(session, session.node(node_of_command())))
@@ -99,8 +103,15 @@ def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
     return result
 
 
-def look_at_drive(node: RemoteNode) -> Procedure[DriveView]:
-    view = yield from look_at(node)
+def joint_settings(settings: Settings) -> AxisSettings:
+    """Return the settings of the drive that the command is about, by the machine file; the defaults if it has none."""
+    node_id = node_of_command()
+    machine, bus = settings.machine_on_bus()
+    return AxisSettings() if machine is None else machine.settings_at(bus, node_id)
+
+
+def look_at_drive(node: RemoteNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
+    view = yield from look_at(node, settings)
     if view is None:
         raise Problem(
             ExitCode.SDO_ABORT,

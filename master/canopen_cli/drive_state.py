@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from canopen_cli.drive_session import command_drive, look_at_drive, read_drive, show_drive, take_step
+from canopen_cli.drive_session import command_drive, joint_settings, look_at_drive, read_drive, show_drive, take_step
 from canopen_cli.options import Settings, commanding, common
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_proto import drive as procedures
@@ -27,7 +27,8 @@ from canopen_proto.procedures.steps import Procedure
 def state(settings: Settings) -> None:
     """Show state, mode and position of a drive, and what keeps it from moving."""
     screen = settings.screen()
-    show_drive(settings, screen, read_drive(settings, screen, look_at_drive))
+    look = partial(look_at_drive, settings=joint_settings(settings))
+    show_drive(settings, screen, read_drive(settings, screen, look))
 
 
 @click.command("fault-reset")

@@ -300,3 +300,13 @@ def test_names_of_buses_are_told_what_they_mean(run: Run, tmp_path: Path) -> Non
     }
     assert run(*arguments, "--locator", "left").status == ExitCode.USAGE
     assert run(*arguments, "--force", "--locator", "middle=can0").status == ExitCode.USAGE
+
+
+def test_the_bit_by_which_a_joint_shows_safe_torque_off_is_looked_at(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "sto.toml"
+    bit = '{ object = "6041", bit = 6 }'
+    file.write_text(f"[buses.can0]\n[nodes]\nshoulder = {{ id = 3 }}\n[joints]\nshoulder = {{ sto_input = {bit} }}\n")
+    on = ("-m", str(file), "-b", "demo")
+    outcome = run("drive", "shoulder", "state", *on)
+    assert "it does not move  safe torque off is active (bit 6 of 0x6041:00 is 1). Try: release the emergency stop" in outcome.out
+    assert "safe torque off" not in run("drive", "3", "state", "-b", "demo").out

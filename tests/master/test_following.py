@@ -29,7 +29,7 @@ from canopen_proto.cia402.objects import (
 )
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, HomingStyle
-from canopen_proto.frame import Frame
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, Frame
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
@@ -409,6 +409,18 @@ async def test_another_sync_is_named() -> None:
                 here.arm.set_positions([position + SPEED * cycle.time for position in start])
                 if cycle.number % 10 == 9:
                     await here.stranger.send(Frame(0x080))
+
+
+@virtual_time
+async def test_the_command_of_another_master_is_named() -> None:
+    async with scene() as here:
+        key = SDO_CLIENT_TO_SERVER + VICTIM
+        await here.stranger.send(Frame(key, bytes.fromhex("2b40600006000000")))  # shutdown
+        await trio.sleep(3 * PERIOD)
+        with pytest.raises(ChainFault) as caught:
+            here.arm.set_positions([0.0, 0.0])
+        assert caught.value.cause.startswith("another master commanded 0x0006 (shutdown) ")
+        assert "by SDO; somebody else commands this bus: an SDO request to it" in caught.value.cause
 
 
 @virtual_time

@@ -9,8 +9,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto import drive
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.states import StatusBit
 from canopen_proto.machine import SECOND
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
 from tests.proto.rig import MILLIDEGREES, Rig
 
@@ -49,3 +51,19 @@ def test_a_drive_beyond_a_limit_may_come_back() -> None:
     rig.run(drive.move_to(rig.axis, 0.9, timeout=60 * SECOND))
     rig.run(drive.move_to(rig.axis, -0.6, timeout=60 * SECOND, relative=True))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.parametrize("beyond", ["software limit", "limit switch"])
+def test_a_drive_moves_away_from_an_internal_limit(beyond: str) -> None:
+    """Bit 11 is named while the drive stands there, and keeps it from nothing that leads away."""
+    switch = 40_000 if beyond == "limit switch" else 1e9
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=0, track=Track(positive_limit=switch)))
+    rig.axis.settings = replace(MILLIDEGREES, counts_per_unit=1.0)
+    if beyond == "software limit":
+        rig.node.values.store[objects.MIN_SOFTWARE_POSITION_LIMIT] = -40_000
+        rig.node.values.store[objects.MAX_SOFTWARE_POSITION_LIMIT] = 40_000
+    with pytest.raises(drive.LimitReached):
+        rig.run(drive.move_to(rig.axis, 90_000, timeout=60 * SECOND))
+    rig.run(drive.move_to(rig.axis, 10_000, timeout=60 * SECOND))
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(10_000, abs=20)
+    assert not rig.axis.statusword & StatusBit.INTERNAL_LIMIT

@@ -95,6 +95,12 @@ class MachineFile:
         joint = self.joints.get(name)
         return self.nodes.get(name if joint is None else joint.node)
 
+    def settings_at(self, bus: str, node_id: int) -> AxisSettings:
+        """Return the settings of the joint on this node of a bus; the defaults if there is none."""
+        node = self.node_at(bus, node_id)
+        found = (joint.settings for joint in self.joints.values() if node is not None and joint.node == node.name)
+        return next(found, AxisSettings())
+
     def node_at(self, bus: str, node_id: int) -> NodeEntry | None:
         """Return the node with this node-ID on a bus, or None."""
         return next((each for each in self.nodes.values() if (each.bus, each.node_id) == (bus, node_id)), None)
