@@ -119,6 +119,7 @@ class Following:
         "_catches_up",
         "_cyclic",
         "_flawless",
+        "_has_bit_12",
         "_is_answered",
         "_is_on",
         "_lag",
@@ -143,6 +144,7 @@ class Following:
         self._axis = axis
         self._is_on = False
         self._mode = 0
+        self._has_bit_12 = True
         self._bounds: Bounds | None = None
         self._watched: tuple[Mux, ...] = _WATCHED
         self._limit = Limit(0.0, "")
@@ -210,6 +212,8 @@ class Following:
 
     def _begin(self, mode: int, cyclic: Mapping[Mux, int], silent_syncs: int, watched: tuple[Mux, ...]) -> None:
         self._mode, self._silent_syncs, self._watched = mode, silent_syncs, watched
+        # In profile position mode, bit 12 is part of a handshake
+        self._has_bit_12 = mode != Mode.PROFILE_POSITION and self._axis.settings.shows_following
         self.expect(cyclic)
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
@@ -282,7 +286,7 @@ class Following:
         is_limited = bool(news & StatusBit.INTERNAL_LIMIT)
         if axis.state is not State.OPERATION_ENABLED:
             self.lose(f"left operation enabled by itself: {axis.state}")
-        elif not word & _FOLLOWS and self._mode != Mode.PROFILE_POSITION:  # there, bit 12 is part of a handshake
+        elif not word & _FOLLOWS and self._has_bit_12:
             self.lose("no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)")
         elif news & ModeStatus.FOLLOWING_ERROR:
             self.lose("reports a following error: bit 13 of its statusword is 1")

@@ -53,6 +53,8 @@ class AxisSettings:
     limit that `drive.following.following_limit` finds; math.inf: no limit.
     keeps_reference: whether the drive knows its position after a reset or a loss of power (an absolute encoder). Such a drive
     need not be homed again.
+    shows_following: whether bit 12 of the statusword shows in ip, csp, csv and cst that the drive follows its set-points. False:
+    it stays 0, as in ros2_canopen's simulated drive. It is not looked at then: only the following error shows a drive that stays.
     reaction_time: ns until what the drive shows answers the last command. Until then, an end of a homing, a move or a halt that
     was shown before the command is not believed. halt_time: ns that a halted drive may take in addition. The wait is extended
     while the drive's speed still falls.
@@ -89,6 +91,7 @@ class AxisSettings:
     state_timeout: Time = 3 * SECOND
     following_error_limit: float | None = None
     keeps_reference: bool = False
+    shows_following: bool = True
     min_position: float | None = None
     max_position: float | None = None
     max_speed: float | None = None

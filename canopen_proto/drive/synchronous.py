@@ -239,7 +239,7 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
             yield from command(axis, Command.ENABLE_OPERATION | ModeControl.ENABLE_INTERPOLATION)
         yield from wait_for_statusword(
             axis,
-            lambda word: bool(word & active),
+            lambda word: bool(word & active) or not axis.settings.shows_following,
             axis.settings.state_timeout,
             goal,
             mode=mode,

@@ -228,6 +228,20 @@ def test_set_points_must_be_carried() -> None:
     assert rig.drive.state is State.SWITCH_ON_DISABLED
 
 
+def test_a_drive_that_does_not_show_that_it_follows() -> None:
+    """Without SYNC the simulated drive leaves bit 12 at 0, as others always do."""
+    rig = rig_of(CSP)
+    rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
+    rig.bus.run(5 * CYCLE)
+    rig.sync.stop()
+    rig.bus.run(SECOND)
+    assert not rig.run(drive.read_statusword(rig.axis)) & 0x1000
+    with pytest.raises(drive.DriveTimeout, match=r"follows command \(bit 12\)"):
+        rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
+    rig.axis.settings = replace(rig.axis.settings, shows_following=False)
+    rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
+
+
 # ---- offsets ----
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 
@@ -130,6 +131,16 @@ def test_one_statusword_is_enough(statusword: int, cause: str) -> None:
     assert desk.lost == cause
     desk.cycle(0, 0, statusword)
     assert desk.lost == cause
+
+
+def test_a_drive_that_does_not_show_bit_12_is_watched_without_it() -> None:
+    desk = Desk()
+    desk.axis.settings = replace(desk.axis.settings, shows_following=False)
+    desk.following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=CYCLIC)
+    desk.cycle(0, 0, 0x0237)
+    assert not desk.lost
+    desk.cycle(0, 0, 0x0221)
+    assert desk.lost.startswith("left operation enabled")
 
 
 def test_a_limit_counts_when_it_stands_in_two_statuswords() -> None:
