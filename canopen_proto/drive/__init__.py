@@ -70,6 +70,7 @@ from canopen_proto.drive.target_sequence import Target as Target
 from canopen_proto.drive.target_sequence import move_along as move_along
 from canopen_proto.drive.torque import apply_torque as apply_torque
 from canopen_proto.drive.velocity import Running as Running
+from canopen_proto.drive.velocity import choose_velocity_mode as choose_velocity_mode
 from canopen_proto.drive.velocity import run_at as run_at
 from canopen_proto.drive.watching import read_position as read_position
 from canopen_proto.drive.watching import read_statusword as read_statusword

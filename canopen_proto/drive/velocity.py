@@ -130,7 +130,7 @@ class _Run:
             raise LocalProtocolError(f"a velocity must be a finite number; it is {self._velocity!r}")
         if axis.settings.min_position is not None or axis.settings.max_position is not None:
             require_reference(axis)
-        self._mode = yield from _choose(axis, mode)
+        self._mode = yield from choose_velocity_mode(axis, mode)
         yield from self._learn_units()
         limits = yield from read_limits(axis)
         if abs(self._velocity) > limits.speed.value * _ALL:
@@ -340,8 +340,11 @@ class _Run:
             self._news(Running(self._mode, axis.way_from_counts(self._number * self._unit), self._is_reached))
 
 
-def _choose(axis: Axis, wanted: Mode | None) -> Procedure[Mode]:
-    """Return the mode in which a drive runs at a velocity. Raises ModeUnsupported, which says what the drive has."""
+def choose_velocity_mode(axis: Axis, wanted: Mode | None = None) -> Procedure[Mode]:
+    """Return the mode in which a drive runs at a velocity: the wanted one, else pv, else vl.
+
+    Raises ModeUnsupported, which says what the drive has.
+    """
     modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
     for mode in VELOCITY_MODES if wanted is None else (wanted,):
         if mode not in VELOCITY_MODES:

@@ -24,6 +24,7 @@ COMMANDS: Final = {
     "enable": ("drive_power", "Give a drive power, in a mode in which that moves nothing, until Ctrl-C."),
     "home": ("drive_home", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
     "move": ("drive_power", "Move a drive to POSITION by its own profile (profile position)."),
+    "velocity": ("drive_velocity", "Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C."),
     "torque": ("drive_torque", "Let a drive push with a torque (profile torque) for a time."),
     "stop": ("drive_state", "Command a quick stop."),
     "disable": ("drive_state", "Take the power from a drive."),
@@ -54,6 +55,7 @@ def drive(ctx: click.Context, node_id: int | str) -> None:
     canopen drive 3 plan -e FILE ...   how it would follow set-points: mode and PDOs; nothing is written
     canopen drive 3 home 19 -b demo    IT MOVES, to its reference; --list: the homing methods
     canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
+    canopen drive 3 velocity 500 --in rpm -b demo   IT MOVES, as long as the command runs
     canopen drive 3 torque 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --seconds
     canopen drive 3 enable -b demo     power until Ctrl-C
     canopen drive 3 disable -b demo    no power, from any state

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import click
 
 from canopen_cli.drive_session import COUNTS, command_drive, counts_per, ends_unpowered, look_at_drive, show_drive
@@ -78,7 +76,7 @@ def move(settings: Settings, position: float, relative: bool, unit: str, limit: 
         yield from procedures.shut_down(axis)
         return begin, end, (yield from look_at_drive(axis.node))
 
-    scale = None if unit == COUNTS else partial(counts_per, unit=Unit(unit))
+    scale = None if unit == COUNTS else lambda node: counts_per(node.remote, Unit(unit))
     begin, end, view = command_drive(settings, screen, procedure, _moved, scale)
     if settings.json:
         screen.json({"from": begin, "to": end, "unit": unit, "state": str(view.state)})

@@ -165,9 +165,9 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView) -> None:
         screen.fact("" if number else "it does not move", f"{what}. Try: {remedy}")
 
 
-def counts_per(node: Node, unit: Unit) -> Procedure[float]:
+def counts_per(node: RemoteNode, unit: Unit) -> Procedure[float]:
     """Return the counts in one unit, as the drive tells. Raises a Problem if it does not."""
-    found = (yield from read_units(node.remote)).counts_per(unit)
+    found = (yield from read_units(node)).counts_per(unit)
     if found is None:
         raise Problem(
             ExitCode.USAGE,

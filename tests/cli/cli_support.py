@@ -15,9 +15,9 @@ from trio.testing import MockClock
 
 from canopen_cli import demonstration, session, sim
 from canopen_cli.app import main
-from canopen_cli.fleet import Fleet, simulated_fleet
+from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices, simulated_fleet
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
-from canopen_proto.machine import SECOND
+from canopen_proto.machine import SECOND, Outbox
 from canopen_proto.simulated_drive.node import DriveNode
 
 LATER = 10**9 * SECOND
@@ -112,6 +112,21 @@ def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]
     monkeypatch.setattr(session, "simulated_fleet", watched)
     monkeypatch.setattr(sim, "simulated_fleet", watched)
     return fleets
+
+
+def only_drive(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, make: Callable[[Outbox, int], DriveNode]) -> list[DriveNode]:
+    """Make drive 5 the only one on the bus of the demonstration; return the drives of the commands to come."""
+    made: list[DriveNode] = []
+
+    @asynccontextmanager
+    async def simulated(*arguments: object) -> AsyncIterator[Fleet]:
+        async with simulated_devices({DEMO_LOCATOR: [lambda out: make(out, 5)]}) as fleet:
+            made.append(fleet.drives[5])
+            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
+            yield fleet
+
+    monkeypatch.setattr(session, "simulated_fleet", simulated)
+    return made
 
 
 def stands(node: DriveNode) -> bool:

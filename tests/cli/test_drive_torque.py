@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from functools import partial
 
 import pytest
-import trio
 
-from canopen_cli import session
-from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices
 from canopen_cli.problem import ExitCode
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
@@ -20,26 +14,16 @@ from canopen_proto.cia402.states import State
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
-from tests.cli.cli_support import Alarm, Run, stands
+from tests.cli.cli_support import Alarm, Run, only_drive, stands
 
 ON_IT = ("-b", "demo", "--seconds", "0.5")
 
 
 @pytest.fixture
 def drives(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[DriveNode]:
-    """Drive 5 of the bus of the demonstration is a joint with a mass at 0; the drives of the commands to come."""
-    made: list[DriveNode] = []
+    """Drive 5, the only one, is a joint with a mass at 0; the drives of the commands to come."""
     settings = DriveSettings(position=0, mechanics=Mechanics(), track=Track(-math.inf, math.inf))
-
-    @asynccontextmanager
-    async def joint(*arguments: object) -> AsyncIterator[Fleet]:
-        async with simulated_devices({DEMO_LOCATOR: [partial(DriveNode, node_id=5, settings=settings)]}) as fleet:
-            made.append(fleet.drives[5])
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
-            yield fleet
-
-    monkeypatch.setattr(session, "simulated_fleet", joint)
-    return made
+    return only_drive(monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, settings))
 
 
 def is_over(drive: DriveNode) -> None:

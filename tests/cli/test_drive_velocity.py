@@ -1,0 +1,121 @@
+"""`canopen drive NODE velocity`: it runs while the command runs, and then stands without power; in virtual time."""
+
+from __future__ import annotations
+
+import math
+import signal
+
+import pytest
+import trio
+
+from canopen_cli.fleet import Fleet
+from canopen_cli.problem import ExitCode
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import State
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from tests.cli.cli_support import Alarm, Run, only_drive, stands
+
+DEMO = ("-b", "demo")
+
+
+@pytest.fixture
+def drives(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[DriveNode]:
+    """Drive 5, the only one, has 6000 counts a turn of its motor, and no end; the drives of the commands to come."""
+    settings = DriveSettings(position=0, track=Track(-math.inf, math.inf))
+    dictionary = drive_dictionary().with_objects([standard_object(0x608F, highest=2, defaults={1: 6_000, 2: 1})])
+    return only_drive(monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, settings, dictionary))
+
+
+def is_over(drive: DriveNode) -> None:
+    assert stands(drive)
+    assert drive.drive.state is State.SWITCH_ON_DISABLED
+    assert drive.values.store[objects.TARGET_VELOCITY] == drive.values.store[objects.VL_TARGET_VELOCITY] == 0
+
+
+def position(drive: DriveNode) -> int:
+    value = drive.values.store[objects.POSITION_ACTUAL_VALUE]
+    assert isinstance(value, int)
+    return value
+
+
+def test_for_a_time_in_counts(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "velocity", "-2000", "--seconds", "3", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "it runs at -2000 counts per second, in profile velocity (pv); for 3 s" in outcome.err
+    assert outcome.out.splitlines() == ["ran               at -2000 counts per second", "state             switch on disabled"]
+    assert position(drives[-1]) == pytest.approx(-6_000, abs=200)
+    is_over(drives[-1])
+
+
+@pytest.mark.parametrize(
+    ("unit", "counts"), [("rpm", 100), ("turn", 6_000), ("degree", 6_000 / 360), ("radian", 6_000 / 2 / math.pi)]
+)
+@pytest.mark.parametrize("mode", ["pv", "vl"])
+def test_units(run: Run, drives: list[DriveNode], unit: str, counts: float, mode: str) -> None:
+    value = 2_000 / counts
+    document = run("drive", "5", "velocity", str(value), "--in", unit, "--mode", mode, "--seconds", "3", "--json", *DEMO).json
+    assert document["velocity"] == pytest.approx(value, rel=0.01)
+    assert (document["mode"], document["state"]) == ({"pv": 3, "vl": 2}[mode], "switch on disabled")
+    assert document["reached"] is True
+    assert position(drives[-1]) == pytest.approx(6_000, abs=300)
+    is_over(drives[-1])
+
+
+def test_what_its_unit_cannot_hold_is_told(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "velocity", "10.4", "--in", "rpm", "--mode", "vl", "--seconds", "1", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "it runs at 10 rpm (10.4 was asked for), in velocity (vl)" in outcome.err
+
+
+@pytest.mark.parametrize("at", [0.01, 0.05, 0.3, 2.0])
+@pytest.mark.parametrize("mode", ["pv", "vl"])
+def test_ctrl_c_stops_it(run: Run, drives: list[DriveNode], alarm: Alarm, at: float, mode: str) -> None:
+    alarm.set((at, signal.SIGINT))
+    outcome = run("drive", "5", "velocity", "5000", "--mode", mode, *DEMO)
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "the drive was halted, and has no power" in outcome.err
+    is_over(drives[-1])
+
+
+def test_a_fault_ends_it_and_is_told(run: Run, drives: list[DriveNode], alarm: Alarm) -> None:
+    async def fault(fleet: Fleet) -> None:
+        await trio.sleep(1)
+        fleet.raise_fault(5, 0x2310)
+
+    alarm.task = fault
+    outcome = run("drive", "5", "velocity", "5000", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "0x2310" in outcome.err
+    assert stands(drives[-1])
+
+
+def test_a_velocity_beyond_the_limit(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "velocity", "3000", "--max-speed", "2000", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "(max_speed) allows 2000; nothing was sent" in outcome.err
+    assert drives[-1].drive.mode == Mode.NO_MODE
+
+
+def test_the_joints_of_the_demonstration_count_turns_of_their_motor(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run("drive", "3", "velocity", "500", "--seconds", "1", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "does not tell how many counts a turn of its motor has" in outcome.err
+    assert "--in rpm" in outcome.err
+    outcome = run("drive", "3", "velocity", "500", "--in", "rpm", "--seconds", "3", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "ran               at 500 rpm" in outcome.out
+    outcome = run("drive", "3", "velocity", "500", "--mode", "pv", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "CO405" in outcome.err
+    assert "it has profile position (pp), velocity (vl), interpolated position (ip)" in outcome.err
+
+
+def test_a_rehearsal_shows_the_frames_and_sends_none(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "velocity", "2000", "--seconds", "1", "--dry-run", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "60FF" in outcome.out
+    assert drives[-1].drive.mode == Mode.NO_MODE
