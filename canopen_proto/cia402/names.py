@@ -49,6 +49,12 @@ _STATUS_BITS: Final = {
     "target_reached": StatusBit.TARGET_REACHED,
     "internal_limit_active": StatusBit.INTERNAL_LIMIT,
 }
+_INPUTS: Final = {
+    "negative_limit_switch": 1 << 0,
+    "positive_limit_switch": 1 << 1,
+    "home_switch": 1 << 2,
+    "interlock": 1 << 3,
+}
 _COMMANDS: Final = {
     "disable_voltage": 0x0000,
     "sm_quick_stop": 0x0002,
@@ -73,6 +79,9 @@ _NAMES: Final[dict[Mux, tuple[Constant, ...]]] = {
         Constant("fault_reset", ControlBit.FAULT_RESET, ControlBit.FAULT_RESET),
         Constant("halt", ControlBit.HALT, ControlBit.HALT),
     ),
+    objects.DIGITAL_INPUTS: tuple(Constant(name, bit, bit) for name, bit in _INPUTS.items()),
+    objects.DIGITAL_OUTPUTS: (Constant("set_brake", 1, 1),),
+    objects.DIGITAL_OUTPUT_MASK: (Constant("set_brake", 1, 1),),
     objects.MODES_OF_OPERATION: tuple(Constant(name, 0xFF, value) for name, value in _MODES.items()),
     objects.MODES_OF_OPERATION_DISPLAY: tuple(Constant(name, 0xFF, value) for name, value in _MODES.items()),
     **{key: tuple(Constant(name, 0xFFFF, value) for value, name in names.items()) for key, names in OPTION_CODES.items()},

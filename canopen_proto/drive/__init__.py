@@ -11,6 +11,8 @@
     move_along    profile position: a set of targets, each with its own profile
     apply_torque  profile torque for a time, then a halt
     run_at        profile velocity or velocity: at a velocity, until it is cancelled
+    arm_probe, wait_for_probe, watch_probe, read_probe, disarm_probe          touch probes
+    read_inputs, watch_inputs, set_outputs, read_encoder                      digital inputs and outputs, second encoder
     halt          bit 8: the drive stops by 0x605D and stays enabled
     quick_stop    the drive stops by 0x605A
     engage_brake  down to Ready to switch on                                  manual: enableBreak
@@ -30,6 +32,12 @@ Source: IEC 61800-7-201 (CiA 402-2).
 
 from canopen_proto.drive.bounds import bounds_of as bounds_of
 from canopen_proto.drive.controlword import command as command
+from canopen_proto.drive.digital_io import DigitalInputsChanged as DigitalInputsChanged
+from canopen_proto.drive.digital_io import Input as Input
+from canopen_proto.drive.digital_io import read_encoder as read_encoder
+from canopen_proto.drive.digital_io import read_inputs as read_inputs
+from canopen_proto.drive.digital_io import set_outputs as set_outputs
+from canopen_proto.drive.digital_io import watch_inputs as watch_inputs
 from canopen_proto.drive.failures import AccessFailed as AccessFailed
 from canopen_proto.drive.failures import DriveError as DriveError
 from canopen_proto.drive.failures import DriveFault as DriveFault
@@ -69,6 +77,14 @@ from canopen_proto.drive.target_sequence import Start as Start
 from canopen_proto.drive.target_sequence import Target as Target
 from canopen_proto.drive.target_sequence import move_along as move_along
 from canopen_proto.drive.torque import apply_torque as apply_torque
+from canopen_proto.drive.touch_probe import ProbeLatched as ProbeLatched
+from canopen_proto.drive.touch_probe import ProbeReading as ProbeReading
+from canopen_proto.drive.touch_probe import ProbeSource as ProbeSource
+from canopen_proto.drive.touch_probe import arm_probe as arm_probe
+from canopen_proto.drive.touch_probe import disarm_probe as disarm_probe
+from canopen_proto.drive.touch_probe import read_probe as read_probe
+from canopen_proto.drive.touch_probe import wait_for_probe as wait_for_probe
+from canopen_proto.drive.touch_probe import watch_probe as watch_probe
 from canopen_proto.drive.velocity import Running as Running
 from canopen_proto.drive.velocity import choose_velocity_mode as choose_velocity_mode
 from canopen_proto.drive.velocity import run_at as run_at

@@ -92,11 +92,12 @@ class Axis:
     is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which
     starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
     selected last; None: none since the drive's last boot. is_commanded: whether this master sent a controlword since then.
+    has_opened_brake: whether this master holds the brake open by an output, see digital_io.py.
     """
 
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
-        "_store", "_was_homed", "grip", "has_scale", "is_commanded", "is_identified", "node", "selected_mode",
+        "_store", "_was_homed", "grip", "has_opened_brake", "has_scale", "is_commanded", "is_identified", "node", "selected_mode",
         "started_at", "state", "units",
     )  # fmt: skip
 
@@ -115,6 +116,7 @@ class Axis:
         self.started_at: Time = OBEYED
         self.selected_mode: int | None = None
         self.is_commanded = False
+        self.has_opened_brake = False
         self.units = DriveUnits()
         self._set_points: dict[Mux, SetPoint] = {}
         self._position = SetPoint(standard_variable(0x607A), self._store)  # of a drive without position set-points
@@ -453,7 +455,7 @@ class Axis:
         if not self.settings.keeps_reference:
             self.is_homed = False
         self._shown = self.selected_mode = None
-        self.is_commanded = False
+        self.is_commanded = self.has_opened_brake = False
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

@@ -11,6 +11,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, 
 from canopen_proto.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.controlword import STAYS, bring, command, command_held
+from canopen_proto.drive.digital_io import return_brake
 from canopen_proto.drive.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
 from canopen_proto.drive.halting import halt
 from canopen_proto.drive.settings import MODE_CHANGE_STATES
@@ -36,10 +37,13 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
 
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
     when it is led up, or reaches a state twice: something else commands it. Raises DriveFault, NodeLost, StepTimeout, SdoFailed.
-    On the way to Operation enabled, `axis.grip` first makes the drive watch its master.
+    On the way to Operation enabled, `axis.grip` first makes the drive watch its master. On the way to any other state, the drive
+    first gets its brake back if this master has opened it.
     """
     if target is State.OPERATION_ENABLED and axis.grip is not None:
         yield from axis.grip.hold()
+    if target is not State.OPERATION_ENABLED:
+        yield from return_brake(axis)
     if target in STAYS:  # the drive may be there already, and hold an RPDO that would lead it away
         yield from command_held(axis, STAYS[target])
     statusword = yield from read_statusword(axis)
@@ -194,6 +198,7 @@ def _state_below(axis: Axis, state: State) -> State | None:
 def quick_stop(axis: Axis) -> Procedure[None]:
     """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
     yield from command(axis, int(Command.QUICK_STOP))
+    yield from return_brake(axis)
     stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
     yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
 

@@ -254,7 +254,12 @@ def test_a_relative_move_needs_no_reference() -> None:
 def test_a_homing_that_fails_leaves_no_reference_behind() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     rig.run(drive.home(rig.axis))
-    rig.axis.settings = replace(rig.axis.settings, homing_method=0)
+    before = rig.axis.settings
+    rig.axis.settings = replace(before, homing_method=0)  # refused before anything is sent: the reference stays
+    with pytest.raises(ProcedureError):
+        rig.run(drive.home(rig.axis))
+    assert not rig.axis.has_lost_reference
+    rig.axis.settings = replace(before, homing_method=17, homing_timeout=100 * MILLISECOND)
     with pytest.raises(ProcedureError):
         rig.run(drive.home(rig.axis))
     assert rig.axis.has_lost_reference
