@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -128,6 +131,23 @@ def test_records_of_position_and_velocity_are_followed(told: bool) -> None:
     if told:
         steps = [after - before for before, after in pairwise(velocities)]
         assert max(steps) <= 250  # 20,000 * 10 ms, and rounding of positions
+
+
+def test_the_sub_mode_of_the_documentation_works() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+    (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class Cubic" in block)
+    names: dict[str, Any] = {"__name__": __name__}
+    exec(code, names)
+    rig = rig_with_records()
+    rig.start_sync()
+    start = rig.run(drive.start_interpolation(rig.axis, CYCLE, sub_mode=names["Cubic"]()))
+    assert rig.node.values.store[objects.INTERPOLATION_SUB_MODE_SELECT] == -1
+    for step in range(1, 20):
+        rig.axis.set_position(start + 0.001 * step, velocity=0.1)
+        rig.bus.run(CYCLE)
+    rig.drive.refresh(rig.bus.now)
+    assert rig.drive.values.store[objects.VELOCITY_DEMAND_VALUE] == pytest.approx(rig.axis.to_counts(0.1), rel=0.02)
+    assert rig.axis.statusword & 0x1000
 
 
 def test_a_path_in_records_must_be_carried_whole() -> None:
