@@ -192,6 +192,9 @@ _DRIVE: Final = """
 6099      01    U32  rww   homing_speeds:search_switch
 6099      02    U32  rww   homing_speeds:search_zero
 609A      00    U32  rww   homing_acceleration
+60A3      00    U8   rww   profile_jerk_use = 1
+60A4      01    U32  rww   profile_jerk:profile_jerk_1
+60A4      02    U32  rww   profile_jerk:profile_jerk_2
 60A8      00    U32  rw    si_unit_position
 60A9      00    U32  rw    si_unit_velocity
 60B0      00    I32  rww   position_offset

@@ -16,9 +16,11 @@
     homing.py             its homing: searches for switches and index pulses
     inputs.py             its inputs: touch probes
     fallbacks.py          the values of objects that its dictionary lacks
+    parameters.py         the values of its objects, as numbers
     servo.py              its mechanics: track, lag, limits
     plant.py              a mass under control loops and a limited torque, instead of the lag
     motion.py             closed-form motion profiles
+    smooth_motion.py      those with limited jerk
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """

@@ -41,6 +41,7 @@ from canopen_proto.simulated_drive.homing import METHODS
 from canopen_proto.simulated_drive.inputs import FUNCTIONS
 from canopen_proto.simulated_drive.interpolated_position import POSITION_AND_VELOCITY
 from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulated_drive.smooth_motion import JERK_LIMITED
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1
@@ -99,8 +100,8 @@ _INPUTS_AND_PROBES: Final = (
 _ONLY: Final = {
     Shape.STANDARD: (
         0x6007, *_VELOCITY_MODE, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x606D, 0x606E, 0x606F, 0x6070, 0x6071, 0x6072, 0x6073,
-        0x6074, 0x6075, 0x6076, 0x6078, 0x607F, 0x6080, 0x6082, 0x6084, 0x6085, 0x6087, 0x6098, 0x6099, 0x609A, 0x60B0, 0x60B1,
-        0x60B2, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60F8, 0x60FE, 0x60FF, *_INPUTS_AND_PROBES,
+        0x6074, 0x6075, 0x6076, 0x6078, 0x607F, 0x6080, 0x6082, 0x6084, 0x6085, 0x6087, 0x6098, 0x6099, 0x609A, 0x60A3, 0x60A4,
+        0x60B0, 0x60B1, 0x60B2, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60F8, 0x60FE, 0x60FF, *_INPUTS_AND_PROBES,
     ),
     Shape.SCHUNK_POWERBALL: (0x6042, 0x6098, 0x60B2),
 }  # fmt: skip
@@ -123,7 +124,8 @@ _NAMES: Final = {Shape.STANDARD: "Simulated CiA 402 drive", Shape.SCHUNK_POWERBA
 
 ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
     **OPTION_CODES,
-    objects.MOTION_PROFILE_TYPE: (0,),
+    objects.MOTION_PROFILE_TYPE: (0, JERK_LIMITED),
+    objects.PROFILE_JERK_USE: (1, 2),
     objects.INTERPOLATION_SUB_MODE_SELECT: (0, POSITION_AND_VELOCITY),
     objects.INTERPOLATION_TIME_UNITS: range(1, 256),
     objects.INTERPOLATION_TIME_INDEX: range(-6, 1),

@@ -6,9 +6,10 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.simulated_drive.servo import Servo
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulated_drive.settings import STO_OF_AX8000, Shape
 
 _STATE_BITS: Final[dict[State, int]] = {
     State.UNKNOWN: 0x0000,
@@ -49,16 +50,19 @@ def show_values(servo: Servo, *, torque_is_off: bool) -> None:
     store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
     store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
     if objects.VL_VELOCITY_DEMAND in store:
-        unit = servo.vl_unit * servo.ratio(objects.VL_SET_POINT_FACTOR)
-        store[objects.VL_VELOCITY_DEMAND] = _limited(servo.demand_velocity / unit, _INT16)
-        store[objects.VL_VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity / unit, _INT16)
+        is_vl = store.get(objects.MODES_OF_OPERATION_DISPLAY) == Mode.VELOCITY  # in other modes they are not defined: 0
+        unit = servo.vl_unit * servo.ratio(objects.VL_SET_POINT_FACTOR) if is_vl else 0.0
+        store[objects.VL_VELOCITY_DEMAND] = _limited(servo.demand_velocity / unit, _INT16) if is_vl else 0
+        store[objects.VL_VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity / unit, _INT16) if is_vl else 0
     store[objects.TORQUE_DEMAND_VALUE], torque = servo.torques
     store[objects.TORQUE_ACTUAL_VALUE] = store[objects.CURRENT_ACTUAL_VALUE] = torque
     store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
     store[objects.DIGITAL_INPUTS] = servo.settings.track.inputs_at(servo.position)
     if objects.ADDITIONAL_POSITION in store:  # the second encoder has a zero of its own
         store[objects.ADDITIONAL_POSITION] = wrapped(servo.position * servo.settings.second_encoder)
-    _show_bit(servo, servo.settings.sto_bit, torque_is_off)
+    sto_bit = servo.settings.sto_bit
+    if torque_is_off or sto_bit is not STO_OF_AX8000:  # which is 0 in the inputs otherwise
+        _show_bit(servo, sto_bit, torque_is_off)
     if servo.settings.brake_bit is not None:
         _show_bit(servo, servo.settings.brake_bit, servo.holds_brake)
 

@@ -433,7 +433,7 @@ class Drive(Machine):
         if self._is_opening and not servo.opens_brake:
             self._enter(TRANSITIONS[self.state, Command.ENABLE_OPERATION])
             self._mode.control(self._controlword, self._controlword)
-        if servo.is_overloaded and self.settings.overload_fault and self.state in _ENERGISED:
+        if self.settings.overload_fault and servo.is_overloaded and self.state in _ENERGISED:
             self._fault(self.settings.overload_fault)
         if self._acts:
             if servo.has_met_switch:

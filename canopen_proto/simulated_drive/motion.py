@@ -1,9 +1,10 @@
 """Motion in closed form: trapezoidal profiles and stop ramps that are planned once and can be evaluated at any time.
 
-A `Profile` is a row of pieces of constant acceleration. Its last piece (rest, or constant speed) holds for ever. `move`,
-`through`, `stop`, `run`, `line` and `hold` plan a profile from any position *and any velocity*; so a running motion is changed by
-a new plan from its present position. There are no simulation steps: `at(now)` computes the position directly from a few numbers,
-however old the plan is, and always gives the same answer. Arithmetic is float (IEEE 754 double), hence the same on every machine.
+A `Profile` is a row of pieces of constant acceleration, or of constant jerk. Its last piece (rest, or constant speed) holds for
+ever. `move`, `through`, `stop`, `run`, `line` and `hold` plan a profile from any position *and any velocity*; so a running motion
+is changed by a new plan from its present position. There are no simulation steps: `at(now)` computes the position directly from a
+few numbers, however old the plan is, and always gives the same answer. Arithmetic is float (IEEE 754 double), hence the same on
+every machine.
 
 A point-to-point move is the time-optimal one within its limits: speed grows by at most `acceleration` and falls by at most
 `deceleration`. If a stop from the present velocity would end beyond the target (or if the axis moves away), it first brakes to
@@ -11,7 +12,7 @@ rest and comes back. If it is faster than `max_velocity`, it first brakes to tha
 
 Units are the caller's (device units, units/s, units/s²). A profile's own time is in seconds since its `start`, the clock's in ns.
 `through` passes its target at a given speed instead, and keeps that speed.
-Left out: limited jerk (6086h = 3).
+Profiles with limited jerk are planned by smooth_motion.py.
 
 Source: IEC 61800-7-201 (CiA 402-2), profile position mode, linear ramp (6086h = 0).
 """
@@ -26,8 +27,9 @@ from canopen_proto.machine import NEVER, Time
 _SECONDS: Final = 1e-9
 _NANOSECONDS: Final = 1e9
 
-Piece: TypeAlias = tuple[float, float, float, float]
-"""The start of the piece (s after the profile's start), and position, velocity (units/s) and acceleration (units/s²) there."""
+Piece: TypeAlias = tuple[float, float, float, float, float]
+"""The start of the piece (s after the profile's start); position, velocity (units/s) and acceleration (units/s²) there; its jerk
+(units/s³)."""
 
 
 class Profile:
@@ -42,7 +44,7 @@ class Profile:
     def __init__(self, start: Time, pieces: tuple[Piece, ...]) -> None:
         self.start = start
         self.pieces = pieces
-        duration, _, self.final_velocity, _ = pieces[-1]
+        duration, _, self.final_velocity, _, _ = pieces[-1]
         self.end: Time = min(start + math.ceil(duration * _NANOSECONDS), NEVER)
 
     def at(self, now: Time) -> tuple[float, float, float]:
@@ -51,9 +53,13 @@ class Profile:
         number = len(self.pieces) - 1
         while self.pieces[number][0] > time:  # the first piece begins at 0
             number -= 1
-        begin, position, velocity, acceleration = self.pieces[number]
+        begin, position, velocity, acceleration, jerk = self.pieces[number]
         elapsed = time - begin
-        return position + (velocity + 0.5 * acceleration * elapsed) * elapsed, velocity + acceleration * elapsed, acceleration
+        return (
+            position + (velocity + (0.5 * acceleration + jerk * elapsed / 6.0) * elapsed) * elapsed,
+            velocity + (acceleration + 0.5 * jerk * elapsed) * elapsed,
+            acceleration + jerk * elapsed,
+        )
 
     def at_rest(self, now: Time) -> bool:
         """Return whether the motion is over: the axis rests from now on."""
@@ -76,7 +82,7 @@ class _Plan:
         change = velocity - self.velocity
         if change:
             duration = abs(change) / rate
-            self.pieces.append((self.time, self.position, self.velocity, math.copysign(rate, change)))
+            self.pieces.append((self.time, self.position, self.velocity, math.copysign(rate, change), 0.0))
             self.position += 0.5 * (self.velocity + velocity) * duration
             self.velocity = velocity
             self.time += duration
@@ -84,19 +90,19 @@ class _Plan:
     def cruise(self, distance: float) -> None:
         """Keep the velocity for `distance`, in its direction; do nothing if `distance` is against it."""
         if distance * self.velocity > 0.0:
-            self.pieces.append((self.time, self.position, self.velocity, 0.0))
+            self.pieces.append((self.time, self.position, self.velocity, 0.0, 0.0))
             self.position += distance
             self.time += distance / self.velocity
 
     def finish(self, start: Time, position: float) -> Profile:
         """Hold the present velocity for ever, from `position`, where the pieces end except for rounding."""
-        self.pieces.append((self.time, position, self.velocity, 0.0))
+        self.pieces.append((self.time, position, self.velocity, 0.0, 0.0))
         return Profile(start, tuple(self.pieces))
 
 
 def hold(start: Time, position: float) -> Profile:
     """Plan to rest at a position."""
-    return Profile(start, ((0.0, position, 0.0, 0.0),))
+    return Profile(start, ((0.0, position, 0.0, 0.0, 0.0),))
 
 
 def line(
@@ -107,7 +113,7 @@ def line(
     Then it brakes from the velocity `leaving` at `deceleration` (above 0); it rests at `target` if `leaving` is 0.
     """
     plan = _Plan(target, leaving)
-    plan.pieces.append((0.0, position, (target - position) / duration, 0.0))
+    plan.pieces.append((0.0, position, (target - position) / duration, 0.0, 0.0))
     plan.time = duration
     plan.ramp(0.0, deceleration)
     return plan.finish(start, plan.position)
@@ -125,8 +131,8 @@ def passage(
     first = (target - position - velocity * duration) / (half * half) - change / 2.0
     middle = position + (velocity + 0.5 * first * half) * half
     plan = _Plan(target, passing)
-    plan.pieces.append((0.0, position, velocity, first))
-    plan.pieces.append((half, middle, velocity + first * half, change - first))
+    plan.pieces.append((0.0, position, velocity, first, 0.0))
+    plan.pieces.append((half, middle, velocity + first * half, change - first, 0.0))
     plan.time = duration
     plan.ramp(0.0, deceleration)
     return plan.finish(start, plan.position)
@@ -212,21 +218,27 @@ def _braking_distance(velocity: float, deceleration: float) -> float:
 def follow(profile: Profile, position: float, since: Time, now: Time, lag: float) -> float:
     """Return the position at `now` of an axis that was at `position` at `since` and follows the profile with a first-order lag.
 
-    lag: in s. Exact for any two times (each piece has its closed form, y = u - lag u' + lag² u'' + c exp(-t / lag)): it does not
-    matter how often it is called. At constant speed the axis stays behind by speed * lag.
+    lag: in s. Exact for any two times: in each piece y = u - lag u' + lag² u'' - lag³ j + c exp(-t / lag), with its jerk j.
+    It does not matter how often it is called. At constant speed the axis stays behind by speed * lag.
     """
     pieces = profile.pieces
     time = max(0.0, (since - profile.start) * _SECONDS)
     until = (now - profile.start) * _SECONDS
     last = len(pieces) - 1
-    for number, (begin, start, velocity, acceleration) in enumerate(pieces):
+    for number, piece in enumerate(pieces):
         end = until if number == last else min(until, pieces[number + 1][0])
         if end <= time:
             continue
-        settled = acceleration * lag * lag - velocity * lag + start  # u - lag u' + lag² u'' at the piece's beginning
-        drift = velocity - acceleration * lag
-        before, after = time - begin, end - begin
-        left = position - settled - (drift + 0.5 * acceleration * before) * before
-        position = settled + (drift + 0.5 * acceleration * after) * after + left * math.exp((time - end) / lag)
+        left = position - _settled(piece, time, lag)
+        position = _settled(piece, end, lag) + left * math.exp((time - end) / lag)
         time = end
     return position
+
+
+def _settled(piece: Piece, time: float, lag: float) -> float:
+    """Return the position of an axis that has followed this piece for ever: u - lag u' + lag² u'' - lag³ j."""
+    begin, position, velocity, acceleration, jerk = piece
+    elapsed = time - begin
+    here = position + (velocity + (0.5 * acceleration + jerk * elapsed / 6.0) * elapsed) * elapsed
+    speed = velocity + (acceleration + 0.5 * jerk * elapsed) * elapsed
+    return here - lag * (speed - lag * (acceleration + jerk * elapsed - lag * jerk))

@@ -167,7 +167,7 @@ class ProfileVelocity(OperationMode):
         if target != self._target:
             self._target = target
             rates = self.servo.rate(objects.PROFILE_ACCELERATION), self.servo.rate(objects.PROFILE_DECELERATION)
-            self._speed = self.servo.run(target, *rates)
+            self._speed = self.servo.run(target, *rates, jerks=self.servo.profile_jerks)
 
     def tick(self) -> None:
         self.servo.internal_limit = self._target != 0.0 and self.servo.at_rest  # it stands at a software limit

@@ -116,7 +116,9 @@ class ProfilePosition(OperationMode):
     def _plan(self, set_point: _SetPoint) -> None:
         target, velocity, acceleration, deceleration, _, _ = set_point
         end_velocity = self._end_velocity(set_point)
-        self._goal = self.servo.move_to(target, velocity, acceleration, deceleration, end_velocity=end_velocity)
+        self._goal = self.servo.move_to(
+            target, velocity, acceleration, deceleration, end_velocity=end_velocity, jerks=self.servo.profile_jerks
+        )
 
     def _end_velocity(self, set_point: _SetPoint) -> float:
         """Return the speed at which a set-point is to be left: that of bit 9, if the next one asks for that, else its own."""

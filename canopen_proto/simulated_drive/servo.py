@@ -33,8 +33,8 @@ from canopen_proto.cia402 import objects
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.simulated_drive import motion
-from canopen_proto.simulated_drive.fallbacks import FALLBACKS
+from canopen_proto.simulated_drive import motion, smooth_motion
+from canopen_proto.simulated_drive.parameters import Parameters
 from canopen_proto.simulated_drive.plant import STANDSTILL, Control, Mechanics, Plant
 from canopen_proto.simulated_drive.settings import DriveSettings
 
@@ -44,15 +44,13 @@ UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
 
 _AT_REST: Final = 0.01  # units between demand and actual position below which the axis counts as arrived
-_MIN_PERIOD: Final = 1e-6  # s; used for an interpolation time of 0, which an RPDO can write
 _STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error: friction, for 6077h to show something
 _RATED_TORQUE: Final = 1000
 _MILLI: Final = 1e-3
 _INT16: Final = 1 << 15
-_NO_TURN: Final = 60.0  # units in a turn of a motor that does not tell (608Fh): a revolution per minute is a unit per second
 
 
-class Servo:
+class Servo(Parameters):
     """The moving part of a drive; see this module's text. Motions are planned from `time`: call `advance(now)` first.
 
     is_settled: demand and axis are at rest at the same place. internal_limit: the last demand was cut (statusword, bit 11).
@@ -76,16 +74,13 @@ class Servo:
         "is_stopped_by_switch",
         "obeys_switches",
         "position",
-        "settings",
-        "store",
         "time",
         "velocity",
         "zero",
     )
 
     def __init__(self, store: dict[Mux, Value], settings: DriveSettings) -> None:
-        self.store = store
-        self.settings = settings
+        super().__init__(store, settings)
         self.time: Time = -NEVER  # before any time of a clock
         self.zero = 0.0
         self.position = self.demand_position = float(settings.position)
@@ -102,46 +97,11 @@ class Servo:
         self._target: tuple[Time, float] | None = None  # of the last interpolation step: until when the next one goes on from it
         self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
 
-    def parameter(self, key: Mux) -> int:
-        """Return an object's present value, or its fallback."""
-        value = self.store.get(key)
-        says_nothing = value == 0 and key in self.settings.unset
-        return value if isinstance(value, int) and not says_nothing else FALLBACKS.get(key, 0)
-
-    def rate(self, key: Mux) -> float:
-        """Return a speed or an acceleration; at least 1."""
-        return float(max(1, self.parameter(key)))
-
-    def ramp(self, option: int) -> float:
-        """Return the deceleration of an option code: 1 slow-down ramp, 2 quick stop ramp, 3 and 4 as hard as it can.
-
-        Any other option, which an RPDO can write, means the quick stop ramp.
-        """
-        if option == 1:
-            return self.rate(objects.PROFILE_DECELERATION)
-        return self.rate(objects.MAX_DECELERATION if option in (3, 4) else objects.QUICK_STOP_DECELERATION)
-
-    def ratio(self, key: Mux) -> float:
-        """Return an object's subindex 1 / subindex 2; 1 if one of them is missing or 0."""
-        numerator, denominator = self.parameter(key), self.parameter(Mux(key + 1))
-        return numerator / denominator if numerator and denominator else 1.0
-
-    @property
-    def vl_unit(self) -> float:
-        """One velocity unit of vl in units/s: the dimension factor 604Ch, in revolutions of the motor per minute."""
-        turn = self.ratio(objects.POSITION_ENCODER_RESOLUTION)
-        return self.ratio(objects.VL_DIMENSION_FACTOR) * (turn if turn > 1.0 else _NO_TURN) / 60.0
-
     def limits(self) -> tuple[float, float]:
         """Return the software position limits (607Dh) on the track; infinite if the lower is not below the upper one (off)."""
         low = self.parameter(objects.MIN_SOFTWARE_POSITION_LIMIT)
         high = self.parameter(objects.MAX_SOFTWARE_POSITION_LIMIT)
         return (low + self.zero, high + self.zero) if low < high else (-math.inf, math.inf)
-
-    def interpolation_period(self) -> float:
-        """Return 60C2h in seconds."""
-        index = max(-9, min(9, self.parameter(objects.INTERPOLATION_TIME_INDEX)))
-        return max(_MIN_PERIOD, self.parameter(objects.INTERPOLATION_TIME_UNITS) * 10.0**index)
 
     def advance(self, now: Time) -> None:
         """Move on to `now`. A time before the last one counts as the last one."""
@@ -280,11 +240,14 @@ class Servo:
         *,
         limited: bool = True,
         end_velocity: float = 0.0,
+        jerks: tuple[float, float] | None = None,
     ) -> float:
         """Go to a track position and stop there. Return where it will stop: a software limit may lie before the target. A limit
         switch may too; the target that is not reached is returned then.
 
         end_velocity: pass the target at this speed, and keep it. An axis that a software limit holds stops there all the same.
+        jerks: limits of the jerk, units/s³, with which it gets faster, and slower; None for linear ramps. With an end velocity
+        the ramps are linear.
         """
         speed = min(velocity, self.fastest)
         wanted = target
@@ -297,7 +260,7 @@ class Servo:
         elif end_velocity and target == wanted:
             self._plan(motion.through(self.time, here, now_at, target, speed, *rates, min(end_velocity, speed)))
         else:
-            self._plan(motion.move(self.time, here, now_at, target, speed, *rates))
+            self._plan(self._way_to(target, speed, rates, jerks))
         return target
 
     def run(
@@ -308,10 +271,11 @@ class Servo:
         *,
         limited: bool = True,
         control: Control = Control.POSITION,
+        jerks: tuple[float, float] | None = None,
     ) -> float:
         """Go at a velocity for ever, or to the software limit in that direction. Return the velocity, as limited by `fastest`.
 
-        control: VELOCITY lets a mass that was held up go on from where it is; POSITION makes it catch up.
+        control: VELOCITY lets a mass that was held up go on from where it is; POSITION makes it catch up. jerks: as in move_to.
         """
         fastest = self.fastest
         velocity = max(-fastest, min(fastest, velocity))
@@ -323,10 +287,24 @@ class Servo:
         low, high = self.limits()
         bound = max(high, here) if velocity > 0 else min(low, here)
         if velocity and limited and math.isfinite(bound):
-            self._plan(motion.move(self.time, here, now_at, bound, abs(velocity), *rates), control)
+            self._plan(self._way_to(bound, abs(velocity), rates, jerks), control)
+        elif jerks is not None:
+            limits = smooth_motion.Limits(fastest, *rates, *jerks)
+            _, _, acceleration_now = self.demand.at(self.time)
+            self._plan(smooth_motion.run(self.time, here, now_at, acceleration_now, velocity, limits), control)
         else:
             self._plan(motion.run(self.time, here, now_at, velocity, *rates), control)
         return velocity
+
+    def _way_to(
+        self, target: float, speed: float, rates: tuple[float, float], jerks: tuple[float, float] | None
+    ) -> motion.Profile:
+        """Plan to go to `target` and rest there. rates: acceleration and deceleration."""
+        here, now_at = self.demand_position, self.demand_velocity
+        if jerks is None:
+            return motion.move(self.time, here, now_at, target, speed, *rates)
+        _, _, acceleration = self.demand.at(self.time)
+        return smooth_motion.move(self.time, here, now_at, acceleration, target, smooth_motion.Limits(speed, *rates, *jerks))
 
     def interpolate(self, target: float, passing: int | None = None) -> None:
         """Make one step of ip or csp: reach `target` one interpolation period from now, in a straight line.
@@ -408,10 +386,12 @@ class Servo:
         plant.target_torque, plant.torque_slope = self.torque_of(target), self.torque_of(slope)
         plant.fastest, plant.ramp = self.fastest, self.ramp(2)
 
-    def feed_forward(self, velocity: float, torque: float) -> None:
-        """Add to the demand of velocity (units/s) and torque (per mille) until the next plan. The lag has no loops to add to."""
-        if self._plant is not None:
-            self._plant.velocity_offset, self._plant.torque_offset = velocity, self.torque_of(torque)
+    def feed_forward(self, *, velocity: bool = False) -> None:
+        """Add 60B2h to the torque until the next plan, and 60B1h to the velocity if asked for. The lag has no loops to add to."""
+        plant = self._plant
+        if plant is not None:
+            plant.velocity_offset = self.parameter(objects.VELOCITY_OFFSET) if velocity else 0.0
+            plant.torque_offset = self.torque_of(self.parameter(objects.TORQUE_OFFSET))
 
     def brake(self, deceleration: float) -> None:
         """Stop with this ramp."""

@@ -53,7 +53,7 @@ class Track:
         return inputs
 
 
-_STO_OF_AX8000 = DriveBit(objects.DIGITAL_INPUTS, 31)
+STO_OF_AX8000: Final = DriveBit(objects.DIGITAL_INPUTS, 31)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class DriveSettings:
     changes_mode_halted: bool = True
     own_modes: frozenset[int] = frozenset()
     torque_is_off: bool = False
-    sto_bit: DriveBit = _STO_OF_AX8000
+    sto_bit: DriveBit = STO_OF_AX8000
     sto_fault: int = 0
     brake_bit: DriveBit | None = None
     overload_fault: int = 0

@@ -122,7 +122,7 @@ class CyclicPosition(SynchronousMode):
         self._await_sync()
         if self._is_new or (not servo.moving_at and self._is_near(target)):
             servo.interpolate(target)
-            servo.feed_forward(servo.parameter(objects.VELOCITY_OFFSET), servo.parameter(objects.TORQUE_OFFSET))
+            servo.feed_forward(velocity=True)
         elif not servo.moving_at:  # it has braked and stopped far beyond the last target
             self._stop_following()
         self._is_new = False

@@ -136,7 +136,7 @@ class CyclicVelocity(_CyclicMode):
         wanted = float(target + servo.parameter(objects.VELOCITY_OFFSET))
         rates = servo.rate(objects.MAX_ACCELERATION), servo.rate(objects.MAX_DECELERATION)
         servo.run(wanted, *rates, control=Control.VELOCITY)
-        servo.feed_forward(0.0, servo.parameter(objects.TORQUE_OFFSET))
+        servo.feed_forward()
         next_velocity = servo.demand.at(servo.time + round(servo.interpolation_period() * SECOND))[1]
         servo.internal_limit = abs(next_velocity - wanted) >= 1.0
 
@@ -156,4 +156,4 @@ class CyclicTorque(_CyclicMode):
         servo = self.servo
         servo.internal_limit = False
         servo.push(target)
-        servo.feed_forward(0.0, servo.parameter(objects.TORQUE_OFFSET))
+        servo.feed_forward()

@@ -25,12 +25,14 @@ def times_of(profile: Profile) -> list[int]:
 def assert_continuous(profile: Profile) -> None:
     """Each piece ends where the next begins, in position and velocity."""
     scale = max(1.0, *(abs(piece[1]) for piece in profile.pieces))
-    for (begin, position, velocity, acceleration), (end, next_position, next_velocity, _) in itertools.pairwise(profile.pieces):
+    for (begin, position, velocity, acceleration, jerk), (end, next_position, next_velocity, *_) in itertools.pairwise(
+        profile.pieces
+    ):
         elapsed = end - begin
         assert elapsed >= 0.0
         rounding = 2 * math.ulp(end)  # of the time, which hours after the start is more than a nanosecond
-        where = position + velocity * elapsed + acceleration * elapsed**2 / 2
-        speed = velocity + acceleration * elapsed
+        where = position + velocity * elapsed + acceleration * elapsed**2 / 2 + jerk * elapsed**3 / 6
+        speed = velocity + acceleration * elapsed + jerk * elapsed**2 / 2
         assert where == pytest.approx(next_position, abs=1e-7 * scale + rounding * max(abs(velocity), abs(next_velocity)))
         assert speed == pytest.approx(next_velocity, abs=1e-6 + 1e-9 * abs(velocity) + rounding * abs(acceleration))
 
@@ -165,7 +167,7 @@ def test_run_reaches_its_speed_and_keeps_it(
 @given(positions, velocities, limits)
 def test_stop_brakes_over_the_shortest_distance(position: float, velocity: float, deceleration: float) -> None:
     profile = stop(0, position, velocity, deceleration)
-    _, final_position, final_velocity, _ = profile.pieces[-1]
+    _, final_position, final_velocity, *_ = profile.pieces[-1]
     assert final_velocity == 0.0
     assert abs(final_position - position) == pytest.approx(velocity**2 / (2 * deceleration), rel=1e-9, abs=1e-6)
     assert_continuous(profile)

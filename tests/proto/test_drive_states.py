@@ -333,7 +333,9 @@ def test_what_the_drive_holds_may_be_written_back_though_it_lacks_it() -> None:
         (0x605A, 0, 8, None),
         (0x605A, 0, 9, AbortCode.INVALID_VALUE),
         (0x605D, 0, 0, AbortCode.INVALID_VALUE),
-        (0x6086, 0, 3, AbortCode.INVALID_VALUE),
+        (0x6086, 0, 3, None),
+        (0x6086, 0, 1, AbortCode.INVALID_VALUE),  # sin² ramp
+        (0x60A3, 0, 4, AbortCode.INVALID_VALUE),
         (0x60C2, 1, 0, AbortCode.INVALID_VALUE),
         (0x60C2, 2, -4, None),
         (0x60C2, 2, 1, AbortCode.INVALID_VALUE),
