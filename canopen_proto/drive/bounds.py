@@ -17,7 +17,7 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.failures import DriveError, require_reference
+from canopen_proto.drive.failures import DriveError, accounted, require_reference
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import BY_DEFAULT, Limit, SetPointLimits, read_limits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
@@ -95,6 +95,7 @@ class Bounds:
         return self._too_fast(self._axis.way_from_counts(counts - began) * SECOND / (heard_at - began_at))
 
 
+@accounted
 def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
     """Read the units and the limits of a drive, and return the bounds for a motion without commanded positions.
 

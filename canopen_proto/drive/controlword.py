@@ -8,7 +8,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl
 from canopen_proto.cia402.states import Command, State
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.failures import is_loss_of, node_lost
+from canopen_proto.drive.failures import accounted, is_loss_of, node_lost
 from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
@@ -29,6 +29,7 @@ STAYS: Final = {
 """State -> the command that leaves a drive there. In all of these states the drive follows no set-points."""
 
 
+@accounted
 def command(axis: Axis, controlword: int) -> Procedure[None]:
     """Send a controlword to the drive: by the live RPDO that carries it, else by confirmed SDO.
 

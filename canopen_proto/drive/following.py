@@ -45,6 +45,7 @@ from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.bounds import Bounds
+from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
 from canopen_proto.multiplexer import Mux, index_of, subindex_of
@@ -368,6 +369,7 @@ OFF: Final = 0x7FFF_FFFF
 """A window of 0x6065 that no INTEGER32 can leave; 0xFFFFFFFF switches the drive's own watch off."""
 
 
+@accounted
 def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
     """Return how far off its set-points a drive may be: by its settings, else by its window 0x6065, else by its speed limit.
 

@@ -19,13 +19,14 @@ from dataclasses import replace
 
 from canopen_proto.cia402.objects import VENDOR_ID
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.failures import DriveError
+from canopen_proto.drive.failures import DriveError, accounted
 from canopen_proto.drive.units import DriveUnits, read_units
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
 
 
+@accounted
 def identify(axis: Axis) -> Procedure[None]:
     """Fill in the open settings of the axis (None): by the drive's vendor-ID (0x1018:01), and the scale of a named unit.
 
@@ -53,6 +54,7 @@ def _vendor_id(axis: Axis) -> Procedure[int | None]:
     return int.from_bytes(data, "little") if data else None
 
 
+@accounted
 def learn_units(axis: Axis) -> Procedure[DriveUnits]:
     """Read what the drive's numbers mean (its factor group), keep it in `axis.units`, and return it. Raises SdoFailed."""
     axis.units = yield from read_units(axis.node)

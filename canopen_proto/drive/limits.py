@@ -38,6 +38,7 @@ from typing import Final, NamedTuple
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.units import DriveUnits, read_number, read_units
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -147,6 +148,7 @@ _INTEGER32: Final = 1 << 31
 _OF_DRIVE: Final = "of the drive"
 
 
+@accounted
 def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure[SetPointLimits]:
     """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer.
 

@@ -28,7 +28,7 @@ from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.cia402.states import Command, ControlBit, State
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command, syncs_passed
-from canopen_proto.drive.failures import require_reference
+from canopen_proto.drive.failures import accounted, require_reference
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.state import enable, set_mode
@@ -50,6 +50,7 @@ LONGEST_RAMP: Final = 2 * SECOND
 _TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 
 
+@accounted
 def start_slow_position(axis: Axis) -> Procedure[float]:
     """Make the drive take targets in profile position mode; return the position where it starts, which is its first target.
 

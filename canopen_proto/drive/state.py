@@ -92,6 +92,7 @@ def reset_fault(axis: Axis) -> Procedure[None]:
     yield from command(axis, 0)
 
 
+@accounted
 def enable(axis: Axis) -> Procedure[None]:
     """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed.
 
@@ -203,6 +204,7 @@ def quick_stop(axis: Axis) -> Procedure[None]:
     yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
 
 
+@accounted
 def engage_brake(axis: Axis) -> Procedure[None]:
     """Lead the drive from any state without fault to Ready to switch on: no torque, brake engaged."""
     yield from change_state(axis, State.READY_TO_SWITCH_ON)

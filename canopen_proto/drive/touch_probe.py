@@ -79,6 +79,7 @@ class _Shown(NamedTuple):
     """None: nothing is latched."""
 
 
+@accounted
 def arm_probe(
     axis: Axis,
     probe: int = 1,
@@ -100,6 +101,7 @@ def arm_probe(
     yield from _command(axis, probe, word)
 
 
+@accounted
 def disarm_probe(axis: Axis, probe: int = 1) -> Procedure[None]:
     """Stop latching. Else as `arm_probe`."""
     yield from _command(axis, probe, 0)

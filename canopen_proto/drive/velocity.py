@@ -340,6 +340,7 @@ class _Run:
             self._news(Running(self._mode, axis.way_from_counts(self._number * self._unit), self._is_reached))
 
 
+@accounted
 def choose_velocity_mode(axis: Axis, wanted: Mode | None = None) -> Procedure[Mode]:
     """Return the mode in which a drive runs at a velocity: the wanted one, else pv, else vl.
 

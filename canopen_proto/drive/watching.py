@@ -20,7 +20,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.failures import fault_of, is_loss_of, late, mode_lost, node_lost, state_lost
+from canopen_proto.drive.failures import accounted, fault_of, is_loss_of, late, mode_lost, node_lost, state_lost
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import PdoReceived
@@ -37,6 +37,7 @@ POLL_INTERVAL: Final = 10 * MILLISECOND
 _MODE: Final = objects.MODES_OF_OPERATION_DISPLAY
 
 
+@accounted
 def read_statusword(axis: Axis) -> Procedure[int]:
     """Return the present statusword: as heard within the last 100 ms, else read by SDO."""
     now = yield from current_time()
@@ -46,11 +47,13 @@ def read_statusword(axis: Axis) -> Procedure[int]:
     return statusword
 
 
+@accounted
 def read_position(axis: Axis) -> Procedure[float]:
     """Read the actual position (0x6064) by SDO; return it in the user's unit."""
     return axis.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
 
 
+@accounted
 def wait_for_statusword(
     axis: Axis,
     done: Callable[[int], bool],

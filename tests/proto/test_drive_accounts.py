@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,7 +22,7 @@ from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.network import Network
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.procedures.configure_pdo import use_device_pdo
-from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.rig import CYCLE, Rig
@@ -414,3 +415,23 @@ def test_a_bit_that_no_object_has_is_refused() -> None:
             AxisSettings(sto_input=bit)
     with pytest.raises(LocalProtocolError, match="brake_bit"):
         AxisSettings(brake_bit=DriveBit(objects.DIGITAL_INPUTS, -1))
+
+
+PROCEDURES = {
+    name: member
+    for name, member in vars(drive).items()
+    if inspect.isfunction(member) and next(iter(inspect.signature(member).parameters), "") == "axis"
+}
+OF_ERRORS = {"fault_of", "halt_after"}
+"""They make errors, and clean up behind them."""
+
+
+@pytest.mark.parametrize("name", sorted(PROCEDURES.keys() - OF_ERRORS))
+def test_every_procedure_of_a_drive_gives_an_account_of_what_it_is_refused(name: str) -> None:
+    assert hasattr(PROCEDURES[name], "__wrapped__"), f"drive.{name} is not @accounted"
+
+
+def test_every_error_of_a_drive_is_one_account() -> None:
+    errors = [each for each in vars(drive).values() if isinstance(each, type) and issubclass(each, ProcedureError)]
+    assert len(errors) >= 10
+    assert all(issubclass(each, drive.DriveError) for each in errors)
