@@ -193,7 +193,7 @@ def plan_motion(
     Raises NoMotionPlan, which names each mode and its obstacle.
     """
     told = _told_modes(dictionary, modes)
-    slots = {direction: slots_of(dictionary, node_id, direction) for direction in Direction}
+    slots = slots_of(dictionary, node_id)
     rejected: list[Obstacle] = []
     for mode in MODES if wish is None else (wish,):
         obstacle = _mode_obstacle(dictionary, mode, told, cycle_time, is_wished=wish is not None)
@@ -328,19 +328,16 @@ def _may_be(variable: Variable, value: int) -> bool:
     return (low is None or low <= value) and (high is None or value <= high)
 
 
-_Slots = dict[Direction, list[Slot]]
-
-
-def _pdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: _Slots) -> list[PdoSettings] | str:
+def _pdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot]) -> list[PdoSettings] | str:
     """Return the PDOs for a mode, or why no RPDO can carry its set-points."""
-    rpdos = _rpdos_for(dictionary, node_id, mode, slots[Direction.RPDO])
-    return rpdos if isinstance(rpdos, str) else rpdos + _tpdos_for(dictionary, node_id, slots[Direction.TPDO])
+    rpdos = _rpdos_for(dictionary, node_id, mode, slots)
+    return rpdos if isinstance(rpdos, str) else rpdos + _tpdos_for(dictionary, node_id, slots, rpdos)
 
 
 def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot]) -> list[PdoSettings] | str:
     commands = (objects.CONTROLWORD, SET_POINT_OF[mode])
     is_cyclic = mode is not Mode.PROFILE_POSITION
-    present = existing(slots, has_sync=has_sync(dictionary))
+    present = existing(slots, Direction.RPDO, has_sync=has_sync(dictionary))
     if is_cyclic:  # one set-point each SYNC; an event-driven RPDO can be sent at each SYNC
         present = [pdo for pdo in present if pdo.transmission_type in (EACH_SYNC, *EVENT_DRIVEN)]
     chosen, missing = choose_pdos(present, commands, ())
@@ -351,7 +348,7 @@ def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: li
     wanted = as_fit(entry for entry, _ in entries.values() if entry is not None)
     carries_set_point = SET_POINT_OF[mode] in muxes_of(wanted)
     if carries_set_point or (wanted and not is_cyclic and objects.CONTROLWORD in missing):
-        settings, obstacles = remapped(slots, node_id, wanted, is_synchronous=is_cyclic)
+        settings, obstacles = remapped(slots, Direction.RPDO, node_id, wanted, is_synchronous=is_cyclic)
         if settings is not None:
             return [settings]
     else:
@@ -361,17 +358,17 @@ def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: li
     return chosen
 
 
-def _tpdos_for(dictionary: ObjectDictionary, node_id: int, slots: list[Slot]) -> list[PdoSettings]:
+def _tpdos_for(dictionary: ObjectDictionary, node_id: int, slots: list[Slot], rpdos: list[PdoSettings]) -> list[PdoSettings]:
     """Return the TPDOs that tell something; one gets another mapping if statusword and position are not among them at SYNCs."""
     listens = has_sync(dictionary)
-    present, _ = choose_pdos(existing(slots, has_sync=listens), (), FEEDBACK)
+    present, _ = choose_pdos(existing(slots, Direction.TPDO, has_sync=listens), (), FEEDBACK)
     told = {key for pdo in present if not listens or pdo.transmission_type in CYCLIC_TYPES for key in muxes_of(pdo.entries)}
     entries = [entry for key in FEEDBACK if (entry := entry_of(dictionary, key, Direction.TPDO)[0]) is not None]
     wanted = as_fit(entries)
     missing = set(NEEDED) - told
     if not missing & muxes_of(wanted):
         return present
-    settings, _ = remapped(slots, node_id, wanted, is_synchronous=listens)
+    settings, _ = remapped(slots, Direction.TPDO, node_id, wanted, is_synchronous=listens, beside=rpdos)
     if settings is None:
         return present
     return [settings, *(pdo for pdo in present if pdo.number != settings.number)]
@@ -382,13 +379,13 @@ def _plan(
     node_id: int,
     mode: Mode,
     pdos: list[PdoSettings],
-    slots: _Slots,
+    slots: list[Slot],
     rejected: Sequence[Obstacle],
     reason: str,
 ) -> MotionPlan:
     places = {(pdo.direction, pdo.number) for pdo in pdos}
-    described = [slot.settings for each in slots.values() for slot in each if slot.is_described]
-    unwanted = [slot for each in slots.values() for slot in foreign(each) if (slot.direction, slot.number) not in places]
+    described = [slot.settings for slot in slots if slot.is_described]
+    unwanted = [slot for slot in foreign(slots) if (slot.direction, slot.number) not in places]
     stuck = [slot for slot in unwanted if not slot.can_move]
     notes = [f"{slot.name} has CAN-ID {key_text(slot.cob_id)} of another node, and cannot change it" for slot in stuck]
     return MotionPlan(

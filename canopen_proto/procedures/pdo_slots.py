@@ -12,7 +12,7 @@ Source: CiA 301 v4.2.0, 7.3.3 (predefined connection set), 7.5.2.35 to 7.5.2.38 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -73,26 +73,24 @@ class Slot:
         return PdoSettings(self.number, self.direction, self.cob_id, self.transmission_type, self.entries)
 
 
-def slots_of(dictionary: ObjectDictionary, node_id: int, direction: Direction) -> list[Slot]:
-    """Return the PDOs of one direction for which a device with this dictionary has both records."""
-    described = {pdo.number: pdo for pdo in described_pdos(dictionary, node_id) if pdo.direction is direction}
+def slots_of(dictionary: ObjectDictionary, node_id: int) -> list[Slot]:
+    """Return the PDOs for which a device with this dictionary has both records, RPDOs first."""
+    described = {(pdo.direction, pdo.number): pdo for pdo in described_pdos(dictionary, node_id)}
     found = []
     for index in dictionary.objects:
         place = place_of(index)
-        if place is None or place.is_mapping or place.direction is not direction:
-            continue
-        if mapping_index(direction, place.number) not in dictionary.objects:
+        if place is None or place.is_mapping or mapping_index(place.direction, place.number) not in dictionary.objects:
             continue
         cob_id, kind = (_initial(dictionary.get(index, subindex), node_id) for subindex in (COB_ID, TRANSMISSION_TYPE))
-        pdo = described.get(place.number)
+        pdo = described.get((place.direction, place.number))
         found.append(
             Slot(
-                direction,
+                place.direction,
                 place.number,
                 COB_ID_INVALID if cob_id is None else cob_id,
                 (kind or 0) & 0xFF,
                 () if pdo is None else pdo.entries,
-                _capacity(dictionary, index, mapping_index(direction, place.number)),
+                _capacity(dictionary, index, mapping_index(place.direction, place.number)),
                 pdo is not None,
                 cob_id is not None and is_ours(cob_id, node_id),
                 _is_writable(dictionary.get(index, COB_ID)),
@@ -101,14 +99,18 @@ def slots_of(dictionary: ObjectDictionary, node_id: int, direction: Direction) -
     return found
 
 
-def existing(slots: Sequence[Slot], *, has_sync: bool) -> list[PdoSettings]:
-    """Return the PDOs that can be used as the file has them: valid, ours, with a CAN-ID that no other one has, and of a
-    transmission type that acts: at each n-th SYNC if the device listens to SYNC (`has_sync`), or event-driven."""
+def existing(slots: Sequence[Slot], direction: Direction, *, has_sync: bool) -> list[PdoSettings]:
+    """Return the PDOs of one direction that can be used as the file has them: valid, ours, with a CAN-ID that no other one has,
+    and of a transmission type that acts: at each n-th SYNC if the device listens to SYNC (`has_sync`), or event-driven.
+
+    slots: all PDOs of the device.
+    """
     can_ids = [slot.cob_id & _CAN_ID for slot in slots if slot.is_valid]
     return [
         slot.settings
         for slot in slots
-        if slot.is_described
+        if slot.direction is direction
+        and slot.is_described
         and slot.is_ours
         and can_ids.count(slot.cob_id & _CAN_ID) == 1
         and (slot.transmission_type in EVENT_DRIVEN or (has_sync and slot.transmission_type in CYCLIC_TYPES))
@@ -121,9 +123,17 @@ def foreign(slots: Iterable[Slot]) -> list[Slot]:
 
 
 def remapped(
-    slots: Sequence[Slot], node_id: int, wanted: Sequence[int], *, is_synchronous: bool
+    slots: Sequence[Slot],
+    direction: Direction,
+    node_id: int,
+    wanted: Sequence[int],
+    *,
+    is_synchronous: bool,
+    beside: Collection[PdoSettings] = (),
 ) -> tuple[PdoSettings | None, list[str]]:
     """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
+
+    slots: all PDOs of the device. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
 
     The best one loses nothing: all that it carries by the file is wanted, as much as possible. Else a PDO that the file does not
     use is taken, else one with another node's CAN-ID, else the first one.
@@ -131,12 +141,15 @@ def remapped(
     objects, obstacles = muxes_of(wanted), []
     candidates: list[tuple[tuple[int, int, int], PdoSettings]] = []
     for slot in slots:
+        if slot.direction is not direction:
+            continue
         if slot.capacity < len(wanted):
             has = f"has room for {slot.capacity} objects" if slot.capacity else "has a fixed mapping"
             obstacles.append(f"{slot.name} {has}")
             continue
         cob_id = _own_cob_id(slot, node_id)
         others = {other.cob_id & _CAN_ID for other in slots if other is not slot and other.is_valid}
+        others |= {pdo.cob_id & _CAN_ID for pdo in beside}
         if cob_id is None:
             obstacles.append(f"{slot.name} has no CAN-ID that it may have on this node")
             continue

@@ -6,20 +6,25 @@ from collections.abc import Collection
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary import Access, Direction, ObjectDictionary
 from canopen_proto.dictionary.values import Values
-from canopen_proto.drive.motion_plan import MotionPlan, NoMotionPlan, exchange_planned, plan_motion
+from canopen_proto.drive.motion_plan import FEEDBACK, MODES, MotionPlan, NoMotionPlan, exchange_planned, plan_motion
+from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
+from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.rules import PdoRules
 from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.described_pdos import muxes_of
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
@@ -41,7 +46,7 @@ NODE = 5
 CYCLE = 10 * MILLISECOND
 CONTROLWORD, SET_POINT, TARGET = 0x6040_0010, 0x60C1_0120, 0x607A_0020
 STATUSWORD, POSITION, DISPLAY, VELOCITY = 0x6041_0010, 0x6064_0020, 0x6061_0008, 0x606C_0020
-MODES = {Mode.PROFILE_POSITION: 0x01, Mode.INTERPOLATED_POSITION: 0x41, Mode.CYCLIC_SYNCHRONOUS_POSITION: 0xC1}
+LISTED = {Mode.PROFILE_POSITION: 0x01, Mode.INTERPOLATED_POSITION: 0x41, Mode.CYCLIC_SYNCHRONOUS_POSITION: 0xC1}
 
 
 def plan(dictionary: ObjectDictionary, **options: Any) -> MotionPlan:
@@ -70,10 +75,10 @@ def pdos(made: MotionPlan) -> dict[str, tuple[int, ...]]:
 
 
 def test_the_best_mode_that_the_drive_has() -> None:
-    for mode, modes in MODES.items():
+    for mode, modes in LISTED.items():
         made = plan(changed(supports(modes)))
         assert made.mode is mode
-        assert [each.mode for each in made.rejected] == [each for each in reversed(MODES) if each > mode]
+        assert [each.mode for each in made.rejected] == [each for each in MODES if each > mode]
 
 
 def test_what_the_drive_shows_goes_before_the_file() -> None:
@@ -106,7 +111,7 @@ def test_why_not_cyclic_synchronous_position(changes: Changes, without: Collecti
     with pytest.raises(NoMotionPlan) as refused:
         plan(dictionary)
     assert reason in refused.value.obstacles[0].reason
-    assert [each.mode for each in refused.value.obstacles] == list(reversed(MODES))
+    assert [each.mode for each in refused.value.obstacles] == list(MODES)
     assert all(text in str(refused.value) for text in ("test.eds", "csp: ", "ip: ", "pp: "))
 
 
@@ -274,6 +279,53 @@ def test_dummy_entries_stay() -> None:
     made = plan(changed(supports(0x41) | with_dummy | TELLS))
     assert pdos(made)["RPDO4"] == (CONTROLWORD, 0x0006_0010, SET_POINT)
     assert "16 bits empty" in made.describe()
+
+
+# ---- any file ----
+
+ENTRIES = (CONTROLWORD, SET_POINT, TARGET, STATUSWORD, POSITION, DISPLAY, VELOCITY, 0, 0x0006_0010, 0x7777_0020, 0x6040_0040)
+RIGHTS = st.sampled_from((Access.RW, Access.RW, Access.RO, Access.CONST))
+CAN_IDS = st.sampled_from((0x205, 0x305, 0x405, 0x185, 0x285, 0x220, 0x1A0, 0x000, 0x605, 0x6B0, 0x2000_1234)) | st.integers(
+    0, 0x7FF
+)
+
+
+@st.composite
+def files(draw: st.DrawFn) -> ObjectDictionary:
+    """A drive's dictionary with PDO records, rights and limits as no maker should write them."""
+    changes: dict[int, dict[str, Any]] = {}
+    for first in (0x1400, 0x1800):
+        for index in range(first, first + draw(st.integers(0, 4))):
+            cob_id = draw(CAN_IDS) | draw(st.sampled_from((0, COB_ID_INVALID, 1 << 30)))
+            changes[mux(index, 1)] = {"default": cob_id, "adds_node_id": False, "access": draw(RIGHTS)}
+            changes[mux(index, 2)] = {"default": draw(st.sampled_from((0, 1, 2, 240, 245, 254, 255))), "access": draw(RIGHTS)}
+            changes[mux(index + 0x200)] = {"default": draw(st.integers(0, 9)), "access": draw(RIGHTS)}
+            for place in range(1, 4):
+                changes[mux(index + 0x200, place)] = {"default": draw(st.sampled_from(ENTRIES)), "access": draw(RIGHTS)}
+    for key in (*SET_POINT_OF.values(), objects.CONTROLWORD, *FEEDBACK):
+        changes[key] = {"pdo_mappable": draw(st.booleans())}
+    changes[objects.MODES_OF_OPERATION] = {"high_limit": draw(st.sampled_from((None, 6, 10)))}
+    changes[objects.SUPPORTED_DRIVE_MODES] = {"default": draw(st.sampled_from((None, 0, 0x01, 0x41, 0xC1, 0x80, 0x24)))}
+    return changed(changes, without=draw(st.sampled_from(((), (indices.COB_ID_SYNC,)))))
+
+
+@given(files(), st.sampled_from((None, *MODES)))
+def test_any_file_has_a_plan_that_can_be_written_or_a_reason(dictionary: ObjectDictionary, wish: Mode | None) -> None:
+    try:
+        made = plan(dictionary, wish=wish)
+    except NoMotionPlan as refused:
+        assert all(each.reason for each in refused.obstacles)
+        return
+    places = [(pdo.direction, pdo.number) for pdo in (*made.pdos, *made.destroyed)]
+    assert len(set(places)) == len(places)
+    can_ids = [pdo.cob_id & 0x1FFF_FFFF for pdo in made.pdos]
+    assert len(set(can_ids)) == len(can_ids)
+    for pdo in made.pdos:
+        assert Mapping.from_parameters(pdo.entries, dictionary).bit_length <= 64
+        assert not pdo.cob_id & COB_ID_INVALID
+    rpdos = [key for pdo in made.pdos if pdo.direction is Direction.RPDO for key in muxes_of(pdo.entries)]
+    assert made.is_slow or made.set_point in rpdos
+    assert made.describe()
 
 
 # ---- the drive gets them ----
