@@ -4,7 +4,8 @@ A drive's EDS often has no defaults for values that the drive keeps in its memor
 drive that took these as 0 would have no mode and stand still. So `drive_dictionary_of` gives such objects the values of the
 simulated drive (see `drive_dictionary`). A value in the file stays, even 0: if that 0 would keep the drive from moving, the drive
 shows it and moves by its own values (fallbacks.UNSET_BY_ZERO). Only supported modes of 0 are filled in: every master believes
-that object.
+that object,
+with the modes of the simulated drive for which the file has the commands.
 
 The drive shows its state in objects with the types of CiA 402. A file with other types for these cannot have the simulated drive;
 `drive_obstacle` says why.
@@ -20,9 +21,11 @@ from typing import Final
 
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.multiplexer import mux, split_mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.fallbacks import FALLBACKS
@@ -44,6 +47,15 @@ SHOWN: Final = (
     objects.DIGITAL_INPUTS,
 )
 """The objects that the drive writes."""
+
+_COMMAND_OF: Final = {
+    **SET_POINT_OF,
+    Mode.VELOCITY: objects.VL_TARGET_VELOCITY,
+    Mode.PROFILE_VELOCITY: objects.TARGET_VELOCITY,
+    Mode.TORQUE: objects.TARGET_TORQUE,
+    Mode.HOMING: objects.HOMING_METHOD,
+}
+"""Mode -> the object without which a drive cannot be commanded in it."""
 
 _DEVICE_TYPE: Final = mux(indices.DEVICE_TYPE)
 
@@ -74,6 +86,8 @@ def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[Obj
     for key in (_DEVICE_TYPE, objects.VENDOR_ID, *FALLBACKS, objects.SUPPORTED_DRIVE_MODES):
         variable, model = dictionary.get(*split_mux(key)), simulated.get(*split_mux(key))
         default = FALLBACKS.get(key) if model is None else model.default
+        if key == objects.SUPPORTED_DRIVE_MODES and isinstance(default, int):
+            default = _modes_with_objects(dictionary, default)
         if variable is not None and default is not None and _is_open(variable):
             changed = _with_default(variable, default)
             if changed is not None:
@@ -84,6 +98,12 @@ def drive_dictionary_of(dictionary: ObjectDictionary, shape: Shape) -> tuple[Obj
         changed_objects.append(replace(described, variables=MappingProxyType({**described.variables, **members})))
     variables = [variable for members in filled.values() for variable in members.values()]
     return dictionary.with_objects(changed_objects) if filled else dictionary, variables
+
+
+def _modes_with_objects(dictionary: ObjectDictionary, modes: int) -> int:
+    """Return those of the modes (as in 0x6502) whose commands the dictionary has; all of them if it has none."""
+    has = sum(1 << mode - 1 for mode, key in _COMMAND_OF.items() if split_mux(key) in dictionary)
+    return modes & has or modes
 
 
 def _is_open(variable: Variable) -> bool:

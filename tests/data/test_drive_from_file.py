@@ -108,6 +108,13 @@ def test_supported_modes_of_zero_are_filled_in() -> None:
     assert dictionary.variable(0x6502).default == 0x3EF
 
 
+def test_the_modes_that_are_filled_in_are_those_whose_commands_the_file_has() -> None:
+    dictionary, _ = drive_dictionary_of(
+        ObjectDictionary([*BASE, standard_object(0x60FF), standard_object(0x6098)]), Shape.STANDARD
+    )
+    assert dictionary.variable(0x6502).default == 1 << 3 - 1 | 1 << 6 - 1 | 1 << 9 - 1  # pv, hm, csv
+
+
 @pytest.mark.parametrize("base", [BASE, BASE[:-1]], ids=["", "without 6502h"])
 def test_the_drive_runs_behind_it(base: list[Object]) -> None:
     dictionary, _ = drive_dictionary_of(ObjectDictionary(base), Shape.STANDARD)
