@@ -14,7 +14,7 @@ from canopen_proto.machine import Time
 @click.argument("method", metavar="[METHOD]", required=False, type=METHOD)
 @homing_options
 @click.pass_obj
-def home(settings: Settings, method: int | None, style: str, limit: Time, reset_fault: bool, lists: bool) -> None:
+def home(settings: Settings, method: int | None, style: str, limit: Time | None, reset_fault: bool, lists: bool) -> None:
     """Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own. IT MOVES. Ctrl-C halts it.
 
     `canopen home NODE...` does the same with several at a time. A method below 0 goes after `--`.

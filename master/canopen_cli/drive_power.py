@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import click
 
-from canopen_cli.drive_session import COUNTS, command_drive, counts_per, ends_unpowered, look_at_drive, show_drive
+from canopen_cli.drive_session import (
+    COUNTS,
+    command_drive,
+    ends_unpowered,
+    look_at_drive,
+    show_drive,
+    unit_of_command,
+)
 from canopen_cli.options import Duration, Settings, commanding, common, enabling
 from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import mode_name
@@ -51,22 +58,22 @@ def enable(settings: Settings, seconds: float | None) -> None:
     "--in",
     "unit",
     type=click.Choice([COUNTS, *(each.value for each in Unit)]),
-    default=COUNTS,
-    show_default=True,
-    help="The unit of POSITION.",
+    help=f"The unit of POSITION.  [default: that of the joint in the machine file, else {COUNTS}]",
 )
 @click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
 @enabling
 @commanding
 @common
 @click.pass_obj
-def move(settings: Settings, position: float, relative: bool, unit: str, limit: Time) -> None:
+def move(settings: Settings, position: float, relative: bool, unit: str | None, limit: Time) -> None:
     """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 
     The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
-    than counts need a drive that tells its scale: `canopen drive NODE units`.
+    than counts need a drive that tells its scale: `canopen drive NODE units`. A joint of a machine file moves in the unit, and
+    within the limits, that stand there.
     """
     screen = settings.screen()
+    chosen, scale = unit_of_command(settings, unit)
 
     def procedure(axis: Axis) -> Procedure[tuple[float, float, DriveView]]:
         yield from identify(axis)
@@ -76,12 +83,11 @@ def move(settings: Settings, position: float, relative: bool, unit: str, limit: 
         yield from procedures.shut_down(axis)
         return begin, end, (yield from look_at_drive(axis.node))
 
-    scale = None if unit == COUNTS else lambda node: counts_per(node.remote, Unit(unit))
     begin, end, view = command_drive(settings, screen, procedure, _moved, scale)
     if settings.json:
-        screen.json({"from": begin, "to": end, "unit": unit, "state": str(view.state)})
+        screen.json({"from": begin, "to": end, "unit": chosen, "state": str(view.state)})
         return
-    name = unit if unit == COUNTS else f"{unit}s"
+    name = chosen if chosen == COUNTS else f"{chosen}s"
     screen.fact("moved", f"from {begin:.10g} to {end:.10g} {name}")
     screen.fact("state", str(view.state))
 

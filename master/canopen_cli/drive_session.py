@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, TypeVar
+from dataclasses import replace
+from functools import partial
+from typing import Final, TypeAlias, TypeVar
 
 import click
 
 from canopen_cli.options import NodeId, Settings
-from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import Story, run
 from canopen_cli.screen import Screen, node_text
@@ -17,8 +19,9 @@ from canopen_master.motion.joint_procedures import awake
 from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name
 from canopen_proto.drive import shut_down
-from canopen_proto.drive.axis import Axis, AxisSettings
+from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.reasons import look_at, reasons
+from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import Unit, read_units
 from canopen_proto.drive.view import DriveView
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError
@@ -30,6 +33,8 @@ NODE: Final = "canopen.drive.node"
 """The key of the node-ID, or of a name in the machine file, in `click.Context.meta`."""
 COUNTS: Final = "counts"
 _NO_SETTINGS: Final = AxisSettings()
+Scale: TypeAlias = Callable[[RemoteNode], Procedure[float]]
+"""Reads how many counts one unit of position has."""
 
 
 def run_on_node(
@@ -61,22 +66,21 @@ def command_drive(
     screen: Screen,
     procedure: Callable[[Axis], Procedure[T]],
     story: Story = lambda confirmed: [],
-    scale: Callable[[Node], Procedure[float]] | None = None,
+    scale: Scale | None = None,
     *,
     ends: bool = True,
 ) -> T:
     """Run a procedure that commands the drive, or rehearse it (--dry-run).
 
-    scale: reads the counts in one unit; by default the unit is the count. ends: it ends without a Ctrl-C.
+    scale: reads the counts in one unit; None: see `Session.axis_settings`. ends: it ends without a Ctrl-C.
     """
-
-    joint = joint_settings(settings)
 
     def whole(session: Session, node: Node) -> Procedure[T]:
         yield from awake(node)
-        counts = 1.0 if scale is None else (yield from scale(node))
-        axis = AxisSettings(counts_per_unit=counts, sto_input=joint.sto_input, brake_bit=joint.brake_bit)
-        return (yield from procedure(session.master.device(node, settings=axis).axis))
+        chosen = session.axis_settings(node.node_id)
+        if scale is not None:
+            chosen = replace(chosen, counts_per_unit=(yield from scale(node.remote)))
+        return (yield from procedure(session.master.device(node, settings=chosen).axis))
 
     async def work(session: Session) -> None:
         await session.master.run(whole(session, session.node(node_of_command())))
@@ -105,9 +109,8 @@ def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
 
 def joint_settings(settings: Settings) -> AxisSettings:
     """Return the settings of the drive that the command is about, by the machine file; the defaults if it has none."""
-    node_id = node_of_command()
-    machine, bus = settings.machine_on_bus()
-    return AxisSettings() if machine is None else machine.settings_at(bus, node_id)
+    joint = settings.joint(node_of_command())
+    return AxisSettings() if joint is None else joint.settings
 
 
 def look_at_drive(node: RemoteNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
@@ -163,6 +166,21 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView) -> None:
         screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
     for number, (what, remedy, _) in enumerate(found):
         screen.fact("" if number else "it does not move", f"{what}. Try: {remedy}")
+
+
+def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale | None]:
+    """Return the unit of positions, and how the counts in it are found; None: as `Session.axis_settings` says.
+
+    given: that of --in, None without it: then the unit is that of the joint in the machine file, or else the count. Raises a
+    Problem for an --in that is not the joint's unit: its limits are in that.
+    """
+    joint = settings.joint(node_of_command())
+    if joint is None or not joint.has_unit:
+        return given or COUNTS, partial(counts_per, unit=Unit(given)) if given in list(Unit) else None
+    unit = "unit" if joint.settings.unit is None else joint.settings.unit.value
+    if given not in (None, unit):
+        raise usage("CO001", f"positions of {joint.name} are in the {unit} of the machine file", tries=("the same without --in",))
+    return unit, None
 
 
 def counts_per(node: RemoteNode, unit: Unit) -> Procedure[float]:

@@ -32,7 +32,11 @@ NEWTON_METRE: Final = "newton-metre"
 )
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), required=True, help="For how long; then it stands.")
 @click.option("--slope", type=click.FloatRange(0, min_open=True), help="Per second, in the unit of VALUE, into 0x6087.")
-@click.option("--max-speed", type=click.FloatRange(0, min_open=True), help="Stop it when it is faster, in counts per second.")
+@click.option(
+    "--max-speed",
+    type=click.FloatRange(0, min_open=True),
+    help="Stop it when it is faster, in counts (or the joint's unit) per second.",
+)
 @click.option("--any-speed", is_flag=True, help="It may be as fast as it can.")
 @enabling
 @commanding

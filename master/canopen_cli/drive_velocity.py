@@ -7,7 +7,7 @@ from typing import Final
 
 import click
 
-from canopen_cli.drive_session import COUNTS, command_drive, counts_per, ends_unpowered, look_at_drive
+from canopen_cli.drive_session import COUNTS, command_drive, ends_unpowered, look_at_drive, unit_of_command
 from canopen_cli.options import Settings, commanding, common, enabling
 from canopen_cli.problem import ExitCode, Problem
 from canopen_proto import drive as procedures
@@ -29,9 +29,7 @@ _ABOVE_0: Final = click.FloatRange(0, min_open=True)
     "--in",
     "unit",
     type=click.Choice([COUNTS, RPM, *(each.value for each in Unit)]),
-    default=COUNTS,
-    show_default=True,
-    help="The unit of VALUE: so many of it per second; rpm: turns of the motor per minute.",
+    help=f"VALUE is so many of it per second; rpm: turns of the motor.  [default: that of the joint, else {COUNTS}]",
 )
 @click.option("--seconds", type=_ABOVE_0, help="End after this time, instead of by Ctrl-C.")
 @click.option("--mode", "mode_name_", type=click.Choice(list(_MODES)), help="By default pv, else vl, whichever it has.")
@@ -45,7 +43,7 @@ _ABOVE_0: Final = click.FloatRange(0, min_open=True)
 def velocity(
     settings: Settings,
     value: float,
-    unit: str,
+    unit: str | None,
     seconds: float | None,
     mode_name_: str | None,
     acceleration: float | None,
@@ -55,9 +53,11 @@ def velocity(
     """Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C. IT MOVES, as long as the command runs.
 
     Then the drive is halted, and has no power once it stands. It is also halted before the limits of its position (0x607D), if
-    it tells them. It gets VALUE rounded to its own unit; the command tells which velocity that is.
+    it tells them. It gets VALUE rounded to its own unit; the command tells which velocity that is. A joint of a machine file runs
+    in the unit, and within the limits, that stand there.
     """
     screen = settings.screen()
+    chosen, scale = unit_of_command(settings, unit)
     told: list[procedures.Running] = []
 
     def tell(running: procedures.Running) -> None:
@@ -66,13 +66,14 @@ def velocity(
             return
         rounded = "" if abs(running.velocity - value) < 1e-9 + 1e-6 * abs(value) else f" ({value:g} was asked for)"
         end = "Ctrl-C stops it" if seconds is None else f"for {seconds:g} s"
-        screen.say(f"it runs at {_named(running.velocity, unit)}{rounded}, in {mode_name(running.mode)}; {end}")
+        screen.say(f"it runs at {_named(running.velocity, chosen)}{rounded}, in {mode_name(running.mode)}; {end}")
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from procedures.identify(axis)
         mode = yield from procedures.choose_velocity_mode(axis, None if mode_name_ is None else _MODES[mode_name_])
-        yield from _set_scale(axis, unit, mode)
-        axis.settings = replace(axis.settings, max_speed=max_speed)
+        yield from _set_scale(axis, chosen, mode)
+        if max_speed is not None:
+            axis.settings = replace(axis.settings, max_speed=max_speed)
         run = procedures.run_at(
             axis,
             value,
@@ -85,13 +86,15 @@ def velocity(
         yield from ends_unpowered(axis, run)
         return (yield from look_at_drive(axis.node))
 
-    view = command_drive(settings, screen, procedure, _ended, ends=seconds is not None)
+    view = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None)
     last = told[-1]
     if settings.json:
-        document = {"velocity": last.velocity, "unit": unit, "mode": int(last.mode), "reached": last.is_reached}
+        document = {"velocity": last.velocity, "unit": chosen, "mode": int(last.mode), "reached": last.is_reached}
         screen.json({**document, "state": str(view.state)})
         return
-    screen.fact("ran", f"at {_named(last.velocity, unit)}" + ("" if last.is_reached else ", which it did not show in that time"))
+    screen.fact(
+        "ran", f"at {_named(last.velocity, chosen)}" + ("" if last.is_reached else ", which it did not show in that time")
+    )
     screen.fact("state", str(view.state))
 
 
@@ -102,10 +105,10 @@ def _named(value: float, unit: str) -> str:
 
 
 def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
-    """Make the unit of the command that of the axis. Raises a Problem if the drive does not tell what it is."""
-    if unit not in (COUNTS, RPM):
-        counts = yield from counts_per(axis.node, Unit(unit))
-        axis.settings = replace(axis.settings, counts_per_unit=counts)
+    """Make turns of the motor per minute the unit of the axis, if that of the command or the drive needs them.
+
+    Raises a Problem if the drive does not tell what a turn is.
+    """
     if unit != RPM and mode is not Mode.VELOCITY:
         return
     turn = (yield from procedures.learn_units(axis)).per_motor_turn

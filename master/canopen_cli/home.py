@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Final, NamedTuple, TypeVar
 
 import click
@@ -38,7 +39,7 @@ class Homing(NamedTuple):
 
     style: str
     method: int | None
-    limit: Time
+    limit: Time | None
     reset_fault: bool
 
 
@@ -50,7 +51,7 @@ def homing_options(command: F) -> F:
         enabling,
         click.option("--list", "lists", is_flag=True, help="Show the homing methods, those of NODE if it tells; nothing moves."),
         click.option("--reset-fault", is_flag=True, help="Reset a fault first."),
-        click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]"),
+        click.option("--limit", type=Duration(), help="How long it may take.  [default: that of the machine file, else 60s]"),
         click.option(
             "--style",
             type=click.Choice(list(STYLES)),
@@ -68,7 +69,13 @@ def homing_options(command: F) -> F:
 @homing_options
 @click.pass_obj
 def home(
-    settings: Settings, node_ids: tuple[int, ...], style: str, method: int | None, limit: Time, reset_fault: bool, lists: bool
+    settings: Settings,
+    node_ids: tuple[int, ...],
+    style: str,
+    method: int | None,
+    limit: Time | None,
+    reset_fault: bool,
+    lists: bool,
 ) -> None:
     """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them."""
     if lists:
@@ -85,7 +92,6 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> N
         raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
     screen = settings.screen()
     chosen = tuple(dict.fromkeys(node_ids))
-    limit = homing.limit
 
     def procedure(session: Session, axes: dict[int, Axis]) -> Procedure[list[None]]:
         return all_of(*(_home(session, axes, node_id, homing) for node_id in chosen))
@@ -120,7 +126,8 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> N
         problem = problem_of(error)
         if isinstance(problem.__cause__, StepTimeout):
             problem.also += _story(all_stand(error))
-            problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {limit / SECOND:g} s)")
+            now = (homing.limit or max(_limit_of(settings, node_id) for node_id in chosen)) / SECOND
+            problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {now:g} s)")
         raise problem from problem.__cause__
     if settings.json:
         screen.json([_as_json(axis) for axis in axes])
@@ -130,11 +137,16 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> N
             f"{axis.node.node_id} (0x{axis.node.node_id:02X})",
             "[green]yes[/]" if axis.is_homed else "[red]no[/]",
             escape(", ".join(describe_status(axis.statusword, axis.mode))),
-            "" if axis.position is None else f"{axis.position:.0f}",
+            "" if axis.position_counts is None else str(axis.position_counts),
         )
         for axis in axes
     ]
     screen.table(("node", "homed", "statusword", "position in counts"), rows, right=("node", "position in counts"))
+
+
+def _limit_of(settings: Settings, node_id: int) -> Time:
+    joint = settings.joint(node_id)
+    return (AxisSettings() if joint is None else joint.settings).homing_timeout
 
 
 def _story(confirmed: bool) -> list[str]:
@@ -147,7 +159,7 @@ def _as_json(axis: Axis) -> dict[str, Any]:
         "homed": axis.is_homed,
         "statusword": axis.statusword,
         "state": str(axis.state),
-        "position": None if axis.position is None else round(axis.position),
+        "position": axis.position_counts,
     }
 
 
@@ -185,7 +197,13 @@ def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing)
     style, method, limit, reset_fault = homing
     node = session.node(node_id)
     yield from awake(node)
-    settings = AxisSettings(counts_per_unit=1.0, homing=STYLES[style], homing_method=method, homing_timeout=limit)
+    settings = session.axis_settings(node_id)
+    settings = replace(
+        settings,
+        homing=STYLES[style] or settings.homing,
+        homing_method=settings.homing_method if method is None else method,
+        homing_timeout=limit or settings.homing_timeout,
+    )
     axis = session.master.device(node, settings=settings).axis
     axes[node_id] = axis
     yield from identify(axis)

@@ -71,7 +71,7 @@ def _show_findings(settings: Settings, screen: Screen, path: Path, findings: tup
 def _show(screen: Screen, machine: MachineFile) -> None:
     rows = []
     for node in machine.nodes.values():
-        joint = next((each for each in machine.joints.values() if each.node == node.name), None)
+        joint = machine.joint_on(node)
         chain = "" if joint is None else next((each.name for each in machine.chains.values() if joint.name in each.joints), "")
         rows.append(
             (

@@ -21,7 +21,7 @@ class NodeFiles:
 
     def __init__(self, settings: Settings, screen: Screen, names: ObjectDictionary) -> None:
         """names: the dictionary of the data files."""
-        self._settings = settings
+        self.settings = settings
         self._screen = screen
         self._own: DeviceFiles = {
             node_id: self._laid_over(each)
@@ -45,20 +45,15 @@ class NodeFiles:
         own = description_of(self._own, node_id)
         return self._of_machine(node_id)[1] if own is None else own.dictionary
 
-    def name_of(self, node_id: int) -> str:
-        """Return the name of a node in the machine file, or ""."""
-        node = None if self.machine is None else self.machine.node_at(self.bus, node_id)
-        return "" if node is None else node.name
-
     def _of_machine(self, node_id: int) -> tuple[DeviceDescription | None, ObjectDictionary]:
         if node_id not in self._made:
             node = None if self.machine is None else self.machine.node_at(self.bus, node_id)
             if node is None:
                 return None, self.dictionary
             description = self._dictionaries.description_of(node)
-            dictionary = overlaid(self._dictionaries.of(node), self._settings.overlays, self._screen)
+            dictionary = overlaid(self._dictionaries.of(node), self.settings.overlays, self._screen)
             self._made[node_id] = None if description is None else replace(description, dictionary=dictionary), dictionary
         return self._made[node_id]
 
     def _laid_over(self, description: DeviceDescription) -> DeviceDescription:
-        return replace(description, dictionary=overlaid(description.dictionary, self._settings.overlays, self._screen))
+        return replace(description, dictionary=overlaid(description.dictionary, self.settings.overlays, self._screen))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import trio
 
     from canopen_cli.screen import Screen
-    from canopen_master.machine_file import MachineFile
+    from canopen_master.machine_file import JointEntry, MachineFile
     from canopen_proto.procedures.grip import Grip
 
     Kind: TypeAlias = click.ParamType[Any, Any]
@@ -103,6 +103,11 @@ class Settings:
         if machine is not None:
             self.chosen.locator(machine, self.bus)
         return machine, self.chosen.bus
+
+    def joint(self, node_id: int) -> JointEntry | None:
+        """Return the joint of a node on the bus that this command is about, or None."""
+        machine, bus = self.machine_on_bus()
+        return None if machine is None else machine.joint_on(machine.node_at(bus, node_id))
 
     def is_node(self, text: str) -> bool:
         """Return whether a text that could also be a file means a node: it is a number, or a name in the machine file."""

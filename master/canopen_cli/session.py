@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
 from typing import Final
 
 import trio
@@ -28,6 +29,7 @@ from canopen_master.session import open_master
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed
@@ -56,6 +58,12 @@ class Session:
     def description_of(self, node_id: int) -> DeviceDescription | None:
         """Return the description of a node in its own file, or None."""
         return self.files.description_of(node_id)
+
+    def axis_settings(self, node_id: int) -> AxisSettings:
+        """Return the settings of a drive: those of its joint in the machine file; else the unit is the count."""
+        joint = self.files.settings.joint(node_id)
+        settings = AxisSettings() if joint is None else joint.settings
+        return settings if joint is not None and joint.has_unit else replace(settings, counts_per_unit=1.0)
 
     @property
     def network(self) -> Network:

@@ -14,6 +14,7 @@ from canopen_cli.fleet import simulated_fleet
 from canopen_cli.problem import ExitCode, Problem
 from canopen_master import ChainState, Master
 from canopen_master.machine_file import parse_machine
+from canopen_proto.simulated_drive.settings import Shape
 from canopen_proto.sync import SyncSent
 from tests.cli.cli_support import SHORT, TWO, Run
 
@@ -46,7 +47,12 @@ ONE = "[buses.can0]\n[nodes]\nshoulder = { id = 3 }\nelbow = { id = 4 }\n[joints
 
 
 @pytest.fixture
-def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def shape() -> Shape:
+    return Shape.SCHUNK_POWERBALL
+
+
+@pytest.fixture
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: Shape) -> str:
     """A machine with two buses, in the current folder; on each a simulated joint is there while a command runs."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "units.toml").write_text("[objects.6064]\naliases = ['place']\nunit = 'deg'\nfactor = 0.001\n")
@@ -56,7 +62,8 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
     @asynccontextmanager
     async def with_drives(bus: str, **options: Any) -> AsyncIterator[Any]:
-        async with simulated_fleet([("virtual:left", 3), ("virtual:right", 4)]), open_master(bus, **options) as master:
+        fleet = simulated_fleet([("virtual:left", 3), ("virtual:right", 4)], shape)
+        async with fleet, open_master(bus, **options) as master:
             yield master
 
     monkeypatch.setattr(session, "open_master", with_drives)
@@ -145,6 +152,55 @@ def test_the_files_of_the_machine_serve_every_command(run: Run, cell: str, tmp_p
     assert run("compare", "wrist", "sample_drive.eds", "-m", cell).status in (ExitCode.DIFFERENT, ExitCode.PARTIAL)
     assert "the file of node 3 (0x03) is needed" in run("check", "shoulder", "-m", cell).err
     assert run("check", "wrist", "--case", "2", "-m", cell, "--yes").status in (ExitCode.OK, ExitCode.DIFFERENT)
+
+
+LIMITED = """
+[buses.left]
+locator = "virtual:left"
+[nodes]
+shoulder = { id = 3 }
+[joints.shoulder]
+unit = "degree"
+direction = -1
+max_position = 5
+"""
+
+
+def test_a_joint_moves_in_its_unit_and_within_its_limits(run: Run, cell: str) -> None:
+    Path(cell).write_text(LIMITED)
+    done = run("drive", "shoulder", "move", "--relative", "-m", cell, "--json", "--", "-2")
+    assert done.status == ExitCode.OK, done.err
+    assert done.json["unit"] == "degree"
+    assert done.json["to"] - done.json["from"] == pytest.approx(-2, abs=0.02)
+    assert done.json["from"] == pytest.approx(14)  # the simulated drive stands at -14000
+    done = run("drive", "shoulder", "move", "20", "-m", cell)
+    assert done.status != ExitCode.OK
+    assert "max_position" in done.err
+    done = run("drive", "3", "move", "1", "--in", "turn", "-m", cell)
+    assert (done.status, "positions of shoulder are in the degree" in done.err) == (ExitCode.USAGE, True)
+    done = run("drive", "shoulder", "move", "--dry-run", "-m", cell, "--", "-2")
+    assert (done.status, "607A" in done.out) == (ExitCode.OK, True)
+    assert run("home", "shoulder", "-m", cell).status == ExitCode.OK
+
+
+@pytest.mark.parametrize("shape", [Shape.STANDARD])
+def test_a_joint_runs_in_its_unit_and_within_its_limits(run: Run, cell: str) -> None:
+    Path(cell).write_text(LIMITED.replace("max_position = 5", "max_speed = 3\ncounts_per_unit = 1000"))
+    run_at = ("drive", "shoulder", "velocity", "-m", cell, "--seconds", "0.5")
+    refused = run(*run_at, "5")
+    assert refused.status != ExitCode.OK
+    assert "max_speed" in refused.err
+    done = run(*run_at, "2", "--json")
+    assert (done.status, done.json["unit"], done.json["velocity"]) == (ExitCode.OK, "degree", pytest.approx(2)), done.err
+    assert "positions of shoulder are in the degree" in run(*run_at, "--in", "rpm", "5").err
+
+
+def test_a_joint_homes_as_the_file_says(run: Run, cell: str) -> None:
+    Path(cell).write_text(LIMITED.replace("max_position = 5", 'homing_timeout = "1ms"'))
+    done = run("home", "shoulder", "-m", cell)
+    assert done.status != ExitCode.OK
+    assert "a longer --limit (now 0.001 s)" in done.err
+    assert run("home", "shoulder", "-m", cell, "--limit", "60s").status == ExitCode.OK
 
 
 # ---- demo ----

@@ -202,6 +202,7 @@ ERRORS_OF_JOINTS = [
     (f"max_speed = 1{'0' * 400}", "m.toml:7:1: error: joints.a: max_speed: a number is expected, not 1000"),
     ("sto_input = { object = '60FDx', bit = 1 }", "m.toml:7:1: error: joints.a: sto_input: { object = \"60FD\", bit"),
     ("sto_input = { object = '60FD', bit = 64 }", "m.toml:6:2: error: joints.a: sto_input: bit 64 = 1 is no bit of an object"),
+    ("max_position = 5", "m.toml:7:1: error: joints.a: max_position: in which unit? unit = 'radian' or 'degree' or 'turn' or"),
     ("counts_per_turn = 5", "m.toml:7:1: error: joints.a: counts_per_turn: it needs unit = 'radian' or 'degree' or 'turn'"),
     ("counts_per_turn = 0\nunit = 'turn'", "m.toml:7:1: error: joints.a: counts_per_turn: a number above 0 is expected, not 0"),
     (
@@ -330,6 +331,7 @@ def machines(draw: st.DrawFn) -> MachineFile:
         min_position=st.none() | st.floats(-1e6, -1),
         max_position=st.none() | st.floats(1, 1e6) | st.just(math.inf),
     )
+    axes = axes.map(lambda each: each if each.unit or each.counts_per_unit else replace(each, counts_per_unit=1.0))  # type: ignore
     times = st.integers(1, 5000).map(lambda value: value * MILLISECOND)
     grip = st.builds(
         Grip, st.integers(1, 127), st.just(2 * MILLISECOND), times.map(lambda time: time + 3 * MILLISECOND), st.integers(-5, 5)

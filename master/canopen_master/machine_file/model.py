@@ -55,6 +55,11 @@ class JointEntry:
     node: str
     settings: AxisSettings = field(default_factory=AxisSettings)
 
+    @property
+    def has_unit(self) -> bool:
+        """Whether its positions have another unit than that of its drive."""
+        return self.settings.unit is not None or self.settings.counts_per_unit is not None
+
 
 @dataclass(frozen=True, slots=True)
 class ChainEntry:
@@ -95,11 +100,9 @@ class MachineFile:
         joint = self.joints.get(name)
         return self.nodes.get(name if joint is None else joint.node)
 
-    def settings_at(self, bus: str, node_id: int) -> AxisSettings:
-        """Return the settings of the joint on this node of a bus; the defaults if there is none."""
-        node = self.node_at(bus, node_id)
-        found = (joint.settings for joint in self.joints.values() if node is not None and joint.node == node.name)
-        return next(found, AxisSettings())
+    def joint_on(self, node: NodeEntry | None) -> JointEntry | None:
+        """Return the joint whose drive a node is, or None."""
+        return None if node is None else next((each for each in self.joints.values() if each.node == node.name), None)
 
     def node_at(self, bus: str, node_id: int) -> NodeEntry | None:
         """Return the node with this node-ID on a bus, or None."""

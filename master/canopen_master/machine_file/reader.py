@@ -196,6 +196,9 @@ class _Reader:
                 table.error(f"there is no node {node!r}{known}", "node" if table.has("node") else "")
         settings = take_settings(table, AxisSettings)
         per_turn = table.take(_PER_TURN, _POSITIVE)
+        if settings is not None and not table.has("unit") and settings.counts_per_unit is None:
+            for key in (each for each in _IN_UNITS if getattr(settings, each) is not None):
+                table.error(f"in which unit? unit = {' or '.join(repr(str(each)) for each in Unit)}", key)
         if settings is not None and per_turn is not None:
             if settings.counts_per_unit is not None:
                 table.error("counts_per_unit says it already", _PER_TURN)
@@ -285,5 +288,10 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
     "joints": ("node", _PER_TURN, *names_of(AxisSettings)),
     "chains": ("joints", *names_of(ChainSettings, "cycle_time")),
 }
+_IN_UNITS: Final = (
+    "min_position", "max_position", "max_speed", "following_error_limit",
+    "homing_speed", "homing_zero_speed", "homing_acceleration", "home_position",
+)  # fmt: skip
+"""The keys of a joint whose values are in its unit."""
 _OF_ONE: Final = ("id", "node", "joints")
 """Keys that no default can have: they make an entry what it is."""
