@@ -244,10 +244,17 @@ def other_mode(rig: Rig, request: int) -> None:
     rig.drive.written(0x6060, 0, rig.bus.now)
 
 
+def lost(rig: Rig, request: int) -> None:
+    """The cable is unplugged. The drive notices that the master is gone, and quick-stops by 0x6007 = 3."""
+    rig.node.values.store[objects.ABORT_CONNECTION_OPTION_CODE] = 3
+    rig.bus.detach(rig.device)
+    rig.drive.connection_lost(rig.bus.now, 0x8130)
+
+
 @given(
     mode=st.sampled_from(MODES),
     at=st.integers(0, 1_500),
-    happens=st.sampled_from([cancel, fault, quick_stop, other_mode]),
+    happens=st.sampled_from([cancel, fault, quick_stop, other_mode, lost]),
     reaction=st.sampled_from([0, 0, 50 * MILLISECOND]),
 )
 @example(mode=Mode.VELOCITY, at=5, happens=cancel, reaction=50 * MILLISECOND)

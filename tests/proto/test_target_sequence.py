@@ -220,7 +220,7 @@ TARGETS = (
 )
 
 
-@given(at=st.integers(0, 4_000), how=st.sampled_from(["cancel", "fault", "another master"]))
+@given(at=st.integers(0, 4_000), how=st.sampled_from(["cancel", "fault", "another master", "unplugged"]))
 @example(at=0, how="cancel")
 @examples(15)
 def test_whenever_it_ends_the_drive_stands_or_has_no_power(at: int, how: str) -> None:
@@ -231,6 +231,10 @@ def test_whenever_it_ends_the_drive_stands_or_has_no_power(at: int, how: str) ->
         rig.master.cancel(request, rig.bus.now)
     elif how == "fault":
         rig.node.raise_fault(0x2310, rig.bus.now)
+    elif how == "unplugged":
+        rig.node.values.store[objects.ABORT_CONNECTION_OPTION_CODE] = 3
+        rig.bus.detach(rig.device)
+        rig.drive.connection_lost(rig.bus.now, 0x8130)
     else:
         rig.drive.values.store[objects.CONTROLWORD] = 0x02
         rig.drive.written(0x6040, 0, rig.bus.now)
