@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND
-from canopen_proto.simulated_drive.motion import Profile, follow, hold, line, move, run, stop
+from canopen_proto.simulated_drive.motion import Profile, follow, hold, line, move, run, stop, through
 
 positions = st.floats(-1e7, 1e7)
 velocities = st.floats(-1e5, 1e5)
@@ -192,3 +192,29 @@ def test_following_lags_behind_by_speed_times_lag_and_arrives() -> None:
     assert follow(profile, 0.0, 0, profile.end + SECOND, 0.01) == pytest.approx(10_000.0)
     assert follow(hold(0, 1.0), 0.0, 0, 10 * MILLISECOND, 0.01) == pytest.approx(1 - 1 / math.e)
     assert follow(hold(0, 1.0), 0.5, 7, 7, 0.01) == 0.5
+
+
+def test_through_a_target_at_a_speed() -> None:
+    profile = through(0, 0.0, 0.0, 1000.0, 100.0, 50.0, 100.0, end_velocity=20.0)
+    assert profile.at(profile.end)[:2] == pytest.approx((1000.0, 20.0))
+    assert profile.at(profile.end + SECOND)[:2] == pytest.approx((1020.0, 20.0))
+    assert not profile.at_rest(NEVER)
+
+
+@given(positions, velocities, positions, limits, limits, limits, st.floats(0.0, 1.0))
+def test_through_keeps_to_its_limits_and_passes_the_target_at_its_speed_if_it_can(
+    position: float, velocity: float, target: float, fastest: float, acceleration: float, deceleration: float, share: float
+) -> None:
+    end_velocity = fastest * share
+    profile = through(0, position, velocity, target, fastest, acceleration, deceleration, end_velocity)
+    assert_continuous(profile)
+    distance = abs(target - position)
+    allowed = max(fastest, abs(velocity)) * (1 + 1e-9) + 1e-6
+    assert all(abs(piece[2]) <= allowed for piece in profile.pieces)
+    assert {abs(piece[3]) for piece in profile.pieces} <= {0.0, acceleration, deceleration}
+    assert profile.pieces[-1][1] == target
+    towards = velocity * (target - position) >= 0
+    slows = velocity * velocity - end_velocity * end_velocity <= 2 * deceleration * distance
+    speeds_up = end_velocity * end_velocity <= (velocity * velocity if towards else 0.0) + 2 * acceleration * distance
+    if towards and slows and speeds_up:
+        assert abs(profile.final_velocity) == pytest.approx(end_velocity, rel=1e-6, abs=1e-3)

@@ -50,11 +50,14 @@ def test_a_drive_that_moves_is_halted_before_it_goes_down(rules: dict[str, objec
     axis = Axis(rig.remote, rig.axis.settings)  # a second master's hand
     lower = rig.axis.settings.mode_change_state
     assert rig.drive._servo.is_moving
+    rig.node.values.store[objects.DISABLE_OPERATION_OPTION_CODE] = 0  # without a halt it would lose its power while it moves
+    rig.bus.sent.clear()
     rig.run(drive.set_mode(axis, Mode.HOMING))
+    words = [frame.data[4:6] for _, frame in rig.bus.sent if frame.can_id == 0x605 and frame.data[:4] == b"\x2b\x40\x60\x00"]
     assert rig.drive.mode == Mode.HOMING
     if lower is not State.OPERATION_ENABLED:
         assert rig.drive.state is lower
-        assert not rig.drive._servo.is_moving
+        assert words[0][1] & 1, "a halt (bit 8) comes first"
 
 
 def test_the_mode_that_it_has_needs_no_way_down() -> None:
