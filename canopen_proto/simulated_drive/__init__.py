@@ -5,6 +5,7 @@
     settings.py           its settings: shape, track, mechanics, delays
     events.py             the events of a simulated drive
     dictionary.py         its object dictionary, in two shapes
+    answers.py            wrong, late and refused answers, for tests
     late_drive.py         a drive that acts late, as real ones do
     modes.py              the modes that it has, and when it takes another one
     profile_modes.py      the base of its modes of operation; its velocity modes (pv, vl)

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
+from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending
+from canopen_proto.simulated_drive.answers import Answer, AnswerDue, DelayedAnswers
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, InputsChanged, ModeChanged, StatuswordChanged
@@ -28,7 +32,7 @@ from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 class DriveNode(LocalNode):
     """A simulated CiA 402 drive. drive: the part that moves; `boot` powers it on."""
 
-    __slots__ = ("drive",)
+    __slots__ = ("_answers", "_delayed", "drive")
 
     def __init__(self, out: Outbox, node_id: int, settings: DriveSettings, dictionary: ObjectDictionary | None = None) -> None:
         """Make the drive. settings: its shape and its mechanics. dictionary: by default that of its shape. An object of
@@ -42,6 +46,9 @@ class DriveNode(LocalNode):
         self.application = self.drive
         self.storage.excluded.add(CONTROLWORD >> 8)  # a command, not a parameter
         self._members.attach(self.drive)
+        self._answers = dict(settings.answers)
+        self._delayed = DelayedAnswers(self.inner)
+        self._members.attach(self._delayed)
         self._reactions.update(
             {
                 DriveFault: self._on_fault,
@@ -50,6 +57,8 @@ class DriveNode(LocalNode):
                 ModeChanged: self._on_mode,
                 InputsChanged: self._on_inputs,
                 PdoOverdue: self._on_rpdo_overdue,
+                ObjectAccessPending: self._on_access,
+                AnswerDue: self._on_answer_due,
             }
         )
 
@@ -72,6 +81,53 @@ class DriveNode(LocalNode):
         """Switch the STO input. Active: no torque, and no command enables the drive. See Drive.set_safe_torque_off."""
         with self._settling(now):
             self.drive.set_safe_torque_off(is_active, now)
+
+    def answer(self, index: int, subindex: int, answer: Answer | None) -> None:
+        """Answer each access to an object in this way from now on; None: as it should be."""
+        if answer is None:
+            self._answers.pop(mux(index, subindex), None)
+        else:
+            self._answers[mux(index, subindex)] = answer
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        answer = self._answers.get(mux(index, subindex))
+        return PENDING if answer is not None and answer.delay else self._read_by(answer, index, subindex, now)
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        answer = self._answers.get(mux(index, subindex))
+        return PENDING if answer is not None and answer.delay else self._write_by(answer, index, subindex, data, now)
+
+    def _read_by(self, answer: Answer | None, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        if answer is not None and answer.abort is not None:
+            return answer.abort
+        if answer is None or answer.value is None:
+            return super().read(index, subindex, now)
+        if isinstance(answer.value, bytes):
+            return answer.value
+        return self.dictionary.variable((index, subindex)).encode(answer.value)
+
+    def _write_by(self, answer: Answer | None, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
+        if answer is not None and answer.abort is not None:
+            return answer.abort
+        return super().write(index, subindex, data, now)
+
+    def _on_access(self, access: ObjectAccessPending, now: Time) -> None:
+        answer = self._answers.get(mux(access.index, access.subindex))
+        if answer is not None and answer.delay:
+            self._delayed.add(access, now + answer.delay)
+        else:
+            self._on_pending(access, now)
+
+    def _on_answer_due(self, due: AnswerDue, now: Time) -> None:
+        access = due.access
+        index, subindex, data = access.index, access.subindex, access.data
+        answer = self._answers.get(mux(index, subindex))
+        result: bytes | AbortCode | Pending | None
+        if data is None:
+            result = self._read_by(answer, index, subindex, now)
+        else:
+            result = self._write_by(answer, index, subindex, data, now)
+        self.channels.complete(access.access_id, AbortCode.LOCAL_CONTROL if isinstance(result, Pending) else result, now)
 
     def _on_fault(self, fault: DriveFault, now: Time) -> None:
         self.communication.emcy.raise_error(fault.error_code, fault.error_register, b"", now)

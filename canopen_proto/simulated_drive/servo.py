@@ -321,6 +321,9 @@ class Servo(Parameters):
         if self._is_barred(target - here):
             self._stop_at_switch()
             return
+        if self.is_settled and target == here and not passing:
+            self._step = None  # it stands there already, and goes on showing that
+            return
         fastest = self.fastest
         acceleration, deceleration = self.rate(objects.MAX_ACCELERATION), self.rate(objects.MAX_DECELERATION)
         velocity = (target - here) / period
@@ -390,8 +393,13 @@ class Servo(Parameters):
         """Add 60B2h to the torque until the next plan, and 60B1h to the velocity if asked for. The lag has no loops to add to."""
         plant = self._plant
         if plant is not None:
-            plant.velocity_offset = self.parameter(objects.VELOCITY_OFFSET) if velocity else 0.0
-            plant.torque_offset = self.torque_of(self.parameter(objects.TORQUE_OFFSET))
+            offsets = (
+                float(self.parameter(objects.VELOCITY_OFFSET)) if velocity else 0.0,
+                self.torque_of(self.parameter(objects.TORQUE_OFFSET)),
+            )
+            if offsets != (plant.velocity_offset, plant.torque_offset):
+                plant.velocity_offset, plant.torque_offset = offsets
+                self._wake(plant)
 
     def brake(self, deceleration: float) -> None:
         """Stop with this ramp."""

@@ -12,6 +12,7 @@ from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux
+from canopen_proto.simulated_drive.answers import Answer
 from canopen_proto.simulated_drive.plant import Mechanics
 
 
@@ -78,6 +79,7 @@ class DriveSettings:
     overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one. coasts: whether
     bit 8 only takes the torque away in tq and cst, so that a mass without friction moves on.
     second_encoder: counts of a second encoder (60E4h:01) for one of the first; it has the zero of the track.
+    answers: objects that are answered wrongly, late or not at all, for tests.
     """
 
     shape: Shape = Shape.STANDARD
@@ -101,3 +103,4 @@ class DriveSettings:
     overload_fault: int = 0
     coasts: bool = False
     second_encoder: float = 1.0
+    answers: tuple[tuple[Mux, Answer], ...] = ()

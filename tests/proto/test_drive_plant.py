@@ -202,3 +202,26 @@ def test_a_file_that_says_zero_leaves_the_torque_unlimited() -> None:
     bench.run(1_000)
     assert bench.position == 1_000
     assert math.isclose(bench.read(0x60F4), 0)
+
+
+@pytest.mark.parametrize("mechanics", [None, JOINT], ids=["lag", "mass"])
+def test_bit_10_of_ip_does_not_flicker_while_the_axis_stands(mechanics: Mechanics | None) -> None:
+    bench = Bench(DriveSettings(position=0, mechanics=mechanics))
+    bench.enable(7)
+    bench.put(0x60C1, 0, 1)
+    bench.control(0x1F)
+    for target in (*range(0, 1_000, 100), *[900] * 40):
+        bench.put(0x60C1, target, 1)
+        bench.sync()
+    words = set()
+    for _ in range(20):
+        bench.put(0x60C1, 900, 1)
+        bench.sync()
+        words.add(bench.read(0x6041))
+        bench.run(3)
+        words.add(bench.read(0x6041))
+    assert bench.position == 900
+    assert words == {0x1637}
+    bench.put(0x60C1, 950, 1)
+    bench.sync()
+    assert not bench.has(10)
