@@ -5,7 +5,8 @@ master's. Only these frames are received here. The last write of each object tha
 and its meaning is worked out only when it is asked for.
 
 RPDOs are listened to on the CAN-IDs of those that we send ourselves, and on the four of the predefined connection set. The
-meaning is known of those that we send. Left out: writes of more than four bytes, and of an SDO channel other than the first.
+meaning is known of those that we send; the caller may know others. Left out: writes of more than four bytes, and of an SDO
+channel other than the first.
 
 Source: CiA 301 v4.2.0, 7.2.4.3.3 (SDO download initiate), 7.3.3 (predefined connection set).
 """
@@ -20,12 +21,14 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import RPDO1, RPDO2, RPDO3, RPDO4, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
 from canopen_proto.machine import Machine, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux, split_mux
+from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.producer import PdoProducer
 
 _SPECIFIER: Final = 0xE0
 _INITIATE_DOWNLOAD: Final = 0x20
 _EXPEDITED: Final = 0x02
 _SIZE_SHOWN: Final = 0x01
+_NONE: Final[dict[RoutingKey, PdoMapping]] = {}
 
 
 class Overheard(NamedTuple):
@@ -62,21 +65,27 @@ class Overhearing(Machine):
         if self._wanted:
             self._reroute()
 
-    def last(self, wanted: Mux) -> Overheard | None:
-        """Return the last write of an object; None if there was none. An RPDO of unknown mapping counts: it may be one."""
+    @property
+    def unknown(self) -> set[RoutingKey]:
+        """The keys of RPDOs that were heard, and that we do not send ourselves."""
+        return self._pdos.keys() - {producer.key for producer in self._rpdos.values()}
+
+    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = _NONE) -> Overheard | None:
+        """Return the last write of an object; None if there was none.
+
+        others: the mappings of RPDOs that we do not send. An RPDO of unknown mapping is left out: any device may send PDOs to it.
+        """
         found = self._written.get(wanted)
-        known = {producer.key: producer for producer in self._rpdos.values()}
+        ours = {producer.key: producer.mapping for producer in self._rpdos.values()}
         for key, (time, data) in self._pdos.items():
-            producer = known.get(key)
-            if found is not None and found.time > time:
+            mapping = ours.get(key) or others.get(key)
+            position = None if mapping is None else mapping.position_of(wanted)
+            if mapping is None or position is None or (found is not None and found.time > time):
                 continue
-            if producer is None:
+            try:
+                found = Overheard(time, key, mapping.unpack(data)[position])
+            except ValueRangeError:
                 found = Overheard(time, key, None)
-            elif (position := producer.mapping.position_of(wanted)) is not None:
-                try:
-                    found = Overheard(time, key, producer.mapping.unpack(data)[position])
-                except ValueRangeError:
-                    found = Overheard(time, key, None)
         return found
 
     def can_ids(self) -> Iterable[RoutingKey]:

@@ -7,10 +7,13 @@ from typing import Final
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import COMMAND_BITS, ControlBit
+from canopen_proto.dictionary import Direction
 from canopen_proto.drive.view import RECENT, ForeignCommand, command_text
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, key_of_cob_id, routing_key
 from canopen_proto.machine import NEVER
 from canopen_proto.overhearing import Overheard
+from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.procedures.described_pdos import described_pdos
 from canopen_proto.remote_node import RemoteNode
 
 COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
@@ -19,20 +22,36 @@ COMPARED: Final = COMMAND_BITS & ~ControlBit.FAULT_RESET | ControlBit.HALT
 """The bits in which two controlwords contradict each other; a drive may clear the others by itself."""
 
 
+def _described(node: RemoteNode) -> dict[RoutingKey, Mapping]:
+    """Return the RPDOs that the node's dictionary knows: those of its file, else those of PDOs.csv."""
+    dictionary, node_id = node.dictionary, node.node_id
+    found = {
+        routing_key(each.can_id(node_id)): Mapping.from_description(each)
+        for each in dictionary.pdos
+        if each.direction is Direction.RPDO
+    }
+    for pdo in described_pdos(dictionary, node_id):
+        key = key_of_cob_id(pdo.cob_id)
+        if pdo.direction is Direction.RPDO and key is not None:
+            found[key] = Mapping.from_parameters(pdo.entries, dictionary)
+    return found
+
+
 def foreign_command(node: RemoteNode, controlword: int | None, mode: int | None) -> ForeignCommand | None:
     """Return the last command of another master that contradicts ours, and is not older than RECENT; None if there is none.
 
     controlword, mode: as we sent them last; None: we sent none, and nothing can contradict it.
     """
     now = max(node.heard_at.values(), default=-NEVER)
+    others = _described(node) if node.overhearing.unknown else {}
     found: list[tuple[Overheard, str]] = []
-    word = node.overhearing.last(objects.CONTROLWORD)
+    word = node.overhearing.last(objects.CONTROLWORD, others)
     if word is not None and controlword is not None:
         if not isinstance(word.value, int):
-            found.append((word, "sent it a PDO"))
+            found.append((word, "sent it a controlword"))
         elif (word.value ^ controlword) & COMPARED:
             found.append((word, f"commanded {command_text(word.value)}"))
-    selected = node.overhearing.last(objects.MODES_OF_OPERATION)
+    selected = node.overhearing.last(objects.MODES_OF_OPERATION, others)
     if selected is not None and isinstance(selected.value, int) and mode is not None and selected.value != mode:
         found.append((selected, f"selected {mode_name(selected.value)}"))
     recent = [(heard, words) for heard, words in found if now - heard.time <= RECENT]

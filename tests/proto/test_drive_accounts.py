@@ -365,6 +365,24 @@ def test_a_shutdown_by_the_rpdo_of_another_master() -> None:
     assert error.reason.endswith(" ms ago by RPDO 0x205")
 
 
+def test_the_rpdo_of_another_master_that_only_the_file_knows() -> None:
+    rig, _ = rig_in_motion()  # we send no RPDO ourselves
+    error = raised_by(rig, drive.home(rig.axis), lambda: rig.bus.send("205#0600"))
+    told(error, "another master commanded 0x0006 (shutdown) ", "end the other master")
+
+
+def test_a_pdo_without_a_command_is_nobodys_fault() -> None:
+    """Another device may send the drive a PDO that has nothing to do with commands."""
+    rig, _ = rig_in_motion()
+    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.enable(rig.axis))
+    carries = Mapping([MappedEntry.of(rig.node.dictionary.variable(objects.TARGET_POSITION))])
+    rig.remote.add_rpdo(2, 0x305, carries, 255)  # type: ignore[arg-type]
+    rig.bus.send("305#06000000")
+    rig.run(drive.read_statusword(rig.axis))
+    assert rig.axis.view().foreign is None
+
+
 def test_another_mode_by_another_master() -> None:
     rig, foreign = rig_in_motion()
     error = raised_by(rig, move(rig.axis), lambda: foreign.write(objects.MODES_OF_OPERATION, Mode.PROFILE_VELOCITY))
