@@ -60,6 +60,8 @@ from canopen_proto.drive.identity import identify as identify
 from canopen_proto.drive.identity import learn_units as learn_units
 from canopen_proto.drive.interpolation import InterpolationBuffer as InterpolationBuffer
 from canopen_proto.drive.interpolation import start_interpolation as start_interpolation
+from canopen_proto.drive.keeping_within import OutOfBounds as OutOfBounds
+from canopen_proto.drive.keeping_within import keep_within as keep_within
 from canopen_proto.drive.profile_position import move_to as move_to
 from canopen_proto.drive.state import change_state as change_state
 from canopen_proto.drive.state import enable as enable

@@ -98,7 +98,7 @@ class Axis:
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
         "_store", "_was_homed", "grip", "has_opened_brake", "has_scale", "is_commanded", "is_identified", "node", "selected_mode",
-        "started_at", "state", "units",
+        "set_points_given", "started_at", "state", "units",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN) -> None:
@@ -119,6 +119,7 @@ class Axis:
         self.has_opened_brake = False
         self.units = DriveUnits()
         self._set_points: dict[Mux, SetPoint] = {}
+        self.set_points_given = 0
         self._position = SetPoint(standard_variable(0x607A), self._store)  # of a drive without position set-points
         for mode in (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION):
             if SET_POINT_OF[mode] in node.dictionary:
@@ -383,6 +384,7 @@ class Axis:
         """
         number = self.velocity_to_wire(velocity)
         self._set_point_at(objects.TARGET_VELOCITY).put(number)
+        self.set_points_given += 1
         return self.velocity_from_wire(number)
 
     def set_torque(self, torque: float) -> float:
@@ -392,6 +394,7 @@ class Axis:
         """
         number = self.torque_to_wire(torque)
         self._set_point_at(objects.TARGET_TORQUE).put(number)
+        self.set_points_given += 1
         return self._direction * number / 1000
 
     def set_offsets(self, *, position: float = 0.0, velocity: float = 0.0, torque: float = 0.0) -> None:

@@ -6,6 +6,9 @@ value that comes with its own limits (limits.py), and stops the drive when one i
 by the way of one look and of the ramp.
 
 The speed is the drive's 0x606C if its velocity unit is known; else it is computed from positions (0x6064) of SPEED_TIME.
+
+In csv and cst an RPDO repeats the last set-point for ever if none is given. So a set-point other than 0 that was not given anew
+for some SYNCs in a row is out of bounds, too.
 """
 
 from __future__ import annotations
@@ -20,12 +23,16 @@ from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import DriveError, accounted, require_reference
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import BY_DEFAULT, Limit, SetPointLimits, read_limits
+from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Procedure
 
 SPEED_TIME: Final = 100 * MILLISECOND
 """Between the two positions that give a speed: adapters hold frames back by up to 16 ms."""
+
+MAX_MISSED: Final = 10
+"""SYNCs in a row without a new set-point, as in a chain."""
 
 _TOLERANCE: Final = 1 + 1e-6
 
@@ -43,6 +50,24 @@ class Bounds:
         self._judged_at: Time = -NEVER  # the last value of each object that was judged came then
         self._speed_judged_at: Time = -NEVER
         self._looks: deque[tuple[Time, int]] = deque()
+        self._set_point: Mux | None = None
+        self._given = self._missed = self._max_missed = 0
+
+    def expect_set_points(self, mode: int, max_missed: int) -> None:
+        """Expect set-points of a cyclic mode from now on. max_missed: SYNCs in a row that may pass without a new one."""
+        self._set_point, self._max_missed = SET_POINT_OF.get(mode), max_missed
+        self._given, self._missed = self._axis.set_points_given, 0
+
+    def on_sync(self) -> str:
+        """Return what is out of bounds at a SYNC, in words; "" if nothing is."""
+        axis = self._axis
+        if self._set_point is None or axis.set_points_given != self._given or not axis.node.values.store.get(self._set_point):
+            self._given, self._missed = axis.set_points_given, 0
+            return ""
+        self._missed += 1
+        if self._missed <= self._max_missed:
+            return ""
+        return f"got no new set-point for {self._missed} SYNCs, and the last one, which it repeats, is not 0"
 
     @property
     def watched(self) -> tuple[Mux, ...]:

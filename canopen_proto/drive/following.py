@@ -44,7 +44,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.bounds import Bounds
+from canopen_proto.drive.bounds import MAX_MISSED, Bounds
 from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
@@ -201,13 +201,23 @@ class Following:
         self._begin(mode, cyclic, silent_syncs, _WATCHED)
         self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + slack + 1)
 
-    def begin_within(self, bounds: Bounds, mode: int, *, cyclic: Mapping[Mux, int], silent_syncs: int = SILENT_SYNCS) -> None:
-        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py.
+    def begin_within(
+        self,
+        bounds: Bounds,
+        mode: int,
+        *,
+        cyclic: Mapping[Mux, int],
+        silent_syncs: int = SILENT_SYNCS,
+        max_missed: int = MAX_MISSED,
+    ) -> None:
+        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py. `keep_within` halts it, too.
 
-        It has no following error: its position and its speed must stay within `bounds`. Bits 11 and 13 of its statusword are not
-        judged: limits of torque and speed are what such a drive works against. Else as `begin`.
+        It has no following error: its position and its speed must stay within `bounds`, and it must get a new set-point at each
+        SYNC, or one of `max_missed` + 1 in a row. Bits 11 and 13 of its statusword are not judged: limits of torque and speed are
+        what such a drive works against. Else as `begin`.
         """
         self._bounds, self._lag = bounds, LAG
+        bounds.expect_set_points(mode, max_missed)
         self._begin(mode, cyclic, silent_syncs, (*_WATCHED, *bounds.watched))
         self._points = deque([self._axis.set_point_counts], maxlen=1)
 
@@ -266,7 +276,7 @@ class Following:
         if objects.STATUSWORD in muxes:
             self._judge_statusword()
         if self._bounds is not None:
-            self._judge_bounds(self._bounds)
+            self._judge_bounds(self._bounds.judge())
         elif objects.POSITION_ACTUAL_VALUE in muxes:
             self._judge_position()
 
@@ -296,8 +306,7 @@ class Following:
         self._limited = self._limited + 1 if is_limited else 0
         self._flawless = None if is_limited else word
 
-    def _judge_bounds(self, bounds: Bounds) -> None:
-        excess = bounds.judge()
+    def _judge_bounds(self, excess: str) -> None:
         if excess:
             self.lose(excess)
 
@@ -334,6 +343,8 @@ class Following:
         else:
             self._judge_silence(now)
         self._points.append(self._axis.set_point_counts)  # this SYNC takes it along
+        if self._bounds is not None:
+            self._judge_bounds(self._bounds.on_sync())
         if self._syncs_to_turn > 1:
             self._syncs_to_turn -= 1
         elif self._syncs_to_turn and now >= self._turn_not_before:

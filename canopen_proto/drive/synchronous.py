@@ -12,12 +12,7 @@ Interpolated position mode (ip) begins in the same way; see interpolation.py. Ea
 So nothing jumps. If a start fails or is cancelled, it halts the drive. From then on the caller gives set-points
 (`Axis.set_position`, `set_velocity`, `set_torque`), and watches the drive (`Following`).
 
-In csv and cst no position is commanded, and there is no following error. `bounds_of` first reads the limits within which the
-drive may move, and `Following.begin_within` watches them:
-
-    bounds = yield from bounds_of(axis, max_speed)
-    yield from start_cyclic_torque(axis, cycle_time)
-    following.begin_within(bounds, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cyclic=cyclic)
+In csv and cst no position is commanded, and there is no following error. `keep_within` watches and halts such a drive instead.
 
 Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position, velocity, torque mode; interpolation time period 60C2h.
 """
@@ -96,7 +91,7 @@ def start_cyclic_torque(
 
     torque: the one at which it starts, as a share of the rated torque; None: the actual one (0x6077) of a drive that is enabled
     and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Only the caller's torques and its
-    watch (`Following.begin_within`) limit speed and position. Else as `start_cyclic_position`.
+    watch (`keep_within`) limit speed and position. Else as `start_cyclic_position`.
     """
     carried = (objects.TARGET_TORQUE,)
     require_carried(axis, carried, sends_itself)

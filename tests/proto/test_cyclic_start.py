@@ -17,7 +17,7 @@ from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive.bounds import Bounds
 from canopen_proto.drive.following import Following, FollowingLost
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureCancelled
@@ -88,7 +88,7 @@ def test_velocities_are_followed_from_standstill() -> None:
         rig.axis.set_velocity(min(1.0, step / 50))
         rig.bus.run(CYCLE)
     assert rig.axis.velocity == pytest.approx(1.0, rel=0.01)
-    rig.axis.set_velocity(0.0)
+    rig.axis.set_velocity(0.0)  # it stands: no further set-point is needed
     rig.bus.run(30 * CYCLE)
     assert not rig.bus.take_events(FollowingLost)
     assert abs(velocity_of(rig)) < 50
@@ -240,6 +240,70 @@ def test_a_drive_that_does_not_show_that_it_follows() -> None:
         rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
     rig.axis.settings = replace(rig.axis.settings, shows_following=False)
     rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
+
+
+# ---- the watch that halts it ----
+
+
+def kept(rig: Rig, mode: Mode) -> RequestId:
+    """A drive that follows, and is kept within its bounds."""
+    bounds = rig.run(drive.bounds_of(rig.axis))
+    rig.run({CSV: drive.start_cyclic_velocity, CST: drive.start_cyclic_torque}[mode](rig.axis, CYCLE))
+    return rig.master.run(drive.keep_within(Following(rig.axis), bounds, mode, cyclic=CYCLIC), rig.bus.now)
+
+
+def give(rig: Rig, mode: Mode, cycles: int) -> None:
+    for _ in range(cycles):
+        if any(isinstance(event, FollowingLost) for event in rig.bus.events):
+            return
+        if mode == CSV:
+            rig.axis.set_velocity(0.5)
+        else:
+            rig.axis.set_torque(0.1)
+        rig.bus.run(CYCLE)
+
+
+def stands_for_good(rig: Rig, mode: Mode) -> None:
+    """It is halted, and no set-point is left for the RPDO."""
+    assert abs(velocity_of(rig)) < 50
+    assert rig.axis.controlword & 0x100
+    key = {CSV: objects.TARGET_VELOCITY, CST: objects.TARGET_TORQUE}[mode]
+    rig.bus.run(2 * CYCLE)
+    assert rig.node.values.store[key] == 0
+
+
+@pytest.mark.parametrize("mode", [CSV, CST])
+def test_bounds_that_are_left_halt_it(mode: Mode) -> None:
+    rig = rig_of(mode, max_speed=2.0, max_position=0.2)
+    request = kept(rig, mode)
+    give(rig, mode, 120)
+    ended = rig.outcome(request)
+    assert isinstance(ended.error, drive.OutOfBounds)  # type: ignore[union-attr]
+    assert "is beyond its limit" in str(ended.error)  # type: ignore[union-attr]
+    stands_for_good(rig, mode)
+
+
+@pytest.mark.parametrize("mode", [CSV, CST])
+def test_set_points_that_stay_away_halt_it(mode: Mode) -> None:
+    """The RPDO would repeat the last one for ever."""
+    rig = rig_of(mode, max_speed=5.0)
+    request = kept(rig, mode)
+    give(rig, mode, 30)
+    moved = rig.bus.now
+    ended = rig.outcome(request)
+    assert "got no new set-point for 11 SYNCs" in str(ended.error)  # type: ignore[union-attr]
+    assert rig.bus.now - moved < SECOND
+    stands_for_good(rig, mode)
+
+
+@pytest.mark.parametrize("mode", [CSV, CST])
+def test_a_cancel_halts_it(mode: Mode) -> None:
+    rig = rig_of(mode, max_speed=5.0)
+    request = kept(rig, mode)
+    give(rig, mode, 30)
+    rig.master.cancel(request, rig.bus.now)
+    assert isinstance(rig.outcome(request), ProcedureCancelled)
+    stands_for_good(rig, mode)
 
 
 # ---- offsets ----
