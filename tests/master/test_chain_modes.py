@@ -38,6 +38,7 @@ KINDS: dict[str, tuple[Changes, Collection[int]]] = {
     "target and controlword by an event-driven RPDO": (SLOW, ()),
     "by an RPDO at each SYNC": (SLOW | {mux(0x1402, 2): {"default": 1}}, ()),
     "target by SDO": (SLOW | empty_pdos() | unmappable(objects.TARGET_POSITION), ()),
+    "target by RPDO, controlword by SDO": (SLOW | empty_pdos() | unmappable(objects.CONTROLWORD), ()),
     "all by SDO": (SLOW | NOTHING_MAPPABLE, without_pdos()),
     "without SYNC": (SLOW | empty_pdos(), [indices.COB_ID_SYNC]),
 }
