@@ -143,6 +143,8 @@ class _Run:
             failed = f"cannot run at {self._velocity:g} per second: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
             raise DriveError(axis, failed, remedy="a higher velocity", looks=False)
         axis.node.encode(TARGET_OF[self._mode], self._number)
+        if self._mode is Mode.VELOCITY:
+            yield from self._keep_amounts()
         self._plan_ramps()
         if self._velocity and not axis.has_lost_reference:
             self._bound = limits.highest if self._velocity > 0 else limits.lowest
@@ -164,6 +166,17 @@ class _Run:
         unit = (yield from _ratio(axis, objects.VL_DIMENSION_FACTOR)) * turn / 60
         self._ramp_unit = abs(unit)
         self._unit = unit * (yield from _ratio(axis, objects.VL_SET_POINT_FACTOR))
+
+    def _keep_amounts(self) -> Procedure[None]:
+        """Refuse a velocity that the drive would change by 0x6046: it would run at another one, faster than it was told."""
+        axis = self._axis
+        lowest, highest = yield from _pair(axis, objects.VL_VELOCITY_MIN_AMOUNT)
+        amount = abs(self._number * self._unit) / self._ramp_unit  # in the unit of the dimension factor
+        if amount * _ALL < lowest or 0 < highest < amount / _ALL:
+            ends = [axis.amount_from_counts(each * self._ramp_unit) for each in (lowest, highest)]
+            failed = f"was not run at {self._velocity:g} per second"
+            reason = f"it runs at {ends[0]:g} to {ends[1]:g} only (0x6046); nothing was sent"
+            raise LimitReached(axis, failed, reason=reason, remedy="a velocity between them, or another 0x6046", looks=False)
 
     def _plan_ramps(self) -> None:
         """Find the values of the ramps that were asked for."""

@@ -72,8 +72,9 @@ def velocity(
         yield from procedures.identify(axis)
         mode = yield from procedures.choose_velocity_mode(axis, None if mode_name_ is None else _MODES[mode_name_])
         yield from _set_scale(axis, chosen, mode)
-        if max_speed is not None:
-            axis.settings = replace(axis.settings, max_speed=max_speed)
+        if max_speed is not None:  # the limit of a joint in the machine file stays
+            limit = axis.settings.max_speed
+            axis.settings = replace(axis.settings, max_speed=max_speed if limit is None else min(max_speed, limit))
         run = procedures.run_at(
             axis,
             value,
@@ -112,6 +113,7 @@ def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
     if unit != RPM and mode is not Mode.VELOCITY:
         return
     turn = (yield from procedures.learn_units(axis)).per_motor_turn
+    turn = axis.settings.counts_per_motor_turn or turn
     if turn is None and unit == RPM and mode is Mode.VELOCITY:  # it counts turns itself, however many counts they are
         axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0)
     elif turn is None:

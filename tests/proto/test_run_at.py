@@ -171,6 +171,21 @@ def test_a_velocity_beyond_the_limit_is_refused_with_nothing_sent(mode: Mode) ->
     assert not [frame for _, frame in rig.bus.sent if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
 
 
+@pytest.mark.parametrize(("velocity", "is_refused"), [(4.0, True), (0.0, True), (5.0, False), (-20.0, False), (-21.0, True)])
+def test_a_velocity_that_0x6046_would_change_is_refused(velocity: float, is_refused: bool) -> None:
+    """A drive with a minimum runs at it even if it is told 0."""
+    rig = rig_with()
+    rig.node.values.store.update({objects.VL_VELOCITY_MIN_AMOUNT: 5, objects.VL_VELOCITY_MAX_AMOUNT: 20})
+    run = drive.run_at(rig.axis, velocity, mode=Mode.VELOCITY, duration=SECOND)
+    if is_refused:
+        with pytest.raises(drive.LimitReached, match=r"runs at 5 to 20 only \(0x6046\)"):
+            rig.run(run)
+        assert rig.drive.mode == Mode.NO_MODE
+    else:
+        rig.run(run)
+        assert stands(rig)
+
+
 @given(
     mode=st.sampled_from(MODES),
     velocity=st.sampled_from([-30.0, -8.0, 3.0, 12.0, 30.0]),
@@ -178,7 +193,7 @@ def test_a_velocity_beyond_the_limit_is_refused_with_nothing_sent(mode: Mode) ->
     reaction=st.sampled_from([0, 100 * MILLISECOND, 240 * MILLISECOND]),
 )
 @example(mode=Mode.PROFILE_VELOCITY, velocity=30.0, direction=-1, reaction=240 * MILLISECOND)
-@examples(12)
+@examples(8)
 def test_it_is_halted_before_the_limits_of_its_position(mode: Mode, velocity: float, direction: int, reaction: Time) -> None:
     rig = rig_with(replace(DEGREES, min_position=-20.0, max_position=20.0, direction=direction), reaction=reaction)
     with pytest.raises(drive.LimitReached, match=r"was halted at .* it came near"):
@@ -258,7 +273,7 @@ def lost(rig: Rig, request: int) -> None:
     reaction=st.sampled_from([0, 0, 50 * MILLISECOND]),
 )
 @example(mode=Mode.VELOCITY, at=5, happens=cancel, reaction=50 * MILLISECOND)
-@examples(25)
+@examples(15)
 def test_whenever_and_however_it_ends_the_drive_stands_or_has_no_power(
     mode: Mode, at: int, happens: Callable[[Rig, int], None], reaction: Time
 ) -> None:
