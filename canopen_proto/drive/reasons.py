@@ -149,7 +149,7 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
     found.extend(_command(view))
     found.extend(_mode(view))
     found.extend(_limits(view))
-    if not found and _refuses_positions(view):
+    if all(each.is_command for each in found) and _refuses_positions(view):
         found.extend(_reference(view))
     return tuple(found)
 

@@ -128,64 +128,67 @@ def told(error: BaseException, obstacle: str, remedy: str) -> None:
 
 
 ENABLED, READY, DISABLED = 0x0237, 0x0231, 0x0250
+NEED_POWER = ("enable", "home", "move", "csp", "ip")
+FOLLOW = ("move", "csp", "ip")
+MOVE = ("home", *FOLLOW)
 SHOWN: dict[str, tuple[dict[Mux, int], AxisSettings, str, str, tuple[str, ...]]] = {
     "remote is 0": (
         {objects.STATUSWORD: 0x0050},
         SHORT,
         "it is under local control (bit 9",
         "at the drive",
-        ("enable", "move", "csp"),
+        NEED_POWER,
     ),
     "no voltage": (
         {objects.STATUSWORD: 0x0240},
         SHORT,
         "its power stage has no voltage (bit 4",
         "motor supply",
-        ("enable", "ip"),
+        NEED_POWER,
     ),
     "STO in 60FD": (
         {objects.STATUSWORD: DISABLED, objects.DIGITAL_INPUTS: 1 << 31},
         replace(SHORT, sto_input=STO),
         "safe torque off is active (bit 31 of 0x60FD:00 is 1)",
         "release the emergency stop",
-        ("enable", "home", "move", "csp", "ip"),
+        NEED_POWER,
     ),
     "STO in a bit of the statusword": (
         {objects.STATUSWORD: DISABLED},
         replace(SHORT, sto_input=DriveBit(objects.STATUSWORD, 14, 0)),
         "safe torque off is active (bit 14 of 0x6041:00 is 0)",
         "STO inputs",
-        ("enable", "home"),
+        NEED_POWER,
     ),
     "STO in an object of the maker": (
         {objects.STATUSWORD: DISABLED, mux(0x251A): 0x08},
         replace(SHORT, sto_input=DriveBit(mux(0x251A), 4, 0)),
         "safe torque off is active (bit 4 of 0x251A:00 is 0)",
         "STO inputs",
-        ("enable",),
+        NEED_POWER,
     ),
     "the brake holds": (
         {objects.STATUSWORD: ENABLED, mux(0x60FE, 1): 1},
         replace(SHORT, brake_bit=DriveBit(mux(0x60FE, 1), 0)),
         "its brake holds it (bit 0 of 0x60FE:01 is 1)",
         "supply of the brake",
-        ("move", "csp", "ip"),
+        MOVE,
     ),
     "an internal limit": (
         {objects.STATUSWORD: ENABLED | 0x800},
         SHORT,
         "a limit of its own holds it (bit 11)",
         "away",
-        ("move", "ip"),
+        FOLLOW,
     ),
     "following error": (
         {objects.STATUSWORD: ENABLED | 0x2000},
         SHORT,
         "its following error is too large (bit 13)",
         "blocked",
-        ("csp",),
+        ("move", "csp"),
     ),
-    "not homed": ({objects.STATUSWORD: ENABLED}, SHORT, "this master has not homed it", "home it", ("move", "ip")),
+    "not homed": ({objects.STATUSWORD: ENABLED}, SHORT, "this master has not homed it", "home it", FOLLOW),
 }
 
 
