@@ -172,3 +172,35 @@ def test_each_procedure_from_each_state(start: str, name: str, by_pdo: bool) -> 
     assert led(rig, make(rig)) == ends.get(start, DISABLED)
     moves = (start == MOVING and name == "reset fault") or (start in (MOVING, QUICK_STOP, BRAKING) and name == "enable")
     assert stands(rig) is not moves  # enabled in pv, it obeys its last target
+
+
+@pytest.mark.parametrize("by_pdo", [False, True])
+def test_a_fault_is_reset_also_where_bit_7_was_left_set(by_pdo: bool) -> None:
+    """The reset is a rising edge, and another master may have commanded it before the cause was gone."""
+    rig = rig_in(DISABLED, by_pdo)
+    rig.node.raise_fault(CODE, rig.bus.now, lasting=True)
+    rig.bus.send("205#8000")
+    rig.bus.run(MILLISECOND)
+    assert rig.drive.state is State.FAULT
+    rig.drive.end_fault(CODE)
+    assert led(rig, drive.reset_fault(rig.axis)) == DISABLED
+
+
+def test_an_event_driven_tpdo_tells_a_mode_that_another_master_has_selected() -> None:
+    rig = rig_in(ENABLED, by_pdo=True)
+    for mode in (1, 6):
+        rig.bus.send(f"305#0F00{mode:02X}")
+        rig.bus.run(MILLISECOND)
+        assert rig.axis.mode == rig.drive.mode == mode
+
+
+def test_a_mode_that_was_shown_before_the_command_is_no_answer_to_it() -> None:
+    """Another master has changed it since, and the drive takes its time."""
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=30 * MILLISECOND))
+    for mode in (1, 3):
+        rig.run(drive.set_mode(rig.axis, mode))
+        rig.bus.send("305#000006")
+        rig.bus.run(50 * MILLISECOND)
+        assert rig.drive.mode == 6
+        rig.run(drive.set_mode(rig.axis, mode))
+        assert rig.drive.mode == mode

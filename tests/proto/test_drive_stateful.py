@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
+import hypothesis
+from hypothesis import Phase
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
 
@@ -19,10 +21,10 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State
 from canopen_proto.dictionary import Direction
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.configure_pdo import use_device_pdo
-from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, ProcedureError
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
@@ -41,8 +43,10 @@ SETTINGS: Final = replace(
 MOVE: Final = 20 * SECOND
 QUIET: Final = 200 * MILLISECOND
 """Until what was done to the drive has shown."""
-LEFT_OVER: Final = 3_000
+LEFT_OVER: Final = 6_000
 """In 0x60FF: whoever enables the drive in pv moves it."""
+RATES: Final = {0x60FF: LEFT_OVER, 0x6081: 10_000, 0x6084: 10_000, 0x6085: 20_000}
+"""So slow that a ramp takes a second or less, and is seen."""
 EVENT_DRIVEN: Final = ((1,), (1, 2))
 BY_SYNC: Final = ((4,), (3,))
 LINKS: Final = {"SDO": ((), ()), "event-driven PDOs": EVENT_DRIVEN, "PDOs by SYNC": BY_SYNC}
@@ -52,17 +56,37 @@ DURATIONS: Final = st.sampled_from([0, 5, 30, 100, 400, 1000, None])
 """In ms; None: to the end."""
 
 
+AFTER: Final = st.sampled_from([0, 150, 600, 5_000, 40_000, 400_000, 1_500_000])
+TROUBLES: Final = st.one_of(
+    st.tuples(st.just("disturb"), st.sampled_from([0.02, 0.2, 0.6]), st.sampled_from([0.0, 0.2]), st.booleans()),
+    st.tuples(st.just("cut")),
+    st.tuples(st.just("heal")),
+)
+ACTS: Final = st.one_of(
+    st.tuples(st.just("fail"), st.sampled_from([0x2310, 0x3210]), st.booleans()),
+    st.tuples(
+        st.just("another_master"),
+        st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x010F, 0x1F, 0x80]),
+        st.sampled_from([None, 0, 1, 3, 6, 7]),
+    ),
+    st.tuples(st.just("cycle_its_power"), st.sampled_from([MILLISECOND, 300 * MILLISECOND, 2 * SECOND])),
+    st.tuples(st.just("command_nmt"), st.sampled_from([*NmtCommand])),
+)
+
+
 @dataclass(frozen=True)
 class Task:
     """A procedure, and the truth that its result claims.
 
     moves: it has to leave the drive standing if it does not succeed; follows: it moves after its end, too.
+    halts: it leaves the drive standing even if it is cancelled before it has done anything.
     """
 
     make: Callable[[Rig], Procedure[object]]
     is_true: Callable[[Rig], bool]
     moves: bool = False
     follows: bool = False
+    halts: bool = False
 
 
 def state(*states: State) -> Callable[[Rig], bool]:
@@ -77,10 +101,10 @@ def follows(mode: Mode) -> Callable[[Rig], bool]:
     return lambda rig: rig.drive.state is State.OPERATION_ENABLED and rig.drive.mode == mode
 
 
-OFF: Final = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.FAULT)
+OFF: Final = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED, State.FAULT)
 TASKS: Final = {
     "enable": Task(lambda rig: drive.enable(rig.axis), state(State.OPERATION_ENABLED)),
-    "halt": Task(lambda rig: drive.halt(rig.axis), stands, moves=True),
+    "halt": Task(lambda rig: drive.halt(rig.axis), stands, moves=True, halts=True),
     "quick stop": Task(lambda rig: drive.quick_stop(rig.axis), state(State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)),
     "shut down": Task(lambda rig: drive.shut_down(rig.axis), state(*OFF)),
     "reset fault": Task(lambda rig: drive.reset_fault(rig.axis), lambda rig: not rig.axis.has_fault),
@@ -104,6 +128,10 @@ TASKS: Final = {
 }
 
 
+TAKE_MODE: Final = [TASKS[name] for name in ("into pp", "into pv", "move", "home", "ip", "csp")]
+"""They end only once 0x6061 shows the mode."""
+
+
 def is_at(rig: Rig, position: float) -> bool:
     """Whether the drive stands within its window of a target."""
     return abs(rig.drive._servo.position - rig.drive._servo.zero - rig.axis.to_counts(position)) <= 11
@@ -112,13 +140,21 @@ def is_at(rig: Rig, position: float) -> bool:
 class MasterAndDrive(RuleBasedStateMachine):
     """One master, one drive, and everything that comes between them."""
 
-    @initialize(link=st.sampled_from([*LINKS]), reaction=st.sampled_from([0, 30 * MILLISECOND]), self_test=st.booleans())
-    def begin(self, link: str, reaction: Time, self_test: bool) -> None:
+    @initialize(
+        link=st.sampled_from([*LINKS]),
+        reaction=st.sampled_from([0, 30 * MILLISECOND]),
+        self_test=st.booleans(),
+        is_hostile=st.booleans(),
+    )
+    def begin(self, link: str, reaction: Time, self_test: bool, is_hostile: bool) -> None:
+        """is_hostile: others act on the drive, too; else only the network is bad, and tasks are cancelled."""
+        self.is_hostile = is_hostile
         settings = DriveSettings(
             position=0, reaction=reaction, self_test=self_test * 50 * MILLISECOND, track=Track(negative_limit=-20_000)
         )
         self.rig = rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
-        rig.node.set_value(0x60FF, 0, LEFT_OVER, rig.bus.now)
+        for index, value in RATES.items():
+            rig.node.set_value(index, 0, value, rig.bus.now)
         rig.axis.settings = SETTINGS
         rpdos, tpdos = LINKS[link]
         for number in rpdos:
@@ -129,9 +165,12 @@ class MasterAndDrive(RuleBasedStateMachine):
         self.by_sync = link == "PDOs by SYNC"
         if self.by_sync:
             rig.start_sync()
+        rig.bus.run(2 * QUIET)
         self.shows_state = bool(tpdos)
         self.shows_mode = 2 in tpdos
-        self.is_known = False  # since the last disturbance the master has succeeded once, so that it knows the drive
+        self.is_known = self.is_mode_known = (
+            False  # since the last disturbance the master has succeeded once, so that it knows the drive
+        )
         self.is_clear = False  # nothing stood in the way of the task when it began
         self.stands_since: Time | None = None
         self.task: Task | None = None
@@ -158,8 +197,38 @@ class MasterAndDrive(RuleBasedStateMachine):
     def stop(self, name: str, duration: int | None) -> None:
         self.do(name, duration)
 
-    @rule(name=st.sampled_from([*TASKS]))
-    def finish(self, name: str) -> None:
+    @rule()
+    def recover(self) -> None:
+        """All is well again."""
+        self.heal()
+        self.remove_the_cause()
+        self.let(2 * QUIET)
+        self.rig.nmt.start(0, self.rig.bus.now)
+        self.let(QUIET)
+        self.do("reset fault", None)
+
+    @rule()
+    def run_in_pv(self) -> None:
+        """Move by what was left over."""
+        self.do("into pv", None)
+        self.do("enable", None)
+        self.let(100 * MILLISECOND)
+
+    @rule(name=st.sampled_from(["halt", "move", "home", "ip", "csp"]), after=AFTER, moves=st.booleans())
+    def interrupt(self, name: str, after: int, moves: bool) -> None:
+        """Begin a task and cancel it, after so many us. moves: the axis moves before."""
+        if moves:
+            self.run_in_pv()
+        self.do(name, 0)
+        self.let(after * MICROSECOND)
+        if self.request is not None:
+            self.cancel()
+            self.await_its_end()
+
+    @rule(name=st.sampled_from([*TASKS]), moves=st.booleans())
+    def finish(self, name: str, moves: bool) -> None:
+        if moves:
+            self.run_in_pv()
         self.do(name, None)
 
     def do(self, name: str, duration: int | None) -> None:
@@ -170,6 +239,7 @@ class MasterAndDrive(RuleBasedStateMachine):
         rig = self.rig
         self.task, self.began_at = TASKS[name], rig.bus.now
         self.stands_since = None
+        self.sent_before = len(rig.bus.sent)
         self.was_disturbed = self.is_cut or self.is_lossy
         self.is_clear = (
             not self.was_disturbed
@@ -224,69 +294,65 @@ class MasterAndDrive(RuleBasedStateMachine):
 
     # ---- everything else ----
 
-    def act(self) -> None:
+    @rule(trouble=TROUBLES)
+    def trouble(self, trouble: tuple[Any, ...]) -> None:
+        """Something befalls the network."""
+        name, *how = trouble
+        getattr(self, name)(*how)
+
+    @precondition(lambda self: self.is_hostile)
+    @rule(act=ACTS)
+    def others(self, act: tuple[Any, ...]) -> None:
+        """Somebody else acts on the drive."""
+        name, *how = act
+        self.acted_at = self.rig.bus.now
+        getattr(self, name)(*how)
         self.acted_at = self.rig.bus.now
 
-    @rule(loss=st.sampled_from([0.02, 0.2, 0.6]), copies=st.sampled_from([0.0, 0.2]), slow=st.booleans())
     def disturb(self, loss: float, copies: float, slow: bool) -> None:
         self.is_lossy = self.was_disturbed = True
-        self.is_known = False
+        self.is_known = self.is_mode_known = False
         self.rig.bus.disturb(loss=loss, copies=copies, delay=(100_000, (20 if slow else 1) * MILLISECOND))
 
-    @precondition(lambda self: self.is_lossy or self.is_cut)
-    @rule()
     def heal(self) -> None:
         self.rig.bus.disturb(delay=(100_000, 100_000))
         self.is_lossy = self.is_cut = False
         self.healed_at = self.rig.bus.now
 
-    @precondition(lambda self: not self.is_cut)
-    @rule()
     def cut(self) -> None:
         self.rig.bus.disturb(loss=1.0, delay=(100_000, 100_000))
         self.is_cut = self.was_disturbed = True
-        self.is_known = False
+        self.is_known = self.is_mode_known = False
 
-    @rule(code=st.sampled_from([0x2310, 0x3210]), lasting=st.booleans())
     def fail(self, code: int, lasting: bool) -> None:
-        self.act()
         self.rig.node.raise_fault(code, self.rig.bus.now, lasting=lasting)
         if lasting:
             self.lasting.add(code)
         self.let(0)
 
-    @precondition(lambda self: self.lasting)
-    @rule()
     def remove_the_cause(self) -> None:
         while self.lasting:
             self.rig.drive.end_fault(self.lasting.pop())
 
-    @rule(word=st.sampled_from([0x00, 0x02, 0x06, 0x07, 0x0F, 0x010F, 0x1F, 0x80]), mode=st.sampled_from([None, 0, 1, 3, 6, 7]))
     def another_master(self, word: int, mode: int | None) -> None:
-        self.act()
         self.rig.bus.send(
             f"205#{word.to_bytes(2, 'little').hex()}" if mode is None else f"305#{word & 255:02X}{word >> 8:02X}{mode:02X}"
         )
         self.let(MILLISECOND)
 
-    @rule(off=st.sampled_from([MILLISECOND, 300 * MILLISECOND, 2 * SECOND]))
     def cycle_its_power(self, off: Time) -> None:
         rig = self.rig
-        self.act()
-        self.is_known = False
+        self.is_known = self.is_mode_known = False
         rig.node.execute(NmtCommand.RESET_NODE, rig.bus.now)
         rig.device.drain(rig.bus.now)
         rig.bus.detach(rig.device)
         self.let(off)
         rig.bus.attach(rig.device)
-        self.act()
         rig.node.execute(NmtCommand.RESET_NODE, rig.bus.now)
         self.let(0)
 
-    @rule(command=st.sampled_from([*NmtCommand]))
     def command_nmt(self, command: NmtCommand) -> None:
-        self.act()
-        self.is_known = False
+        self.is_known = self.is_mode_known = False
         self.rig.nmt.send(command, 5, self.rig.bus.now)
         self.let(MILLISECOND)
 
@@ -301,7 +367,7 @@ class MasterAndDrive(RuleBasedStateMachine):
         if self.is_known and rig.node.state is NmtState.OPERATIONAL:
             rig.drive.refresh(rig.bus.now)
             assert rig.axis.state is rig.drive.state
-            assert not self.shows_mode or rig.axis.mode == rig.drive.mode
+            assert not (self.shows_mode and self.is_mode_known) or rig.axis.mode == rig.drive.mode
 
     @invariant()
     def what_stands_goes_on_standing(self) -> None:
@@ -319,24 +385,30 @@ class MasterAndDrive(RuleBasedStateMachine):
         match ended:
             case ProcedureFinished():
                 assert not is_ours or task.is_true(rig), f"it claims more than is true: {self.truth()}"
-                self.is_known = self.is_known or (self.is_clear and is_ours and not self.was_disturbed)
+                if self.is_clear and is_ours and not self.was_disturbed:
+                    self.is_known = True
+                    self.is_mode_known = self.is_mode_known or task in TAKE_MODE
+            case ProcedureCancelled(clean_up_error=error):
+                says = "" if error is None else f"its halt failed: {error}"
             case ProcedureFailed(error=error):
                 assert isinstance(error, ProcedureError), repr(error)
-                says = " ".join([str(error), *getattr(error, "__notes__", ())])
+                says = " ".join(["its halt failed: " * task.halts, str(error), *getattr(error, "__notes__", ())])
                 assert " 5" in says, f"it does not name the drive: {says}"
                 if not self.was_disturbed:
                     assert not (self.is_clear and is_ours), f"nothing stood in the way: {says}"
                     assert not isinstance(error, drive.DriveFault) or "0x2310" in says or "0x3210" in says
-        if not task.moves or not is_ours or "halt" in says or not self.has_commanded():
+        if not task.moves or not is_ours or "halt" in says or not (task.halts or self.has_commanded()):
             return
         if not (isinstance(ended, ProcedureFinished) and task.follows):
             assert stands(rig), f"it leaves a drive that moves, and does not say so: {ended}; {self.truth()}"
             self.stands_since = rig.bus.now
 
     def has_commanded(self) -> bool:
-        """Whether the task has sent anything but requests to read."""
-        sent = (frame for time, frame in reversed(self.rig.bus.sent) if time >= self.began_at)
-        return any(frame.can_id in (0x205, 0x505) or (frame.can_id == 0x605 and frame.data[0] >> 5 == 1) for frame in sent)
+        """Whether the task has sent anything but requests to read, and what RPDOs said before."""
+        frames = [frame for _, frame in self.rig.bus.sent]
+        new = {frame for frame in frames[self.sent_before :] if frame.can_id in (0x205, 0x505)}
+        written = any(frame.can_id == 0x605 and frame.data[0] >> 5 == 1 for frame in frames[self.sent_before :])
+        return written or bool(new - set(frames[: self.sent_before][-30:]))
 
     def truth(self) -> str:
         rig = self.rig
@@ -378,4 +450,5 @@ class MasterAndDrive(RuleBasedStateMachine):
 
 
 def test_master_and_drive() -> None:
-    run_state_machine_as_test(MasterAndDrive, settings=examples(30, steps=15))
+    settings = hypothesis.settings(examples(20, steps=20), phases=[Phase.generate])  # to make it short may take minutes
+    run_state_machine_as_test(MasterAndDrive, settings=settings)

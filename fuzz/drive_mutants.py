@@ -1,0 +1,189 @@
+"""Planted bugs of drives, on both sides. No fuzz target knows a drive; tests find them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+ANY_SITUATION: Final = ("tests/proto/test_drive_stateful.py",)
+TABLES: Final = ("tests/proto/test_cia402_tables.py",)
+WALK: Final = ("tests/proto/test_drive_state_walk.py",)
+HOMED: Final = ("tests/proto/test_homed_means_homed.py",)
+KILLS: Final = ("tests/proto/test_kill_table.py",)
+
+_STATE: Final = "drive/state.py"
+_HALTING: Final = "drive/halting.py"
+_WATCHING: Final = "drive/watching.py"
+_TABLE: Final = "cia402/states.py"
+_DRIVE: Final = "simulated_drive/drive.py"
+
+DRIVE_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        # ---- the master ----
+        (
+            "reset_without_edge",
+            _STATE,
+            "    yield from command(axis, 0)\n    yield from command(axis, int(Command.FAULT_RESET))",
+            "    yield from command(axis, int(Command.FAULT_RESET))",
+            "a fault is reset by an edge, and another master may have left bit 7 set",
+            WALK,
+        ),
+        (
+            "old_value",
+            _WATCHING,
+            "return heard_at if heard_at is not None and heard_at >= self.began else None",
+            "return heard_at",
+            "what was shown before the command is taken for its answer",
+            WALK,
+        ),
+        (
+            "mode_display_ignored",
+            _STATE,
+            "is not None and axis.mode == mode else None",
+            "is not None else None",
+            "a mode that was written counts as taken",
+            ANY_SITUATION,
+        ),
+        (
+            "halt_taken_back",
+            _HALTING,
+            "    except Cancelled:\n        yield from _stop(axis)\n        raise",
+            "    except Cancelled:\n        raise",
+            "a halt that is cancelled before its command is none",
+            ANY_SITUATION,
+        ),
+        (
+            "standstill_by_state",
+            _HALTING,
+            "        return (has_obeyed and (not has_position or self._is_at_one_place())) or None",
+            "        return True",
+            "a halt does not wait until the drive stands",
+            ANY_SITUATION,
+        ),
+        (
+            "halt_forgets_its_bit",
+            _HALTING,
+            "| ControlBit.HALT\n",
+            "\n",
+            "a halt that commands no halt",
+            ANY_SITUATION,
+        ),
+        (
+            "failed_move_goes_on",
+            "drive/profile_position.py",
+            "        yield from halt_after(axis, cause)\n        raise",
+            "        raise",
+            "a move that is cancelled leaves the drive moving",
+            ANY_SITUATION,
+        ),
+        (
+            "failed_homing_goes_on",
+            "drive/homing.py",
+            "        yield from halt_after(axis, cause)\n        raise",
+            "        raise",
+            "a homing that is cancelled leaves the drive moving",
+            ANY_SITUATION,
+        ),
+        (
+            "homed_too_early",
+            "drive/homing.py",
+            "return ending if is_new or heard_at - self._shown_since >= self._reaction_time else None",
+            "return ending",
+            "the end of the homing before is taken for this one's",
+            HOMED,
+        ),
+        (
+            "way_through_power",
+            _TABLE,
+            "_IN_MOTION: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)",
+            "_IN_MOTION: Final = ()",
+            "the way between two states without power leads through one with power",
+            WALK,
+        ),
+        (
+            "fault_not_awaited",
+            _STATE,
+            "state_of(word) is not State.FAULT_REACTION_ACTIVE",
+            "bool(word)",
+            "a fault is reset while the drive still brakes",
+            WALK,
+        ),
+        # ---- the table that both sides share ----
+        (
+            "quick_stop_without_power",
+            _TABLE,
+            "(State.SWITCHED_ON, Command.QUICK_STOP): (State.SWITCH_ON_DISABLED, 10)",
+            "(State.SWITCHED_ON, Command.QUICK_STOP): (State.QUICK_STOP_ACTIVE, 11)",
+            "a quick stop leads to Quick stop active only from Operation enabled",
+            TABLES,
+        ),
+        (
+            "ready_without_quick_stop_bit",
+            _TABLE,
+            "State.READY_TO_SWITCH_ON: (0x6F, 0x21)",
+            "State.READY_TO_SWITCH_ON: (0x4F, 0x01)",
+            "bit 5 belongs to the pattern",
+            ("tests/proto/test_cia402_states.py",),
+        ),
+        (
+            "reset_by_level",
+            _TABLE,
+            "if command is Command.FAULT_RESET and previous & ControlBit.FAULT_RESET:",
+            "if previous < 0:",
+            "a bit 7 that only stands resets a fault",
+            TABLES,
+        ),
+        (
+            "stays_from_six",
+            "cia402/option_codes.py",
+            "STAYS_FROM: Final = 5",
+            "STAYS_FROM: Final = 6",
+            "605Ah = 5 stays in Quick stop active",
+            TABLES,
+        ),
+        # ---- the simulated drive ----
+        (
+            "reaction_swapped",
+            _DRIVE,
+            "            case 2:\n                self._execute(Command.DISABLE_VOLTAGE)\n            case 3:",
+            "            case 3:\n                self._execute(Command.DISABLE_VOLTAGE)\n            case 2:",
+            "6007h: 2 disables the voltage, 3 is the quick stop",
+            TABLES,
+        ),
+        (
+            "slow_quick_stop",
+            "simulated_drive/parameters.py",
+            "        if option == 1:\n            return self.rate(objects.PROFILE_DECELERATION)",
+            "        if option in (1, 2):\n            return self.rate(objects.PROFILE_DECELERATION)",
+            "a quick stop by the slow-down ramp",
+            (*TABLES, *KILLS),
+        ),
+        (
+            "sync_not_awaited",
+            "simulated_drive/synchronous_modes.py",
+            "        self.due = self.servo.time + self._sync_timeout\n",
+            "",
+            "a lost SYNC stops nothing",
+            KILLS,
+        ),
+        (
+            "mode_not_sent",
+            "simulated_drive/node.py",
+            "        self.pdos.trigger(MODES_OF_OPERATION_DISPLAY, now)",
+            "        pass",
+            "an event-driven TPDO does not tell a new mode",
+            WALK,
+        ),
+        # ---- the grip ----
+        (
+            "watch_too_long",
+            "procedures/grip.py",
+            "return self.node_id << 16 | self.timeout // MILLISECOND",
+            "return self.node_id << 16 | 4 * self.timeout // MILLISECOND",
+            "a drive that watches for its master four times too long",
+            KILLS,
+        ),
+    )
+)

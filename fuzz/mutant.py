@@ -1,0 +1,17 @@
+"""What a planted bug is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Mutant(NamedTuple):
+    """old becomes new in a file of the core; why it is a bug; the tests that should find it. in_corpus: the corpus should too."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    why: str
+    tests: tuple[str, ...]
+    in_corpus: bool = True
