@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from canopen_proto import drive
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.objects import MODES_OF_OPERATION
+from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER
 from canopen_proto.machine import MILLISECOND
@@ -98,3 +101,17 @@ def test_a_mode_beyond_its_object_is_refused_and_nothing_is_sent() -> None:
     with pytest.raises(ValueError, match="modes_of_operation"):
         rig.run(drive.set_mode(rig.axis, 200, waive_check=True))
     assert MODES_OF_OPERATION not in rig.remote.commanded
+
+
+def test_a_mode_that_is_there_already_is_the_one_that_the_rpdo_asks_for() -> None:
+    """The drive takes no mode while it is enabled; another master has selected this one."""
+    rig = rig_with_rpdo(1, live=False)
+    rig.axis.settings = replace(rig.axis.settings, mode_change_state=State.SWITCHED_ON)
+    rig.node.values.store[MODES_OF_OPERATION] = Mode.HOMING
+    rig.drive.written(0x6060, 0, rig.bus.now)
+    rig.run(drive.enable(rig.axis))
+    rig.run(drive.set_mode(rig.axis, Mode.HOMING))
+    assert rig.drive.state is State.OPERATION_ENABLED
+    rig.start_sync()
+    rig.remote.enable_rpdo(WITH_MODE, rig.bus.now)
+    agree_on(rig, Mode.HOMING)
