@@ -205,7 +205,11 @@ def plan_motion(
         rejected.append(Obstacle(mode, obstacle))
     source = dictionary.source or "its dictionary"
     told_obstacles = "; ".join(f"{short_name(each.mode)}: {each.reason}" for each in rejected)
-    raise NoMotionPlan(f"node {node_id} cannot follow set-points by {source}: {told_obstacles}", rejected)
+    raise NoMotionPlan(
+        f"node {node_id} cannot follow set-points by {source}: {told_obstacles}. "
+        "Try: the file of this very drive and firmware; its manual on modes (0x6502) and PDO mapping",
+        rejected,
+    )
 
 
 def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:

@@ -310,6 +310,7 @@ def test_a_plan_says_how_a_drive_would_follow_set_points_and_writes_nothing(
     refused = run("drive", "3", "plan", "--mode", "csp", "-e", str(file), *DEMO)
     assert refused.status == ExitCode.DRIVE_FAULT
     assert "0x6502 of the drive lists pp, vl, ip" in refused.err
+    assert "try:   the file of this very drive" in refused.err
 
 
 def test_a_plan_needs_the_drives_file(run: Run) -> None:
