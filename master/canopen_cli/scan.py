@@ -19,7 +19,9 @@ from canopen_proto.network import Network
 from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
 from canopen_proto.procedures.scan import scan as scan_procedure
 
-COLUMNS: Final = ("node", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark")
+COLUMNS: Final = (
+    "node", "in the file", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark",
+)  # fmt: skip
 DETAILS: Final = ("revision", "serial number")
 """Columns shown only with -v and in JSON, so that a row fits into a terminal."""
 
@@ -33,20 +35,28 @@ DETAILS: Final = ("revision", "serial number")
 def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> None:
     """Find the nodes of a bus.
 
-    Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time.
+    Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time. With a machine file
+    it shows the names there, and which of its nodes were not found.
     """
     screen = settings.screen()
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
     found, remark = run(settings, screen, lambda: _scan(settings, screen, asked, listen))
+    machine, bus = settings.machine_on_bus()
+    names = {} if machine is None else {each.node_id: each.name for each in machine.nodes.values() if each.bus == bus}
     if settings.json:
-        screen.json([_as_json(node) for node in found])
+        known = {} if machine is None else {node.node_id: {"machine": names.get(node.node_id)} for node in found}
+        screen.json([{**_as_json(node), **known.get(node.node_id, {})} for node in found])
     elif found:
-        cells = [dict(zip(COLUMNS, _row(node), strict=True)) for node in found]
+        cells = [dict(zip(COLUMNS, _row(node, names.get(node.node_id, "")), strict=True)) for node in found]
         hidden = () if settings.verbosity > 0 else DETAILS
         columns = [name for name in COLUMNS if name not in hidden and any(row[name] for row in cells)]
         screen.table(columns, [[row[name] for name in columns] for row in cells], right=("node",))
     how = "heard" if passive else "found"
     screen.say(f"{counted(len(found), 'node')} {how}" + remark)
+    missing = names.keys() & set(asked or names) - {node.node_id for node in found}
+    if machine is not None and missing:
+        listed = ", ".join(f"{escape(names[node_id])} ({node_id})" for node_id in sorted(missing))
+        screen.say(f"[yellow]of {escape(machine.source)} not {how}: {listed}[/]")
 
 
 def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
@@ -106,12 +116,13 @@ async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:
             await trio.sleep(0.1)
 
 
-def _row(node: NodeFound) -> tuple[str, ...]:
+def _row(node: NodeFound, name: str) -> tuple[str, ...]:
+    """Return the cells of a node. name: in the machine file."""
     vendor, product, revision, serial = (f"0x{field:08X}" if field is not None else "" for field in node.identity)
     state = node.state.name.lower().replace("_", "-") if node.state is not None else ""
     device = device_type_text(node.device_type) if node.device_type is not None else ""
     who = f"{node.node_id} (0x{node.node_id:02X})"
-    return who, state, device, escape(node.name), vendor, product, revision, serial, escape(node.remark)
+    return who, escape(name), state, device, escape(node.name), vendor, product, revision, serial, escape(node.remark)
 
 
 def _as_json(node: NodeFound) -> dict[str, Any]:

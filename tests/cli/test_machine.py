@@ -203,6 +203,17 @@ def test_a_joint_homes_as_the_file_says(run: Run, cell: str) -> None:
     assert run("home", "shoulder", "-m", cell, "--limit", "60s").status == ExitCode.OK
 
 
+def test_a_scan_shows_names_and_what_is_not_there(run: Run, cell: str) -> None:
+    Path(cell).write_text(CELL.replace("[joints.shoulder]", "[nodes.lamp]\nbus = 'right'\nid = 9\n[joints.shoulder]"))
+    done = run("scan", "-m", cell, "-b", "right")
+    assert "drive4" in done.out
+    assert "of cell.toml not found: lamp (9)" in done.err
+    assert [row["machine"] for row in run("scan", "-m", cell, "-b", "right", "--json").json] == ["drive4"]
+    assert "not found" not in run("scan", "-m", cell, "-b", "right", "--ids", "4-8").err
+    assert "not heard: lamp (9)" in run("scan", "--passive", "-m", cell, "-b", "right").err
+    assert "machine" not in run("scan", "-b", "demo", "--json").json[0]
+
+
 # ---- demo ----
 
 
