@@ -8,6 +8,7 @@ import pytest
 
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import NEVER
+from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.proto.drive_bench import Bench
 
@@ -56,7 +57,28 @@ def _set_points(bench: Bench, index: int, subindex: int, direction: int) -> None
         speed = min(SPEED, speed + 2_000)
 
 
-MODES: dict[int, Move] = {1: pp, 2: vl, 3: pv, 7: ip, 8: csp}
+def csv(bench: Bench, direction: int) -> None:
+    _targets(bench, 0x60FF, direction * SPEED)
+
+
+def tq(bench: Bench, direction: int) -> None:
+    bench.write(0x6071, direction * 100)
+
+
+def cst(bench: Bench, direction: int) -> None:
+    _targets(bench, 0x6071, direction * 100)
+
+
+def _targets(bench: Bench, index: int, target: int) -> None:
+    """A target for 75 SYNCs; 0 first, as a drive that has lost its SYNC wants it."""
+    for each in (0, target):
+        bench.put(index, each)
+        for _ in range(75 if each else 2):
+            bench.sync()
+
+
+MODES: dict[int, Move] = {1: pp, 2: vl, 3: pv, 7: ip, 8: csp, 9: csv}
+TORQUE_MODES: dict[int, Move] = {4: tq, 10: cst}
 
 
 def enabled(mode: int, position: float = 0, *, shape: Shape = Shape.STANDARD) -> Bench:
@@ -139,3 +161,24 @@ def test_a_harder_brake_is_not_softened_by_the_switch() -> None:
     bench.run(200)
     assert bench.state is State.SWITCH_ON_DISABLED
     assert LIMIT - 200 < bench.position < LIMIT + 300
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize("mode", [1, 3, 4, 7, 8, 9, 10])
+def test_a_mass_is_stopped_as_well(mode: int, direction: int) -> None:
+    """With mechanics: the torque that drives the axis on is taken back, and it brakes."""
+    move = {**MODES, **TORQUE_MODES}[mode]
+    bench = Bench(DriveSettings(position=0, track=TRACK, mechanics=Mechanics()))
+    bench.preset(0x6081, SPEED)
+    bench.preset(0x60C2, 10, 1)
+    bench.preset(0x607F, SPEED)
+    bench.enable(mode)
+    move(bench, direction)
+    bench.run(3_000)
+    place = bench.position
+    assert LIMIT <= place * direction <= FURTHEST + 1_000
+    assert abs(bench.read(0x606C)) < 100
+    assert bench.has(INTERNAL_LIMIT)
+    move(bench, -direction)
+    bench.run(1_000)
+    assert bench.position * direction < LIMIT
