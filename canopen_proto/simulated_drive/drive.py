@@ -146,7 +146,7 @@ class Drive(Machine):
         if is_mode:
             has_value = has_mode(self._servo, self._modes, value)
         elif key == objects.HOMING_METHOD:
-            has_value = has_method(self.values.store, value)
+            has_value = has_method(self._servo, value)
         else:
             has_value = value in ALLOWED_VALUES.get(key, (value,))
         if not has_value and value != self._servo.parameter(key):  # the value that a file gave it may be written back

@@ -17,7 +17,9 @@ do it this way.) The axis returns to the edge, then homing is complete.
                     in progress --> error, moving --> error, stopped
     bit 4 falls or halt rises: interrupted; the bits say "in progress" until the axis stands
 
-Left out: homing by a touch probe (36).
+A maker has methods of its own, with numbers below 0: `DriveSettings.own_homing`.
+
+Left out: homing by a touch probe (36), and onto a hard stop.
 
 Source: IEC 61800-7-201 (CiA 402-2), homing mode.
 """
@@ -25,14 +27,12 @@ Source: IEC 61800-7-201 (CiA 402-2), homing mode.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final, NamedTuple, assert_never
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.homing_methods import HOMING_METHODS, HomingMethod, HomingSwitch
 from canopen_proto.cia402.modes import HOMING_BITS, HomingStatus, ModeControl
 from canopen_proto.cia402.states import ControlBit
-from canopen_proto.datatypes import Value
 from canopen_proto.machine import Event, Outbox
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.profile_modes import OperationMode
@@ -110,13 +110,20 @@ METHODS: Final[dict[int, tuple[Seek, ...]]] = {number: _seeks_of(method) for num
 """Homing method (6098h) -> its seeks, in order. Without any, home is where the axis stands."""
 
 
-def has_method(store: Mapping[Mux, Value], method: int) -> bool:
+def has_method(servo: Servo, method: int) -> bool:
     """Return whether a drive takes a value of 6098h: 0, or a method that the simulation has and its list (60E3h), if any, too."""
+    store = servo.store
     count = store.get(objects.SUPPORTED_HOMING_METHODS)
     listed = isinstance(count, int) and count > 0
     places = range(1, count + 1) if isinstance(count, int) else range(0)
     is_listed = not listed or any(store.get(Mux(objects.SUPPORTED_HOMING_METHODS + place)) == method for place in places)
-    return method == 0 or (method in METHODS and is_listed)
+    return method == 0 or (_seeks_by(servo, method) is not None and is_listed)
+
+
+def _seeks_by(servo: Servo, number: int) -> tuple[Seek, ...] | None:
+    """Return the searches of a method, of the standard or the maker; None if the drive lacks it."""
+    own = dict(servo.settings.own_homing).get(number)
+    return METHODS.get(number) if own is None else _seeks_of(own)
 
 
 _START: Final = ModeControl.START_HOMING
@@ -162,8 +169,8 @@ class Homing(OperationMode):
         self.is_referenced = False
         has_own = servo.settings.shape is Shape.SCHUNK_POWERBALL
         self._method = servo.settings.homing_method if has_own else servo.parameter(objects.HOMING_METHOD)
-        seeks = METHODS.get(self._method)
-        if seeks is None or not (has_own or has_method(servo.store, self._method)):
+        seeks = _seeks_by(servo, self._method)
+        if seeks is None or not (has_own or has_method(servo, self._method)):
             self._finish(HomingStatus.ERROR_STOPPED)
             return
         self._status = HomingStatus.IN_PROGRESS

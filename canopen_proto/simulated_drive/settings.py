@@ -9,6 +9,7 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
+from canopen_proto.cia402.homing_methods import HomingMethod
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -78,7 +79,8 @@ class DriveSettings:
     goes to Switch on disabled. brake_bit: the bit that shows a closed brake. overload_fault: error code of the fault that an
     overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one. coasts: whether
     bit 8 only takes the torque away in tq and cst, so that a mass without friction moves on.
-    second_encoder: counts of a second encoder (60E4h:01) for one of the first; it has the zero of the track.
+    own_homing: homing methods of its maker, below 0, each with its picture. second_encoder: counts of a second encoder
+    (60E4h:01) for one of the first; it has the zero of the track.
     answers: objects that are answered wrongly, late or not at all, for tests.
     """
 
@@ -102,5 +104,6 @@ class DriveSettings:
     brake_bit: DriveBit | None = None
     overload_fault: int = 0
     coasts: bool = False
+    own_homing: tuple[tuple[int, HomingMethod], ...] = ()
     second_encoder: float = 1.0
     answers: tuple[tuple[Mux, Answer], ...] = ()

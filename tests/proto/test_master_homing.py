@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.homing_methods import HomingMethod, HomingSwitch
 from canopen_proto.cia402.modes import HomingStatus
 from canopen_proto.cia402.states import State
 from canopen_proto.drive import (
@@ -75,6 +76,18 @@ def test_without_a_list_the_table_decides_and_manufacturers_methods_pass() -> No
     rig.axis.settings = replace(DEGREES, homing_method=19)
     with pytest.raises(HomingFailed):  # the table has it; the switch lies behind
         rig.run(home(rig.axis))
+
+
+def test_a_makers_method_is_sent_as_any_other() -> None:
+    onto_lower_limit = HomingMethod(HomingSwitch.NEGATIVE_LIMIT, start=-1, edge=1, last=-1)  # as 17, inward
+    settings = DriveSettings(position=0, track=TRACK, own_homing=((-5, onto_lower_limit),))
+    rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
+    rig.axis.settings = replace(DEGREES, homing_method=-5)
+    with pytest.raises(ModeUnsupported):  # not in its list
+        rig.run(home(rig.axis))
+    rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0  # a drive without a list
+    rig.run(home(rig.axis))
+    assert rig.drive._servo.zero == -50_000
 
 
 def test_speeds_acceleration_and_home_position_are_in_the_users_unit() -> None:
