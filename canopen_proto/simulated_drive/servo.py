@@ -43,6 +43,7 @@ BRAKE: Final = 1
 UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
 
+_ROUNDING: Final = 0.5  # positions are shown rounded: a target that is nearer is where the axis stands
 _AT_REST: Final = 0.01  # units between demand and actual position below which the axis counts as arrived
 _STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error: friction, for 6077h to show something
 _RATED_TORQUE: Final = 1000
@@ -255,7 +256,7 @@ class Servo(Parameters):
             target = self._clip(target)
         here, now_at = self.demand_position, self.demand_velocity
         rates = self._clip_rates(acceleration, deceleration)
-        if self._is_barred(target - here):
+        if self._is_barred(target - here, _ROUNDING):
             self._stop_at_switch()
         elif end_velocity and target == wanted:
             self._plan(motion.through(self.time, here, now_at, target, speed, *rates, min(end_velocity, speed)))
@@ -318,9 +319,10 @@ class Servo(Parameters):
         period = self.interpolation_period()
         last, self._target = self._target, (self.time + math.ceil(2.0 * period * SECOND), target)
         here, now_at = self.demand_position, self.moving_at
-        if self._is_barred(target - here):
+        if self._is_barred(target - here, _ROUNDING):
             self._stop_at_switch()
             return
+        target = here if self._is_barred(target - here) else target
         if self.is_settled and target == here and not passing:
             self._step = None  # it stands there already, and goes on showing that
             return
@@ -350,10 +352,11 @@ class Servo(Parameters):
             goal = max(low, min(high, target + math.copysign(beyond, way)))
             self._plan(motion.move(self.time, here, now_at, goal, fastest, acceleration, deceleration))
 
-    def _is_barred(self, way: float) -> bool:
-        """Return whether a limit switch bars the way (of either sign): the axis is on the switch in that direction."""
+    def _is_barred(self, way: float, least: float = 0.0) -> bool:
+        """Return whether a limit switch bars the way (of either sign, and longer than `least`): the axis is on the switch in that
+        direction."""
         track = self.settings.track
-        onto = (way > 0.0 and self.position >= track.positive_limit) or (way < 0.0 and self.position <= track.negative_limit)
+        onto = (way > least and self.position >= track.positive_limit) or (way < -least and self.position <= track.negative_limit)
         return onto and self.obeys_switches
 
     def _stop_at_switch(self) -> None:

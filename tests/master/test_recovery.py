@@ -30,7 +30,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from canopen_transports import BusState, BusStateChanged, Received, Report
 from tests.master.world import Link, arm_of, drives, position_of, value, virtual_time
 from tests.proto.drive_dictionaries import changed, empty_pdos, supports
@@ -162,6 +162,17 @@ async def assert_moves(arm: Chain) -> None:
     await move(arm)
     await trio.sleep(0.2)
     assert arm.positions == pytest.approx([position + CYCLES * RADIANS_PER_CYCLE for position in before], abs=1e-3)
+
+
+async def assert_moves_back(arm: Chain) -> None:
+    """It follows the other way."""
+    start = arm.positions
+    async for cycle in arm.cycles():
+        arm.set_positions([position - RADIANS_PER_CYCLE * cycle.number for position in start])
+        if cycle.number >= CYCLES:
+            break
+    await trio.sleep(0.2)
+    assert arm.positions[0] == pytest.approx(start[0] - CYCLES * RADIANS_PER_CYCLE, abs=1e-3)
 
 
 async def fails(arm: Chain, do: Callable[[], object]) -> ChainFault:
@@ -449,13 +460,20 @@ async def test_a_chain_moves_away_from_an_internal_limit() -> None:
         fault = await fails(arm, lambda: None)
         assert "is held by a limit of its own: bit 11" in fault.reason
         await arm.recover()
-        start = arm.positions
-        async for cycle in arm.cycles():
-            arm.set_positions([position - RADIANS_PER_CYCLE * cycle.number for position in start])
-            if cycle.number >= CYCLES:
-                break
-        await trio.sleep(0.2)
-        assert arm.positions[0] == pytest.approx(start[0] - CYCLES * RADIANS_PER_CYCLE, abs=1e-3)
+        await assert_moves_back(arm)
+        assert not one.node.values.store[objects.STATUSWORD] & 0x800  # type: ignore[operator]
+
+
+@virtual_time
+async def test_a_chain_moves_away_from_a_limit_switch() -> None:
+    async with homed_arm(3, 4, drive=DriveSettings(position=0, track=Track(positive_limit=3_000))) as ((one, _), arm):
+        fault = await fails(arm, lambda: None)
+        assert fault.cause == "it stands on its positive limit switch (0x60FD)"
+        assert "move it the other way, then await chain.recover()" in fault.tries[0]
+        assert 3_000 <= position_of(one.host, one.node) < 3_500
+        await arm.recover()
+        await assert_moves_back(arm)
+        assert position_of(one.host, one.node) < 3_000
         assert not one.node.values.store[objects.STATUSWORD] & 0x800  # type: ignore[operator]
 
 

@@ -10,7 +10,6 @@ from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, Key, PdoDescription
 from canopen_proto.drive import engage_brake, halt, shut_down, start_cyclic_position, start_interpolation
 from canopen_proto.drive.following import UNCERTAIN, following_limit
@@ -162,12 +161,12 @@ def follow(
 
 
 def stop(device: Device) -> Procedure[None]:
-    """Halt the joint, and wait until it stands, also at the end of a fault reaction. If it has no power, read what tells why."""
+    """Halt the joint, and wait until it stands, also at the end of a fault reaction. Then read what tells why it was stopped: it
+    may have no power, or stand on a limit switch."""
     if device.has_fault:
         yield from read_if_present(device.node.remote, objects.ERROR_CODE)
     yield from halt(device.axis)
-    if device.state is not State.OPERATION_ENABLED:
-        device.last_look = yield from look_closer(device.axis)
+    device.last_look = yield from look_closer(device.axis)
 
 
 def power_down(device: Device) -> Procedure[None]:
