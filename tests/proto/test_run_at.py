@@ -85,6 +85,21 @@ def test_it_runs_until_it_is_cancelled(mode: Mode) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
+def test_with_a_controlword_that_goes_by_a_synchronous_rpdo(mode: Mode) -> None:
+    rig = Rig(Shape.STANDARD, drive=DriveSettings(position=0), dictionary=with_encoder())
+    rig.axis.settings = DEGREES
+    rig.start_sync()
+    for number in rig.remote.rpdos:
+        rig.remote.enable_rpdo(number, rig.bus.now)
+    rig.master.run(drive.run_at(rig.axis, 10.0, mode=mode, duration=SECOND), rig.bus.now)
+    rig.bus.run(SECOND)
+    assert speed(rig) == pytest.approx(10)
+    rig.bus.run(SECOND)
+    assert stands(rig)
+    assert not rig.master.runner.busy
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_the_ramps_are_those_asked_for(mode: Mode) -> None:
     rig = rig_with()
     ramps = {"acceleration": 2.5, "deceleration": 5.0}

@@ -66,6 +66,12 @@ def test_one_after_the_other_each_with_a_stop() -> None:
     assert turning_points(rig_at_zero(), Target(10), Target(5), Target(20)) == [0, 10, 5, 20]
 
 
+@pytest.mark.parametrize("reaction", [20, 300])
+def test_a_drive_that_obeys_late(reaction: int) -> None:
+    targets = Target(5), Target(3), Target(4, start=Start.ON_THE_WAY), Target(2, relative_to=RelativeTo.PREVIOUS)
+    assert turning_points(rig_at_zero(reaction=reaction * MILLISECOND), *targets) == [0, 5, 3, 4, 6]
+
+
 def test_the_handshake() -> None:
     rig = rig_at_zero()
     rig.run(along(rig, Target(1), Target(2), Target(3, start=Start.ON_THE_WAY)))
