@@ -91,13 +91,15 @@ class Axis:
     is known; else it is the count. units: as the drive told them when they were last read. grip: takes hold before the drive
     is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which
     starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
-    selected last; None: none since the drive's last boot. is_commanded: whether this master sent a controlword since then.
+    selected last; None: none since the drive's last boot. commanded_at, selected_at: when this master last sent
+    a controlword, and a mode; None: not since then.
     has_opened_brake: whether this master holds the brake open by an output, see digital_io.py.
     """
 
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
-        "_store", "_was_homed", "grip", "has_opened_brake", "has_scale", "is_commanded", "is_identified", "node", "selected_mode",
+        "_store", "_was_homed", "commanded_at", "grip", "has_opened_brake", "has_scale", "is_identified", "node", "selected_at",
+        "selected_mode",
         "set_points_given", "started_at", "state", "units",
     )  # fmt: skip
 
@@ -115,7 +117,8 @@ class Axis:
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
         self.selected_mode: int | None = None
-        self.is_commanded = False
+        self.commanded_at: Time | None = None
+        self.selected_at: Time | None = None
         self.has_opened_brake = False
         self.units = DriveUnits()
         self._set_points: dict[Mux, SetPoint] = {}
@@ -221,6 +224,7 @@ class Axis:
     def view(self) -> DriveView:
         """Return what was heard from the drive, and what it was commanded; nothing is read."""
         producer = self.node.rpdo_of(objects.CONTROLWORD)
+        commanded = None if self.commanded_at is None else self.controlword
         return DriveView(
             self.statusword,
             mode=self.mode,
@@ -229,8 +233,8 @@ class Axis:
             inputs=self._heard(objects.DIGITAL_INPUTS),
             supported_modes=self._heard(objects.SUPPORTED_DRIVE_MODES),
             nmt_state=self.node.nmt_state,
-            controlword=self.controlword if self.is_commanded else None,
-            commanded=self.controlword if self.is_commanded else None,
+            controlword=commanded,
+            commanded=commanded,
             selected_mode=self.selected_mode,
             wanted_mode=self.selected_mode,
             rpdo=None if producer is None else producer.number,
@@ -238,7 +242,7 @@ class Axis:
             has_lost_reference=self.has_lost_reference,
             safe_torque_off=self._if_shown(self._settings.sto_input),
             brake=self._if_shown(self._settings.brake_bit),
-            foreign=foreign_command(self.node, self.controlword if self.is_commanded else None, self.selected_mode),
+            foreign=foreign_command(self.node, commanded, self.commanded_at, self.selected_mode, self.selected_at),
             is_heard=objects.STATUSWORD in self._heard_at,
         )
 
@@ -457,8 +461,8 @@ class Axis:
     def _on_boot(self) -> None:
         if not self.settings.keeps_reference:
             self.is_homed = False
-        self._shown = self.selected_mode = None
-        self.is_commanded = self.has_opened_brake = False
+        self._shown = self.selected_mode = self.commanded_at = self.selected_at = None
+        self.has_opened_brake = False
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

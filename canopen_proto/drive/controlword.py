@@ -42,7 +42,7 @@ def command(axis: Axis, controlword: int) -> Procedure[None]:
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
         axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
-    axis.is_commanded = True
+    axis.commanded_at = yield from current_time()
     yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF)
     if is_start:
         axis.started_at = yield from current_time()

@@ -10,7 +10,7 @@ from canopen_proto.cia402.states import COMMAND_BITS, ControlBit
 from canopen_proto.dictionary import Direction
 from canopen_proto.drive.view import RECENT, ForeignCommand, command_text
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, key_of_cob_id, routing_key
-from canopen_proto.machine import NEVER
+from canopen_proto.machine import NEVER, Time
 from canopen_proto.overhearing import Overheard
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.procedures.described_pdos import described_pdos
@@ -37,23 +37,26 @@ def _described(node: RemoteNode) -> dict[RoutingKey, Mapping]:
     return found
 
 
-def foreign_command(node: RemoteNode, controlword: int | None, mode: int | None) -> ForeignCommand | None:
-    """Return the last command of another master that contradicts ours, and is not older than RECENT; None if there is none.
+def foreign_command(
+    node: RemoteNode, controlword: int | None, commanded_at: Time | None, mode: int | None, selected_at: Time | None
+) -> ForeignCommand | None:
+    """Return the last command of another master that came after ours, contradicts it, and is not older than RECENT; else None.
 
-    controlword, mode: as we sent them last; None: we sent none, and nothing can contradict it.
+    controlword, mode: as we sent them last, and when; None: we sent none, and nothing can contradict it.
     """
     now = max(node.heard_at.values(), default=-NEVER)
     others = _described(node) if node.overhearing.unknown else {}
     found: list[tuple[Overheard, str]] = []
     word = node.overhearing.last(objects.CONTROLWORD, others)
-    if word is not None and controlword is not None:
+    if word is not None and controlword is not None and commanded_at is not None and word.time >= commanded_at:
         if not isinstance(word.value, int):
             found.append((word, "sent it a controlword"))
         elif (word.value ^ controlword) & COMPARED:
             found.append((word, f"commanded {command_text(word.value)}"))
     selected = node.overhearing.last(objects.MODES_OF_OPERATION, others)
-    if selected is not None and isinstance(selected.value, int) and mode is not None and selected.value != mode:
-        found.append((selected, f"selected {mode_name(selected.value)}"))
+    if selected is not None and selected_at is not None and selected.time >= selected_at and selected.value != mode:
+        name = mode_name(selected.value) if isinstance(selected.value, int) else "a mode"
+        found.append((selected, f"selected {name}"))
     recent = [(heard, words) for heard, words in found if now - heard.time <= RECENT]
     if not recent:
         return None

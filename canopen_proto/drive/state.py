@@ -159,7 +159,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     bears_bit_4 = axis.controlword & 0x1F == Command.ENABLE_OPERATION | ModeControl.START_HOMING
     if bears_bit_4 and state is State.OPERATION_ENABLED:
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
-    axis.selected_mode = mode
+    axis.selected_mode, axis.selected_at = mode, (yield from current_time())
     yield from bring(axis, objects.MODES_OF_OPERATION, mode)
     watch: Watch[bool] = Watch(
         axis,

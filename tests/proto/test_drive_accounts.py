@@ -416,6 +416,9 @@ def test_what_agrees_with_us_or_is_long_ago_is_no_reason() -> None:
     rig.bus.run(6 * SECOND)
     rig.run(drive.read_statusword(rig.axis))
     assert rig.axis.view().foreign is None
+    foreign.write(objects.CONTROLWORD, 0x010F)
+    rig.run(drive.command(rig.axis, 0x0007))  # ours came later, and counts
+    assert rig.axis.view().foreign is None
 
 
 def test_only_commands_of_others_are_listened_to() -> None:
