@@ -44,6 +44,7 @@ UNLIMITED: Final = 2**32 - 1
 """6065h, 6067h: the window is switched off."""
 
 _ROUNDING: Final = 0.5  # positions are shown rounded: a target that is nearer is where the axis stands
+_GIVES_UP: Final = SECOND  # after the end of a ramp; ours, the standard has no time for it
 _AT_REST: Final = 0.01  # units between demand and actual position below which the axis counts as arrived
 _STIFFNESS: Final = 1.0  # per mille of rated torque per unit of following error: friction, for 6077h to show something
 _RATED_TORQUE: Final = 1000
@@ -156,8 +157,11 @@ class Servo(Parameters):
 
     @property
     def has_stopped(self) -> bool:
-        """Whether a ramp that ends in rest has ended: of the demand, and of the mass if there is one."""
-        return self.at_rest and (self._plant is None or abs(self.velocity) < STANDSTILL)
+        """Whether a ramp that ends in rest has ended: of the demand, and of the mass if there is one. A mass that the torque
+        cannot brake is given up after _GIVES_UP: the power goes, and the brake has to stop it."""
+        if not self.at_rest:
+            return False
+        return self._plant is None or abs(self.velocity) < STANDSTILL or self.time - self.demand.end > _GIVES_UP
 
     @property
     def limits_torque(self) -> bool:

@@ -179,6 +179,21 @@ def test_a_quick_stop_ends_when_the_mass_stands() -> None:
     assert abs(bench.read(0x606C)) <= 1
 
 
+def test_a_mass_that_the_torque_cannot_stop_is_left_to_the_brake() -> None:
+    bench = bench_of(replace(JOINT, coulomb_friction=0.0, viscous_friction=0.0))
+    go(bench, 10**6)
+    bench.run(1_000)
+    bench.write(0x6072, 0)
+    bench.write(0x6065, 2**32 - 1)
+    bench.control(0x02)
+    bench.run(1_000)
+    assert bench.state is State.QUICK_STOP_ACTIVE
+    assert bench.read(0x606C) == 20_000
+    bench.run(200)
+    assert bench.state is State.SWITCH_ON_DISABLED
+    assert bench.read(0x606C) == 0
+
+
 @pytest.mark.parametrize("method", [17, 18, 19, 21, 33, 34])
 def test_homing_finds_the_same_place_with_a_mass(method: int) -> None:
     found = []
