@@ -30,15 +30,18 @@ def duration(profile: Profile) -> float:
 
 def assert_smooth(profile: Profile) -> None:
     """Position, velocity and acceleration have no step."""
-    scale, fastest, hardest = (max(1.0, *(abs(piece[place]) for piece in profile.pieces)) for place in (1, 2, 3))
+    scale, fastest, hardest, sharpest = (max(1.0, *(abs(piece[place]) for piece in profile.pieces)) for place in (1, 2, 3, 4))
+    rounding = 4 * math.ulp(profile.pieces[-1][0])  # of the time, after hours
     for piece, following in itertools.pairwise(profile.pieces):
         begin, position, velocity, acceleration, jerk = piece
         time = following[0] - begin
         assert time >= 0.0
         where = position + velocity * time + acceleration * time**2 / 2 + jerk * time**3 / 6
-        assert following[1] == pytest.approx(where, abs=2e-6 + 1e-9 * scale)
-        assert following[2] == pytest.approx(velocity + acceleration * time + jerk * time**2 / 2, abs=1e-6 + 1e-8 * fastest)
-        assert following[3] == pytest.approx(acceleration + jerk * time, abs=1e-6 + 1e-8 * hardest)
+        assert following[1] == pytest.approx(where, abs=2e-6 + 1e-9 * scale + rounding * fastest)
+        assert following[2] == pytest.approx(
+            velocity + acceleration * time + jerk * time**2 / 2, abs=1e-6 + 1e-8 * fastest + rounding * hardest
+        )
+        assert following[3] == pytest.approx(acceleration + jerk * time, abs=1e-6 + 1e-8 * hardest + rounding * sharpest)
 
 
 def extremes(profile: Profile) -> tuple[float, float, float]:
