@@ -7,6 +7,8 @@
     home          homing, to its end; home_if_needed                          manual: homing
     start_interpolation                                                       manual: enableIPmode
     start_cyclic_position, start_cyclic_velocity, start_cyclic_torque
+    start_slow_position, feed_targets    set-points in profile position, for drives without ip and csp (slow_position.py)
+    plan_motion, exchange_planned    the mode and the PDOs for set-points, by the drive's file alone (motion_plan.py)
     move_to       profile position: to one target
     move_along    profile position: a set of targets, each with its own profile
     apply_torque  profile torque for a time, then a halt

@@ -192,6 +192,7 @@ def plan_motion(
     cycle_time: ns between two SYNCs. modes: 0x6502 as the drive shows it; None: not read. wish: the only mode to be considered.
     Raises NoMotionPlan, which names each mode and its obstacle.
     """
+    wish = wish if wish is None else Mode(wish)  # a plain number is as good
     told = _told_modes(dictionary, modes)
     slots = slots_of(dictionary, node_id)
     rejected: list[Obstacle] = []

@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 import trio
 
-from canopen_master import Chain, ChainError, ChainFault, ChainState, Host, Master, open_master
+from canopen_master import Chain, ChainError, ChainFault, ChainSettings, ChainState, Host, Master, open_master
 from canopen_master.motion.joint_procedures import exchange_own
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
@@ -21,7 +21,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.drive.motion_plan import NoMotionPlan
 from canopen_proto.drive.slow_position import HANDSHAKE_TIME
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings
@@ -106,6 +106,12 @@ async def test_a_chain_may_ask_for_a_mode() -> None:
         await arm.follow()
         assert drives(host)[0].drive.mode == Mode.CYCLIC_SYNCHRONOUS_POSITION
         await arm.shut_down()
+
+
+def test_modes_in_which_a_chain_follows_set_points() -> None:
+    assert ChainSettings(mode=8).mode is Mode.CYCLIC_SYNCHRONOUS_POSITION  # type: ignore[arg-type]
+    with pytest.raises(LocalProtocolError, match="csp, ip, pp"):
+        ChainSettings(mode=Mode.HOMING)
 
 
 @virtual_time

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import trio
@@ -37,6 +36,7 @@ from trio.lowlevel import enable_ki_protection
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
 from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.motion.chain_errors import chain_halted, joint_failed, joint_fault, reference_lost
+from canopen_master.motion.chain_settings import ChainSettings as ChainSettings
 from canopen_master.motion.cycles import Cycles, SetPoints
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import (
@@ -54,16 +54,12 @@ from canopen_master.motion.supervision import Supervision
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode, short_name
 from canopen_proto.drive import enable, halt, home, home_if_needed, reset_fault, select_standing_mode
-from canopen_proto.drive.following import SILENT_SYNCS
 from canopen_proto.machine import SECOND, RequestId, Time
 from canopen_proto.pdo.settings import place_of
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 
 T = TypeVar("T")
-
-MAX_MISSED_CYCLES: Final = 10
-"""In a row; at the usual 10 ms a program that is 0.1 s late has lost control of the arm."""
 
 
 class ChainState(enum.Enum):
@@ -83,33 +79,6 @@ class ChainState(enum.Enum):
 
 _CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
 """The states from which a chain can home, or follow set-points."""
-
-
-@dataclass(frozen=True, slots=True)
-class ChainSettings:
-    """cycle_time: seconds between two SYNCs. mode: in which the joints follow set-points: ip, csp, or pp, which is slow (see
-    canopen_proto.drive.slow_position). None: the best one for each joint, by its own dictionary; own_pdos is implied.
-
-    rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have them declared to the devices
-    (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the joint's own dictionary (an EDS, a
-    DCF) has PDOs for, by a plan (canopen_proto.drive.motion_plan), and set the device up like that where it is not; a joint whose
-    dictionary has no PDO exchanges rpdo and tpdo, unless mode is None. `Device.plan` is that plan.
-
-    max_step: the
-    largest step of a set-point from one cycle to the next, in the user's unit, besides what the joint's own limits allow; None
-    for no such limit. max_missed_cycles: in a row, until the chain is halted. max_silent_cycles: in a row, of a joint that does
-    not send its PDO, until the chain is stopped; and 20 ms at least, since adapters hold frames back.
-    """
-
-    cycle_time: float = 0.01
-    mode: Mode | None = Mode.INTERPOLATED_POSITION
-    rpdo: str = "schunk_default_rPDO"
-    tpdo: str = "schunk_default_tPDO"
-    define_pdos: bool = False
-    own_pdos: bool = False
-    max_step: float | None = None
-    max_missed_cycles: int = MAX_MISSED_CYCLES
-    max_silent_cycles: int = SILENT_SYNCS
 
 
 class _Operation:
