@@ -7,12 +7,12 @@ from typing import Any, Final
 import click
 
 from canopen_cli.demo import CYCLE
-from canopen_cli.drive_session import read_drive
+from canopen_cli.drive_session import node_of_command, read_drive
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import usage
 from canopen_proto.cia402.modes import mode_name, short_name
 from canopen_proto.drive.motion_plan import MODES, MotionPlan, pending_steps, plan_motion, read_modes
-from canopen_proto.machine import Time
+from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import mux_text
 from canopen_proto.pdo.settings import RemapStep
 from canopen_proto.procedures.steps import Procedure
@@ -23,29 +23,32 @@ _SHORT: Final = {short_name(mode): mode for mode in MODES}
 
 @click.command()
 @click.option("--mode", "wish", type=click.Choice(list(_SHORT)), help="Only this mode.  [default: the first that works]")
-@click.option("--cycle", type=CYCLE, default="10ms", show_default=True, help="Time between two SYNCs.")
+@click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @common
 @click.pass_obj
-def plan(settings: Settings, wish: str | None, cycle: Time) -> None:
+def plan(settings: Settings, wish: str | None, cycle: Time | None) -> None:
     """Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it. Nothing is written.
 
-    The drive's file (-e) says which PDOs it has and what they may carry; 0x6502 of the drive says its modes. So does a chain with
-    ChainSettings(mode=None), and `canopen demo --eds`.
+    The drive's file (-e, or that of the machine file) says which PDOs it has and what they may carry; 0x6502 of the drive says
+    its modes. So does a chain with ChainSettings(mode=None), and `canopen demo --eds`.
 
     \b
     canopen drive 3 plan -e drive.eds -b socketcan:can0
     canopen drive 3 plan -e drive.eds -b socketcan:can0 --mode pp
     """
-    if not settings.eds:
+    if not settings.has_file(node_of_command()):
         raise usage(
             "CO134",
             "a plan needs the drive's own file, which says what its PDOs may carry",
-            tries=("-e FILE.eds, from the maker of the drive",),
+            tries=("-e FILE.eds, from the maker of the drive", "file = ... of its node in the machine file (-m)"),
         )
+
+    machine = settings.machine_file()
+    period = cycle or (10 * MILLISECOND if machine is None else machine.master.cycle)
 
     def procedure(node: RemoteNode) -> Procedure[tuple[MotionPlan, list[RemapStep]]]:
         modes = yield from read_modes(node)
-        made = plan_motion(node.dictionary, node.node_id, cycle, modes=modes, wish=None if wish is None else _SHORT[wish])
+        made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=None if wish is None else _SHORT[wish])
         return made, (yield from pending_steps(node, made))
 
     screen = settings.screen()

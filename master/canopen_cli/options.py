@@ -109,6 +109,12 @@ class Settings:
         machine, bus = self.machine_on_bus()
         return None if machine is None else machine.joint_on(machine.node_at(bus, node_id))
 
+    def has_file(self, node_id: int) -> bool:
+        """Return whether -e or the machine file names the device's own file of a node."""
+        machine, bus = self.machine_on_bus()
+        node = None if machine is None else machine.node_at(bus, node_id)
+        return bool(self.eds) or (node is not None and bool(node.device.file))
+
     def is_node(self, text: str) -> bool:
         """Return whether a text that could also be a file means a node: it is a number, or a name in the machine file."""
         if _NODE_ID.fullmatch(text):

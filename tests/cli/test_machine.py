@@ -150,6 +150,8 @@ def test_the_files_of_the_machine_serve_every_command(run: Run, cell: str, tmp_p
     assert of_machine.rpartition("1401:01")[2].strip()  # a name, which only the device's own file has
     assert not of_data_files.rpartition("1401:01")[2].strip()
     assert run("compare", "wrist", "sample_drive.eds", "-m", cell).status in (ExitCode.DIFFERENT, ExitCode.PARTIAL)
+    assert run("drive", "wrist", "plan", "-m", cell, "--json").json["mode"] in ("csp", "ip", "pp")
+    assert "CO134" in run("drive", "shoulder", "plan", "-m", cell).err
     assert "the file of node 3 (0x03) is needed" in run("check", "shoulder", "-m", cell).err
     assert run("check", "wrist", "--case", "2", "-m", cell, "--yes").status in (ExitCode.OK, ExitCode.DIFFERENT)
 
