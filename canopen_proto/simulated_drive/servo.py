@@ -361,7 +361,7 @@ class Servo(Parameters):
         direction."""
         track = self.settings.track
         onto = (way > least and self.position >= track.positive_limit) or (way < -least and self.position <= track.negative_limit)
-        return onto and self.obeys_switches
+        return onto and self.obeys_switches and self.settings.stops_at_switches
 
     def _stop_at_switch(self) -> None:
         """Brake, because a limit switch bars the way."""

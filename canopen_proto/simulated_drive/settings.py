@@ -46,6 +46,17 @@ class Track:
     index_distance: float = 36_000.0
     probes: tuple[tuple[float, float], tuple[float, float]] = (_NOWHERE, _NOWHERE)
 
+    def moved(self, way: float) -> Track:
+        """Return the same track, so much further along, without its probes."""
+        begin, end = self.home_switch
+        return Track(
+            self.negative_limit + way,
+            self.positive_limit + way,
+            (begin + way, end + way),
+            self.index_offset + way,
+            self.index_distance,
+        )
+
     def inputs_at(self, position: float) -> int:
         """Return 60FDh at a position: bit 0 negative limit switch, 1 positive limit switch, 2 home switch, 16 and 17 probes."""
         low, high = self.home_switch
@@ -80,7 +91,8 @@ class DriveSettings:
     overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one. coasts: whether
     bit 8 only takes the torque away in tq and cst, so that a mass without friction moves on.
     own_homing: homing methods of its maker, below 0, each with its picture. second_encoder: counts of a second encoder
-    (60E4h:01) for one of the first; it has the zero of the track.
+    (60E4h:01) for one of the first; it has the zero of the track. stops_at_switches: whether the limit switches stop the axis;
+    False: they only matter for homing, as in a drive whose track is not known.
     answers: objects that are answered wrongly, late or not at all, for tests.
     """
 
@@ -106,4 +118,5 @@ class DriveSettings:
     coasts: bool = False
     own_homing: tuple[tuple[int, HomingMethod], ...] = ()
     second_encoder: float = 1.0
+    stops_at_switches: bool = True
     answers: tuple[tuple[Mux, Answer], ...] = ()

@@ -50,11 +50,13 @@ def drive_maker(
     number: its place in the fleet, from 0. dictionary: that of a device's own file, for which `drive_obstacle` finds no obstacle;
     by default that of the shape.
     """
+    is_own = dictionary is None
     if dictionary is None:
         dictionary = drive_dictionary(shape).with_objects([standard_object(indices.PRODUCER_HEARTBEAT_TIME, HEARTBEAT_MS)])
     else:
         dictionary, _ = drive_dictionary_of(dictionary, shape)
-    settings = DriveSettings(shape=shape, position=_POSITIONS[number % len(_POSITIONS)], track=_TRACK)
+    position = _POSITIONS[number % len(_POSITIONS)]
+    settings = DriveSettings(shape=shape, position=position, track=_TRACK, stops_at_switches=is_own)
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
 
 

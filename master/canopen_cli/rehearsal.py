@@ -40,7 +40,7 @@ from canopen_proto.procedures.steps import Procedure
 from canopen_proto.procedures.walk import walk
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports.record import Record
 from canopen_transports.tracing import recording
 
@@ -161,7 +161,9 @@ def _likeness_of(node: Node) -> Procedure[Likeness]:
     shape = Shape.SCHUNK_POWERBALL if value_of(objects.VENDOR_ID) == objects.SCHUNK_VENDOR_ID else Shape.STANDARD
     dictionary, _ = drive_dictionary_of(configure(read.dictionary, values, node.node_id), shape)
     position = float(value_of(objects.POSITION_ACTUAL_VALUE))
-    made = partial(DriveNode, node_id=node.node_id, settings=DriveSettings(shape=shape, position=position), dictionary=dictionary)
+    track = Track().moved(position)  # its own is not known: there are switches to home by, wherever it stands
+    settings = DriveSettings(shape=shape, position=position, track=track, stops_at_switches=False)
+    made = partial(DriveNode, node_id=node.node_id, settings=settings, dictionary=dictionary)
     return Likeness(
         node.node_id,
         made,

@@ -181,7 +181,7 @@ def _model(
             shape = SHAPES[entry.shape] if entry.shape else shape_of(description)
             before = dictionary
             dictionary, filled = drive_dictionary_of(before, shape)
-            drive = DriveSettings(shape=shape)
+            drive = DriveSettings(shape=shape, stops_at_switches=False)  # a file does not tell where its switches are
             for variable in filled:
                 _tell_filled(screen, node_id, before.variable((variable.index, variable.subindex)), variable)
     model = DeviceModel(dictionary, node_id, drive, script)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import pytest
@@ -9,8 +10,10 @@ import pytest
 from canopen_cli import session
 from canopen_cli.fleet import simulated_fleet
 from canopen_cli.problem import ExitCode
+from canopen_master.simulation import DeviceMaker
 from canopen_proto.simulated_drive.homing import METHODS
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.cli.cli_support import Run
 
 DEMO = ("-b", "demo")
@@ -71,3 +74,18 @@ def test_a_rehearsal_sends_nothing(run: Run, standard: None) -> None:
     assert "homing_method = 23" in outcome.out
     assert "start_homing" in outcome.out
     assert "nothing of this was sent" in outcome.err
+
+
+@pytest.mark.parametrize("method", ["17", "23"])
+def test_a_rehearsal_knows_no_switches_and_has_some_to_home_by(run: Run, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    """The drive stands far outside of any track that a simulation would guess."""
+
+    def far_away(number: int, node_id: int, **_: Shape) -> DeviceMaker:
+        settings = DriveSettings(position=5_000_000, track=Track(-math.inf, math.inf))
+        return partial(DriveNode, node_id=node_id, settings=settings)
+
+    monkeypatch.setattr(session, "simulated_fleet", partial(simulated_fleet, make=far_away))
+    assert run("drive", "3", "home", method, "--dry-run", *DEMO).status == 0
+    outcome = run("drive", "3", "move", "10000", "--relative", "--dry-run", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "limit switch" not in outcome.out + outcome.err

@@ -182,3 +182,12 @@ def test_a_mass_is_stopped_as_well(mode: int, direction: int) -> None:
     move(bench, -direction)
     bench.run(1_000)
     assert bench.position * direction < LIMIT
+
+
+def test_a_drive_whose_track_is_not_known_is_not_stopped() -> None:
+    bench = Bench(DriveSettings(position=0, track=TRACK, stops_at_switches=False))
+    bench.enable(3)
+    pv(bench, 1)
+    bench.run(3_000)
+    assert bench.position > 2 * LIMIT
+    assert not bench.has(INTERNAL_LIMIT)
