@@ -1,4 +1,4 @@
-"""The Python examples of the README, docs/devices.md and docs/machine.md run as they stand, each as a script of its own."""
+"""The Python examples of the README and of three pages run as they stand, each as a script of its own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("devices.md", "machine.md"))
+PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("devices.md", "machine.md", "first-move.md"))
 EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT + PAGES, re.DOTALL)
 LIMIT = 60  # seconds, for a machine that is busy with other things
 
@@ -38,7 +38,7 @@ def test_the_two_commands() -> None:
 
 
 def test_links_lead_somewhere() -> None:
-    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+    for document in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text(encoding="utf-8")):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name}: {target}"

@@ -10,12 +10,11 @@ from typing import Final
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
-from canopen_proto.drive.units import DriveUnits, Unit
+from canopen_proto.drive.units import Unit, units_of
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 
 MILLIDEGREES_PER_RADIAN: Final = 180_000 / math.pi
-_MILLIDEGREES: Final = DriveUnits(per_turn=360_000.0)
-"""The units of Schunk's joints, which do not tell them."""
+_MILLIDEGREES: Final = units_of({objects.VENDOR_ID: objects.SCHUNK_VENDOR_ID})
 
 
 MODE_CHANGE_STATES: Final = (

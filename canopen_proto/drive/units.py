@@ -1,7 +1,7 @@
 """`DriveUnits`: what the numbers of a drive mean, by its factor group. `read_units` asks the drive.
 
     position   0x60A8 if it names an angle or a length; else the feed constant 0x6092, in counts for a turn of the shaft; else the
-               encoder 0x608F times the gear 0x6091
+               encoder 0x608F times the gear 0x6091; else millidegrees, if the vendor-ID is Schunk's, whose joints do not tell
     velocity   0x60A9; else the older 0x608C and 0x608B; else the velocity factor 0x6096; else a count per second
     torque     per thousand of the rated torque 0x6076, which is in mN·m
     polarity   0x607E: bit 7 reverses positions, bit 6 velocities, bit 5 torques, inside the drive
@@ -47,7 +47,7 @@ _RATIOS: Final = (
 FACTOR_GROUP: Final = (
     objects.SI_UNIT_POSITION, objects.SI_UNIT_VELOCITY, objects.VELOCITY_DIMENSION_INDEX, objects.VELOCITY_NOTATION_INDEX,
     *(Mux(key + part) for key in _RATIOS for part in (0, 1)),
-    objects.POLARITY, objects.HOME_OFFSET, objects.MOTOR_RATED_TORQUE,
+    objects.POLARITY, objects.HOME_OFFSET, objects.MOTOR_RATED_TORQUE, objects.VENDOR_ID,
 )  # fmt: skip
 """The objects that `read_units` reads."""
 
@@ -130,6 +130,8 @@ def units_of(values: Mapping[Mux, int]) -> DriveUnits:
             conflicts.append(f"{origin}: {found:g} counts for a turn; {origins['per_turn']}: {per_turn:g}")
     gear = _ratio(values, objects.GEAR_RATIO)
     per_motor_turn = None if per_turn is None else per_turn / gear
+    if per_turn is None and per_metre is None and values.get(objects.VENDOR_ID) == objects.SCHUNK_VENDOR_ID:
+        per_turn, origins["per_turn"] = 360_000.0, "0x1018:01, the vendor-ID: joints of Schunk's count millidegrees"
     if per_motor_turn is not None:
         origins["per_motor_turn"] = origins["per_turn"] + (
             "" if gear == 1 or "0x6091" in origins["per_turn"] else f", {_said(values, objects.GEAR_RATIO)}"

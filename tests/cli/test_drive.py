@@ -58,6 +58,10 @@ def powered(drive: DriveNode) -> None:
         drive.drive.written(0x6040, 0, 0)
 
 
+def of_another_maker(drive: DriveNode) -> None:
+    drive.values.store[objects.VENDOR_ID] = 0x99
+
+
 def test_state_tells_what_keeps_it_from_moving(run: Run) -> None:
     outcome = run("drive", "3", "state", *DEMO)
     assert outcome.status == 0
@@ -146,6 +150,9 @@ def test_units_and_which_objects_say_so(run: Run, monkeypatch: pytest.MonkeyPatc
 
 
 def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = run("drive", "3", "units", *DEMO)  # a joint of Schunk's tells nothing, but its vendor-ID is enough
+    assert "a degree             1000 counts" in outcome.out
+    prepare(monkeypatch, of_another_maker)
     outcome = run("drive", "3", "units", *DEMO)
     assert "The drive does not tell what a count is. Try: --counts-per-degree" in outcome.err
     encoder = {objects.POSITION_ENCODER_RESOLUTION: 2000, objects.POSITION_ENCODER_RESOLUTION + 1: 1}
@@ -186,11 +193,12 @@ def test_move(run: Run, fleets: list[Fleet]) -> None:
     assert document == {"from": -14000, "to": pytest.approx(-14500, abs=WINDOW), "unit": "counts", "state": "switch on disabled"}
 
 
-def test_a_move_in_a_unit_that_the_drive_does_not_tell(run: Run, fleets: list[Fleet]) -> None:
+def test_a_move_in_a_unit_that_the_drive_does_not_tell(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    drives = prepare(monkeypatch, of_another_maker)
     outcome = run("drive", "3", "move", "10", "--in", "degree", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert "does not tell how many counts a degree has" in outcome.err
-    assert fleets[-1].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14000
+    assert drives[-1].values[objects.POSITION_ACTUAL_VALUE] == -14000
 
 
 def test_a_mode_of_the_maker_needs_no_dashes_before_it(run: Run, fleets: list[Fleet]) -> None:
