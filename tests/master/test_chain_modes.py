@@ -258,3 +258,28 @@ async def test_slow_answers_do_not_delay_the_cycle() -> None:
         steps = [after - before for before, after in pairwise(given[3:])]
         assert steps == pytest.approx([0.05] * len(steps))
         await arm.shut_down()
+
+
+@pytest.mark.parametrize("kind", [each for each in KINDS if each.startswith(("target and", "by an RPDO", "all by SDO"))])
+@pytest.mark.parametrize("ending", ["left", "halt()"])
+@virtual_time
+async def test_nothing_feeds_a_slow_joint_that_is_halted(kind: str, ending: str) -> None:
+    """A target that came after the halt would end it: bit 8 falls with it."""
+    changes, without = KINDS[kind]
+    dictionary = changed(changes, without=without)
+    for moment in (0, 23, 46):
+        async with simulated(makers=[partial(DriveNode, node_id=3, settings=DriveSettings(), dictionary=dictionary)]) as host:
+            (node,) = drives(host)
+            async with open_master(BUS) as master:
+                master.node(3, dictionary)
+                arm = arm_of(master, 3, axes=DEGREES, mode=None)
+                await arm.initialise()
+                await arm.follow()
+                arm.set_positions([HERE + 15], cycles=150)
+                await trio.sleep(0.5 + moment / 1000)
+                if ending == "halt()":
+                    await arm.halt()
+            stands_at = position_of(host, node)
+            assert 3_000 < stands_at < 17_000
+            await trio.sleep(2)
+            assert position_of(host, node) == stands_at
