@@ -93,7 +93,7 @@ class Inputs:
         servo, store = self._servo, self._servo.store
         begin, self._position = self._position, servo.position
         function = store.get(objects.TOUCH_PROBE_FUNCTION)
-        if isinstance(function, int):
+        if isinstance(function, int) and (function or self._function):  # else no probe is or was enabled
             status = servo.parameter(objects.TOUCH_PROBE_STATUS)
             for probe in (0, 1):
                 shift = probe * _BYTE

@@ -27,7 +27,7 @@ class Shape(Enum):
     statusword shows that it moves, bit 15 that it is referenced."""
 
 
-_NOWHERE: Final = (math.inf, math.inf)
+_NO_PROBES: Final = ((math.inf, math.inf), (math.inf, math.inf))
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Track:
     home_switch: tuple[float, float] = (-10_000.0, 10_000.0)
     index_offset: float = 1_000.0
     index_distance: float = 36_000.0
-    probes: tuple[tuple[float, float], tuple[float, float]] = (_NOWHERE, _NOWHERE)
+    probes: tuple[tuple[float, float], tuple[float, float]] = _NO_PROBES
 
     def moved(self, way: float) -> Track:
         """Return the same track, so much further along, without its probes."""
@@ -61,8 +61,9 @@ class Track:
         """Return 60FDh at a position: bit 0 negative limit switch, 1 positive limit switch, 2 home switch, 16 and 17 probes."""
         low, high = self.home_switch
         inputs = (position <= self.negative_limit) | (position >= self.positive_limit) << 1 | (low <= position <= high) << 2
-        for bit, (begin, end) in enumerate(self.probes, start=16):
-            inputs |= (begin <= position <= end) << bit
+        if self.probes is not _NO_PROBES:
+            for bit, (begin, end) in enumerate(self.probes, start=16):
+                inputs |= (begin <= position <= end) << bit
         return inputs
 
 
