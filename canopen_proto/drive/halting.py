@@ -184,7 +184,7 @@ class _Standstill:
             objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
             objects.VELOCITY_ACTUAL_VALUE: FRESH,
         }
-        if objects.POSITION_ACTUAL_VALUE not in axis.node.dictionary:  # as in frequency converters
+        if axis.mode == Mode.VELOCITY:  # frequency converters need not have a position
             reads[objects.VL_VELOCITY_ACTUAL_VALUE] = FRESH
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present, looks=False)

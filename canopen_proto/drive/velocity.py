@@ -37,7 +37,7 @@ from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
-from canopen_proto.procedures.objects import read_if_present, read_int, write
+from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
 from canopen_proto.remote_node import FRESH
 
@@ -208,13 +208,13 @@ class _Run:
         axis = self._axis
         if self._bound is None:
             return
-        if objects.POSITION_ACTUAL_VALUE not in axis.node.dictionary:
+        position = yield from read_if_present(axis.node, objects.POSITION_ACTUAL_VALUE)
+        if not isinstance(position, int):
             if (axis.settings.min_position, axis.settings.max_position) == (None, None):
                 self._bound = None  # only the drive's own limit, which it keeps or not
                 return
             raise DriveError(axis, "shows no position (0x6064), so its position limits cannot be kept", looks=False)
         self._margin = yield from self._way_to_stop(abs(self._velocity) * axis.counts_of_amount(1.0))
-        position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
         if self._room(position) <= self._margin:
             way = axis.amount_from_counts(self._margin)
             failed = f"was not run at {self._velocity:g} per second: it stands at {axis.from_counts(position):g}"
@@ -339,7 +339,8 @@ class _Run:
         if self._mode is Mode.PROFILE_VELOCITY:
             is_new = not statusword & ModeStatus.SPEED_ZERO or heard_at - self._began >= self._axis.settings.reaction_time
             return is_new and bool(statusword & StatusBit.TARGET_REACHED)
-        if objects.VL_VELOCITY_DEMAND not in self._axis.node.dictionary:
+        is_missing = objects.VL_VELOCITY_DEMAND not in self._axis.node.dictionary
+        if is_missing or watch.refusal(objects.VL_VELOCITY_DEMAND) is not None:
             return heard_at - self._began >= self._axis.settings.reaction_time  # it does not show it
         demand = self._axis.node.values.store.get(objects.VL_VELOCITY_DEMAND)
         known = watch.heard(objects.VL_VELOCITY_DEMAND) is not None

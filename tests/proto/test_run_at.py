@@ -309,10 +309,15 @@ def forever(rig: Rig, mode: Mode) -> Procedure[None]:
     return drive.run_at(rig.axis, 15.0, mode=mode)
 
 
-def test_a_frequency_converter_without_a_position_is_seen_to_stand() -> None:
-    rig = rig_with()
+@pytest.mark.parametrize("knows", [True, False])
+def test_a_frequency_converter_without_a_position_is_seen_to_stand(knows: bool) -> None:
+    """knows: the master's dictionary lacks the objects too."""
     hidden = (0x6062, 0x6064, 0x606C)
-    rig.remote.dictionary = ObjectDictionary([each for index, each in rig.node.dictionary.objects.items() if index not in hidden])
+    fewer = ObjectDictionary([each for index, each in with_encoder().objects.items() if index not in hidden])
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=0), dictionary=fewer)
+    rig.axis.settings = DEGREES
+    if not knows:
+        rig.remote.dictionary = with_encoder()
     rig.run(drive.run_at(rig.axis, 10.0, mode=Mode.VELOCITY, duration=2 * SECOND))
     assert abs(speed(rig)) <= 0.5  # 0x6044 rounds it to 0
     rig.bus.run(100 * MILLISECOND)
