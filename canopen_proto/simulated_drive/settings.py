@@ -21,7 +21,7 @@ class Shape(Enum):
     """The kind of drive that is simulated."""
 
     STANDARD = "standard"
-    """A drive as in CiA 402: pp, pv, hm, ip, csp."""
+    """A drive as in CiA 402, with all its modes."""
     SCHUNK_POWERBALL = "schunk"
     """A Powerball joint as in the manual: 6502h = 43h (pp, vl, ip), but it homes by mode 6, without 6098h. Bit 8 of the
     statusword shows that it moves, bit 15 that it is referenced."""
