@@ -35,6 +35,7 @@ LIMIT: Final = 60 * SECOND
 SETTINGS: Final = replace(
     MILLIDEGREES,
     homing_method=17,
+    velocity_unit=1.0,
     homing_timeout=20 * SECOND,
     state_timeout=SECOND // 2,
     reaction_time=SECOND // 5,
@@ -125,10 +126,24 @@ TASKS: Final = {
         moves=True,
         follows=True,
     ),
+    "csv": Task(
+        lambda rig: drive.start_cyclic_velocity(rig.axis, CYCLE, sends_itself=True),
+        follows(Mode.CYCLIC_SYNCHRONOUS_VELOCITY),
+        moves=True,
+        follows=True,
+    ),
+    "cst": Task(
+        lambda rig: drive.start_cyclic_torque(rig.axis, CYCLE, sends_itself=True),
+        follows(Mode.CYCLIC_SYNCHRONOUS_TORQUE),
+        moves=True,
+        follows=True,
+    ),
 }
+RUN: Final = Task(lambda rig: drive.run_at(rig.axis, 0.1), lambda rig: False, moves=True)
+"""It ends only if it is cancelled."""
 
 
-TAKE_MODE: Final = [TASKS[name] for name in ("into pp", "into pv", "move", "home", "ip", "csp")]
+TAKE_MODE: Final = [TASKS[name] for name in ("into pp", "into pv", "move", "home", "ip", "csp", "csv", "cst")]
 """They end only once 0x6061 shows the mode."""
 
 
@@ -180,6 +195,7 @@ class MasterAndDrive(RuleBasedStateMachine):
         self.was_disturbed = False  # since the task began
         self.is_cut = self.is_lossy = False
         self.healed_at: Time = 0
+        self.cancelled_at: Time = 0  # a late drive may obey what was commanded before
         self.lasting: set[int] = set()
         self.seen = len(rig.bus.events)
 
@@ -189,7 +205,7 @@ class MasterAndDrive(RuleBasedStateMachine):
     def prepare(self, name: str, duration: int | None) -> None:
         self.do(name, duration)
 
-    @rule(name=st.sampled_from(["move", "move back", "home", "ip", "csp"]), duration=DURATIONS)
+    @rule(name=st.sampled_from(["move", "move back", "home", "ip", "csp", "csv", "cst"]), duration=DURATIONS)
     def move(self, name: str, duration: int | None) -> None:
         self.do(name, duration)
 
@@ -214,7 +230,7 @@ class MasterAndDrive(RuleBasedStateMachine):
         self.do("enable", None)
         self.let(100 * MILLISECOND)
 
-    @rule(name=st.sampled_from(["halt", "move", "home", "ip", "csp"]), after=AFTER, moves=st.booleans())
+    @rule(name=st.sampled_from(["halt", "move", "home", "ip", "csp", "run"]), after=AFTER, moves=st.booleans())
     def interrupt(self, name: str, after: int, moves: bool) -> None:
         """Begin a task and cancel it, after so many us. moves: the axis moves before."""
         if moves:
@@ -237,13 +253,13 @@ class MasterAndDrive(RuleBasedStateMachine):
             self.cancel()
             self.await_its_end()
         rig = self.rig
-        self.task, self.began_at = TASKS[name], rig.bus.now
+        self.task, self.began_at = TASKS.get(name, RUN), rig.bus.now
         self.stands_since = None
         self.sent_before = len(rig.bus.sent)
         self.was_disturbed = self.is_cut or self.is_lossy
         self.is_clear = (
             not self.was_disturbed
-            and rig.bus.now > max(self.acted_at, self.healed_at) + QUIET
+            and rig.bus.now > max(self.acted_at, self.healed_at, self.cancelled_at) + QUIET
             and rig.node.state is NmtState.OPERATIONAL
             and rig.remote.is_operational
             and (rig.drive.state not in FAULT_STATES or (name == "reset fault" and not self.lasting))
@@ -389,6 +405,7 @@ class MasterAndDrive(RuleBasedStateMachine):
                     self.is_known = True
                     self.is_mode_known = self.is_mode_known or task in TAKE_MODE
             case ProcedureCancelled(clean_up_error=error):
+                self.cancelled_at = rig.bus.now
                 says = "" if error is None else f"its halt failed: {error}"
             case ProcedureFailed(error=error):
                 assert isinstance(error, ProcedureError), repr(error)
