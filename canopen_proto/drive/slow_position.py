@@ -10,8 +10,8 @@ One target takes this handshake (CiA 402-2, profile position mode), in which tar
     bit 4 = 0
 
 The target is always in the drive before bit 4 rises, whatever the order of the objects in an RPDO. Set-points that come meanwhile
-are skipped: the newest one is next. So the drive gets a target each 10 ms at best, and at every seventh SYNC if synchronous RPDOs
-carry them. The SYNC cycle waits for none of this.
+are skipped: the newest one is next. So the drive gets a target each 50 ms (TARGET_INTERVAL), or at every seventh SYNC if that is
+longer and synchronous RPDOs carry them. The SYNC cycle waits for none of this.
 
 **Lag.** The drive accelerates, and brakes before each target; it is behind the set-points by `profile_lag` at most. Whoever
 watches it has to allow for that (`Following.begin(slack=...)`), and sees later that it has stopped.
@@ -42,6 +42,8 @@ HANDSHAKE_TIME: Final = 200 * MILLISECOND
 """A target that just missed one handshake waits for its end, and then takes one itself: twice 100 ms, with SDO and polls ..."""
 HANDSHAKE_SYNCS: Final = 16
 """... or twice 7 SYNCs if RPDOs at SYNCs carry it, and one for the answer each."""
+TARGET_INTERVAL: Final = 50 * MILLISECOND
+"""The least time between two targets. More often would load the bus and this computer, and the profile brakes before each one."""
 RAMP_TIME: Final = 500 * MILLISECOND
 """Of a drive that does not tell how fast it may go and accelerate."""
 LONGEST_RAMP: Final = 2 * SECOND
@@ -90,8 +92,10 @@ def feed_targets(following: Following) -> Procedure[None]:
             if counts == given:
                 yield from sleep(POLL_INTERVAL)
             else:
+                began = yield from current_time()
                 yield from _give(axis, counts)
                 given = counts
+                yield from sleep(max(0, began + TARGET_INTERVAL - (yield from current_time())))
     except (ProcedureError, LocalProtocolError) as error:
         following.lose(f"takes no more targets: {error}")
 

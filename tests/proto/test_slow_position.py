@@ -83,6 +83,15 @@ def test_the_newest_set_point_is_next_and_the_others_are_skipped() -> None:
     assert 5 < len(targets) < 9  # at every seventh SYNC
 
 
+def test_a_quick_drive_gets_no_more_than_20_targets_a_second() -> None:
+    feeding = Feeding(255)
+    before = len(edges_of(feeding.commands()))
+    for step in range(100):
+        feeding.rig.axis.set_position_counts(3_000 + 10 * step)
+        feeding.rig.bus.run(CYCLE)
+    assert 15 < len(edges_of(feeding.commands())) - before <= 21
+
+
 def test_a_slow_drive_gets_its_next_target_once_it_has_taken_the_last_one() -> None:
     feeding = Feeding(255, reaction=50 * MILLISECOND)
     for step in range(100):
