@@ -65,12 +65,12 @@ from canopen_proto.drive.interpolation import start_interpolation as start_inter
 from canopen_proto.drive.keeping_within import OutOfBounds as OutOfBounds
 from canopen_proto.drive.keeping_within import keep_within as keep_within
 from canopen_proto.drive.profile_position import move_to as move_to
+from canopen_proto.drive.standing import select_standing_mode as select_standing_mode
 from canopen_proto.drive.state import change_state as change_state
 from canopen_proto.drive.state import enable as enable
 from canopen_proto.drive.state import engage_brake as engage_brake
 from canopen_proto.drive.state import quick_stop as quick_stop
 from canopen_proto.drive.state import reset_fault as reset_fault
-from canopen_proto.drive.state import select_standing_mode as select_standing_mode
 from canopen_proto.drive.state import set_mode as set_mode
 from canopen_proto.drive.state import shut_down as shut_down
 from canopen_proto.drive.synchronous import start_cyclic_position as start_cyclic_position

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
@@ -18,12 +17,10 @@ from canopen_proto.drive.settings import MODE_CHANGE_STATES
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import Time
 from canopen_proto.procedures.objects import read_if_present, read_int
-from canopen_proto.procedures.steps import Procedure, SdoFailed, StepTimeout, act, current_time
+from canopen_proto.procedures.steps import Procedure, StepTimeout, act, current_time
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; 0 for all other states."""
-_STANDING: Final = (Mode.INTERPOLATED_POSITION, Mode.HOMING, Mode.PROFILE_POSITION)
-"""Modes in which a drive stands until bit 4 of the controlword rises."""
 _ANOTHER: Final = "a mode that it has"
 
 
@@ -100,31 +97,6 @@ def enable(axis: Axis) -> Procedure[None]:
     or call `select_standing_mode`.
     """
     yield from change_state(axis, State.OPERATION_ENABLED)
-
-
-@accounted
-def select_standing_mode(axis: Axis) -> Procedure[None]:
-    """Select a mode in which power alone moves nothing: ip, hm or pp, and the present mode if it is one of them.
-
-    In these modes a motion begins when bit 4 of the controlword rises. Raises ModeUnsupported if the drive has none of them.
-    """
-    shown = yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)
-    for mode in sorted(_STANDING, key=lambda each: each != shown):
-        try:
-            yield from set_mode(axis, mode)
-        except ModeUnsupported:
-            continue
-        except SdoFailed as failed:
-            if failed.origin is not AbortOrigin.PEER:
-                raise
-        else:
-            return
-    raise ModeUnsupported(
-        axis,
-        f"is in {mode_name(shown)}, in which power alone may move it, and accepts neither "
-        f"{', '.join(mode_name(mode) for mode in _STANDING[:-1])} nor {mode_name(_STANDING[-1])}",
-        remedy="look at its modes (0x6502), and enable it by hand once you know its targets",
-    )
 
 
 @accounted

@@ -149,7 +149,7 @@ def prepare(axis: Axis, mode: Mode, cycle_time: Time, align: Align) -> Procedure
     """Halt the drive, give it the set-point that it has, clear its offsets, select the mode, and write the period."""
     yield from halt(axis)  # a moving drive would jump back to the position that was read
     yield from align(axis)  # in csp the drive follows as soon as it has mode and power
-    yield from _clear_offsets(axis, mode)
+    yield from clear_offsets(axis, mode)
     yield from set_mode(axis, mode)
     yield from _set_interpolation_period(axis, cycle_time)
 
@@ -169,7 +169,7 @@ def write_record(axis: Axis) -> Procedure[None]:
             yield from write(axis.node, mux, axis.node.values[mux])
 
 
-def _clear_offsets(axis: Axis, mode: Mode) -> Procedure[None]:
+def clear_offsets(axis: Axis, mode: Mode) -> Procedure[None]:
     """Set the offsets of a mode to 0, as far as the drive has them: one that was left over would be a jump."""
     node = axis.node
     for mux in OFFSETS_OF[mode]:

@@ -72,19 +72,24 @@ async def follow_path(arm: Chain, *, seconds: float = 1.0, way: float = 5.0) -> 
 
 @virtual_time
 async def test_the_best_mode_for_each_joint() -> None:
-    joints = [changed({}), changed(supports(0x41)), changed(SLOW)]
+    joints = [
+        changed({}),
+        changed(supports(0x41)),
+        changed(SLOW),
+        changed(supports(0x80)),
+    ]  # the last one has csp, and no mode to stand in
     async with planned_arm(*joints) as (host, _, arm):
-        assert [device.plan.mode for device in arm.devices if device.plan is not None] == [8, 7, 1]
+        assert [device.plan.mode for device in arm.devices if device.plan is not None] == [8, 7, 1, 8]
         await arm.follow()
-        assert [drive.drive.mode for drive in drives(host)] == [8, 7, 1]
+        assert [drive.drive.mode for drive in drives(host)] == [8, 7, 1, 8]
         await follow_path(arm)
-        assert arm.positions == pytest.approx([HERE + 5.0] * 3, abs=0.05)
+        assert arm.positions == pytest.approx([HERE + 5.0] * 4, abs=0.05)
         assert arm.skipped_cycles == arm.missed_cycles == 0
         await arm.halt()
         await arm.recover()
         assert arm.state is ChainState.FOLLOWING
         await follow_path(arm, way=-2.0)
-        assert [position_of(host, node) for node in drives(host)] == pytest.approx([6000] * 3, abs=50)
+        assert [position_of(host, node) for node in drives(host)] == pytest.approx([6000] * 4, abs=50)
         await arm.shut_down()
 
 

@@ -162,7 +162,7 @@ def test_a_chain_that_was_initialised_stands(mode: Mode, runs: bool) -> None:
 async def test_a_drive_that_would_move_with_power_alone_is_not_enabled() -> None:
     async with simulated(makers=standard_drives(3)) as host, open_master(BUS) as master:
         (node,) = drives(host)
-        node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x84  # pv, csp
+        node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x04  # pv
         write(host, objects.MODES_OF_OPERATION, Mode.PROFILE_VELOCITY)
         arm = arm_of(master, 3, axes=SETTINGS, define_pdos=True)
         with pytest.raises(ChainError, match=r"joint1.*in profile velocity \(pv\), in which power alone"):
