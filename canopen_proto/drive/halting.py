@@ -151,6 +151,20 @@ def halt_after(axis: Axis, cause: BaseException, stop: Callable[[Axis], Procedur
         cause.add_note(f"and the halt of {name_of(axis)} failed: {error}")
 
 
+def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Procedure[None]:
+    """Halt; then `forget` makes the drive's target 0. A drive that does not obey bit 8 gets it all the same, and is halted by it.
+
+    Raises as `halt` if it moves even then.
+    """
+    try:
+        yield from halt(axis)
+    except ProcedureError:
+        yield from forget()
+        yield from halt(axis)
+    else:
+        yield from forget()
+
+
 def _wait_for_standstill(axis: Axis) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     before: float | None = None

@@ -7,7 +7,7 @@
     home_position         0x607C      the position that the home point gets
 
 Only what the settings name is written; the drive's own values hold for the rest. Speeds go in the drive's velocity unit, the
-acceleration in velocity units per second.
+acceleration in its acceleration unit, both rounded down.
 
 **The method is checked before it is sent.** A drive that has 0x60E3 lists its methods there. Of a drive without that list, any
 method in the standard's table is accepted, and any manufacturer's (below 0). 36, homing by a touch probe, is in few drives: it
@@ -83,7 +83,8 @@ def write_homing_parameters(axis: Axis) -> Procedure[None]:
         yield from learn_units(axis)
     for key, (name, rate) in rates.items():
         if rate is not None:
-            number = abs(axis.velocity_to_wire(rate))
+            convert = axis.rate_to_wire if key == objects.HOMING_ACCELERATION else axis.speed_to_wire
+            number = convert(rate)
             if not number:
                 raise LocalProtocolError(f"{name} = {rate:g} would be 0 in the units of drive {node.node_id}; make it higher")
             yield from write(node, key, number)

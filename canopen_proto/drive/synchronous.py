@@ -218,8 +218,8 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
     is_ip = mode == Mode.INTERPOLATED_POSITION
     goal = "interpolation active (bit 12)" if is_ip else "follows command (bit 12)"
     active = ModeStatus.IP_MODE_ACTIVE if is_ip else ModeStatus.FOLLOWS_COMMAND
-    yield from enable(axis)
     try:
+        yield from enable(axis)  # in cst power alone may let a load move
         start = yield from align(axis)
         now = yield from current_time()
         carriers = _carriers(axis, carried)

@@ -23,7 +23,7 @@ from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.bounds import bounds_of
 from canopen_proto.drive.controlword import bring, command
 from canopen_proto.drive.failures import DriveError, LimitReached, accounted
-from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.halting import halt, halt_after, halt_and_forget
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.synchronous import holding_torque
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
@@ -43,26 +43,29 @@ def apply_torque(
     that the brake holds falls until the torque has grown**, if the drive had no power before.
 
     Raises LimitReached if a limit of position or speed is left, or the torque is more than 0x6072; DriveError if the torque is
-    less than a thousandth, the slope cannot be written, or nothing limits the speed; ReferenceLost, ModeUnsupported, DriveFault,
-    StateLost, ModeLost, NodeLost, StepTimeout, SdoFailed. The drive is halted if this fails or is cancelled.
+    less than a thousandth, the slope cannot be written, or nothing limits the speed; ValueRangeError; ReferenceLost,
+    ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost, StepTimeout, SdoFailed. The drive is halted if this fails or is
+    cancelled.
     """
     target = axis.torque_to_wire(torque)
     if torque and not target:
         raise DriveError(axis, f"gets no torque of {torque:g}", reason="0x6071 counts thousandths of the rated torque")
+    steepness = None if slope is None else _slope_number(axis, slope)
     bounds = yield from bounds_of(axis, max_speed)
     most = yield from read_if_present(axis.node, objects.MAX_TORQUE)
     if isinstance(most, int) and abs(target) > most:
         raise LimitReached(
             axis, f"was given no torque of {torque:g}", reason=f"0x6072 allows {most / 1000:g} of the rated torque", remedy="less"
         )
+    axis.node.encode(objects.TARGET_TORQUE, target)  # now: nothing may fail once the drive has power
     yield from halt(axis)
     held = axis.torque_to_wire((yield from holding_torque(axis)))
     yield from write(axis.node, objects.TARGET_TORQUE, held)
-    if slope is not None:
-        yield from _set_slope(axis, slope)
-    yield from set_mode(axis, Mode.TORQUE)
-    yield from enable(axis)
-    try:
+    if steepness is not None:
+        yield from write(axis.node, objects.TORQUE_SLOPE, steepness)
+    try:  # from here on a load may move: mode and power alone hold it with `held` only
+        yield from set_mode(axis, Mode.TORQUE)
+        yield from enable(axis)
         yield from command(axis, int(Command.ENABLE_OPERATION))
         axis.started_at = OBEYED  # no bit starts a motion here
         yield from bring(axis, objects.TARGET_TORQUE, target)
@@ -78,27 +81,23 @@ def apply_torque(
 
         yield from watch.until(judge, duration + axis.settings.state_timeout)
     except (Cancelled, ProcedureError) as cause:
-        yield from halt_after(axis, cause)
-        yield from _forget_target(axis, cause)
+        yield from halt_after(axis, cause, _stop)
         raise
-    yield from halt(axis)
-    yield from bring(axis, objects.TARGET_TORQUE, 0)
+    yield from _stop(axis)
     return axis.settings.direction * target / 1000
 
 
-def _set_slope(axis: Axis, slope: float) -> Procedure[None]:
-    """Write 0x6087. A slope of less than a thousandth per second is refused: some drives take 0 for none."""
+def _slope_number(axis: Axis, slope: float) -> int:
+    """Return 0x6087 for a slope. One of less than a thousandth per second is refused: some drives take 0 for none."""
     number = round(slope * 1000)
     if number <= 0:
         raise DriveError(axis, f"gets no slope of {slope:g}", reason="0x6087 counts thousandths of the rated torque per second")
     if objects.TORQUE_SLOPE not in axis.node.dictionary:
         raise DriveError(axis, f"gets no slope of {slope:g}", reason="it has no torque slope (0x6087)", remedy="no slope")
-    yield from write(axis.node, objects.TORQUE_SLOPE, number)
+    axis.node.encode(objects.TORQUE_SLOPE, number)
+    return number
 
 
-def _forget_target(axis: Axis, cause: BaseException) -> Procedure[None]:
-    """Set the target to 0, so that no later command finds the old one. A failure is noted in `cause`: the drive is halted."""
-    try:
-        yield from bring(axis, objects.TARGET_TORQUE, 0)
-    except ProcedureError as error:
-        cause.add_note(f"and its target torque (0x6071) may not be 0: {error}")
+def _stop(axis: Axis) -> Procedure[None]:
+    """Halt the drive, and set its target to 0, so that no later command finds the old one."""
+    return halt_and_forget(axis, lambda: bring(axis, objects.TARGET_TORQUE, 0))

@@ -9,7 +9,8 @@ the drive stop by itself.
 
 **Position limits** (min_position and max_position of the settings; 0x607D). Drives differ in whether 0x607D holds in these modes.
 So the procedure watches the position (0x6064), and halts the drive before a limit: as early as it needs for `obeys_within` of the
-settings, for the age of the position, and for its ramp (0x605D). Near a limit it does not begin.
+settings, for the age of the position, and for its ramp (0x605D). Near a limit it does not begin. Both ends count: a drive may
+run the other way, by its polarity (0x607E) or because a load pulls it.
 
 **Units of vl.** 0x6042 is an INTEGER16. Times the set-point factor 0x604B and the dimension factor 0x604C it is in turns of the
 motor per minute. The ramps 0x6048 and 0x6049 are in the unit of 0x604C. Firmware of Nanotec before 2017 takes 0x604C = 1/60 for
@@ -30,7 +31,7 @@ from canopen_proto.cia402.states import Command, State, StatusBit
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import bring, command
 from canopen_proto.drive.failures import DriveError, LimitReached, ModeUnsupported, accounted, late, require_reference
-from canopen_proto.drive.halting import halt, halt_after, halt_ramp
+from canopen_proto.drive.halting import halt, halt_after, halt_and_forget, halt_ramp
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import Limit, read_limits
 from canopen_proto.drive.state import enable, set_mode
@@ -114,7 +115,9 @@ class _Run:
         self._unit = 1.0  # counts per second in one unit of it
         self._ramp_unit = 1.0  # counts per second² in one unit of a ramp
         self._ramps: dict[Mux, int] = {}
-        self._bound: Limit | None = None
+        self._bound: Limit | None = None  # ahead
+        self._behind: Limit | None = None  # for a drive that runs the other way: a polarity (0x607E), a load
+        self._first: int | None = None
         self._side = 1 if velocity * axis.settings.direction >= 0 else -1
         self._margin = 0.0
         self._is_reached = False
@@ -138,7 +141,10 @@ class _Run:
             reason = f"{limits.speed.source} allows {limits.speed.value:g}; nothing was sent"
             remedy = "a lower velocity; AxisSettings(max_speed=...), if it may go as fast as that"
             raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
-        self._number = round(axis.settings.direction * self._velocity * axis.counts_of_amount(1.0) / self._unit)
+        exact = axis.settings.direction * self._velocity * axis.counts_of_amount(1.0) / self._unit
+        self._number = round(exact)
+        if axis.amount_from_counts(abs(self._number * self._unit)) > limits.speed.value * _ALL:
+            self._number = math.trunc(exact)  # rounded up it would be beyond the limit
         if self._velocity and not self._number:
             failed = f"cannot run at {self._velocity:g} per second: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
             raise DriveError(axis, failed, remedy="a higher velocity", looks=False)
@@ -147,7 +153,7 @@ class _Run:
             yield from self._keep_amounts()
         self._plan_ramps()
         if self._velocity and not axis.has_lost_reference:
-            self._bound = limits.highest if self._velocity > 0 else limits.lowest
+            self._behind, self._bound = (limits.lowest, limits.highest)[:: 1 if self._velocity > 0 else -1]
         yield from self._guard()
 
     def _learn_units(self) -> Procedure[None]:
@@ -206,16 +212,16 @@ class _Run:
     def _guard(self) -> Procedure[None]:
         """Find how early the drive has to be halted before its limit; refuse to begin where that is already behind it."""
         axis = self._axis
-        if self._bound is None:
+        if not self._is_bounded:
             return
         position = yield from read_if_present(axis.node, objects.POSITION_ACTUAL_VALUE)
         if not isinstance(position, int):
             if (axis.settings.min_position, axis.settings.max_position) == (None, None):
-                self._bound = None  # only the drive's own limit, which it keeps or not
+                self._bound = self._behind = None  # only the drive's own limits, which it keeps or not
                 return
             raise DriveError(axis, "shows no position (0x6064), so its position limits cannot be kept", looks=False)
         self._margin = yield from self._way_to_stop(abs(self._velocity) * axis.counts_of_amount(1.0))
-        if self._room(position) <= self._margin:
+        if self._bound is not None and self._room(position, self._bound) <= self._margin:
             way = axis.amount_from_counts(self._margin)
             failed = f"was not run at {self._velocity:g} per second: it stands at {axis.from_counts(position):g}"
             reason = f"it needs {way:g} to stop before {self._bound.value:g} ({self._bound.source}); nothing was sent"
@@ -239,10 +245,13 @@ class _Run:
             return speed * (delay + settings.halt_time / SECOND)
         return speed * delay + speed * speed / (2 * ramp * self._ramp_unit)
 
-    def _room(self, position: int) -> float:
-        """Return how far the limit is away, in counts; below 0 behind it."""
-        assert self._bound is not None
-        return (self._axis.to_counts(self._bound.value) - position) * self._side
+    @property
+    def _is_bounded(self) -> bool:
+        return self._bound is not None or self._behind is not None
+
+    def _room(self, position: int, limit: Limit) -> float:
+        """Return how far a limit is ahead, in counts; below 0 behind it."""
+        return (self._axis.to_counts(limit.value) - position) * self._side
 
     # ---- while it moves ----
 
@@ -265,14 +274,13 @@ class _Run:
 
     def stop(self, axis: Axis) -> Procedure[None]:
         """Halt the drive, and see that it stands. Then make its target 0: no later word without bit 8 sends it on."""
-        yield from halt(axis)
-        yield from bring(axis, TARGET_OF[self._mode], 0)
+        return halt_and_forget(axis, lambda: bring(axis, TARGET_OF[self._mode], 0))
 
     def watch(self, duration: Time | None) -> Procedure[None]:
         """Watch the drive until its time is over."""
         axis = self._axis
         reads = {
-            objects.POSITION_ACTUAL_VALUE: POLL_INTERVAL if self._bound is not None else FRESH,
+            objects.POSITION_ACTUAL_VALUE: POLL_INTERVAL if self._is_bounded else FRESH,
             objects.VL_VELOCITY_DEMAND: FRESH,
         }
         if self._mode is not Mode.VELOCITY:
@@ -311,18 +319,31 @@ class _Run:
         """Raise LimitReached if the drive has to stop now, or a limit of its own holds it."""
         axis, position = self._axis, self._axis.position_counts
         known_at = watch.heard(objects.POSITION_ACTUAL_VALUE)
-        if self._bound is not None:
+        if self._is_bounded:
             refusal = watch.refusal(objects.POSITION_ACTUAL_VALUE)
             if refusal is not None:
                 raise refusal
-            if known_at is not None and position is not None and self._room(position) <= self._needs(position, known_at):
+            near = None if known_at is None or position is None else self._limit_near(position, known_at)
+            if near is not None and position is not None:
                 failed = f"was halted at {axis.from_counts(position):g}"
-                reason = f"it came near {self._bound.value:g} ({self._bound.source})"
-                raise LimitReached(axis, failed, reason=reason, remedy="the other direction", looks=False)
+                reason = f"it came near {near.value:g} ({near.source})"
+                remedy = "the other direction" if near is self._bound else "look at its polarity (0x607E), and for what pulls it"
+                raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
         stands = self._mode is Mode.PROFILE_VELOCITY and statusword & ModeStatus.SPEED_ZERO
         has_begun = heard_at - self._began >= axis.settings.reaction_time
         if stands and self._number and has_begun and statusword & StatusBit.INTERNAL_LIMIT:
             raise LimitReached(axis, "does not run", remedy="the other direction")
+
+    def _limit_near(self, position: int, known_at: Time) -> Limit | None:
+        """Return the limit before which the drive has to be halted now."""
+        needs = self._needs(position, known_at)
+        if self._bound is not None and self._room(position, self._bound) <= needs:
+            return self._bound
+        if self._first is None:
+            self._first = position
+        back = (self._first - position) * self._side  # a little of it is noise
+        runs_back = back > abs(self._number * self._unit) * FRESH / SECOND
+        return self._behind if self._behind is not None and runs_back and -self._room(position, self._behind) <= needs else None
 
     def _needs(self, position: int, known_at: Time) -> float:
         """Return the way that the drive needs to stop: more than planned if it goes faster than it was told."""

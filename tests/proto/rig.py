@@ -7,7 +7,8 @@ from typing import TypeVar
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, Axis, AxisSettings
-from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId, Time
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster
 from canopen_proto.procedures.configure_pdo import use_device_pdo
@@ -58,6 +59,20 @@ class Rig:
                 self.run(use_device_pdo(self.remote, Direction.RPDO, number))
             for number in tpdos:
                 self.run(use_device_pdo(self.remote, Direction.TPDO, number))
+
+    def ignore_halts(self) -> None:
+        """From now on the drive ignores bit 8 of its controlword, which comes by SDO or at the beginning of an RPDO."""
+        deliver = self.bus._deliver
+
+        def deliver_without(receiver: Outbox, frame: Frame) -> None:
+            at = 5 if frame.data[:4] == b"\x2b\x40\x60\x00" else 1
+            if at == 5 or frame.can_id in (0x205, 0x505):
+                data = bytearray(frame.data)
+                data[at] &= ~1
+                frame = Frame(frame.can_id, bytes(data))
+            deliver(receiver, frame)
+
+        self.bus._deliver = deliver_without  # type: ignore[method-assign]
 
     def start_sync(self) -> None:
         self.sync.start(CYCLE, self.bus.now)

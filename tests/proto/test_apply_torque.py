@@ -12,8 +12,9 @@ from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import ControlBit, State
+from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.procedures.runner import ProcedureCancelled
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulated_drive.plant import Mechanics
@@ -127,6 +128,28 @@ def test_a_cancel_stops_it(after: int, coasts: bool) -> None:
     if coasts and after >= 200:
         assert rig.drive.state is State.SWITCH_ON_DISABLED
         assert rig.axis.controlword == 0x02
+
+
+@pytest.mark.parametrize("after", range(0, 8_000, 200))
+def test_a_cancel_while_it_gets_power_lets_no_load_fall(after: int) -> None:
+    """after: us. With 0 of torque, a weight falls as soon as the brake is open."""
+    rig = rig_of(replace(JOINT, load=2.0), max_speed=50.0)
+    request = rig.master.run(drive.apply_torque(rig.axis, 0.25, 10 * SECOND), rig.bus.now)
+    rig.bus.run(after * MICROSECOND)
+    rig.master.cancel(request, rig.bus.now)
+    assert isinstance(rig.outcome(request), ProcedureCancelled)
+    rig.bus.run(SECOND)
+    assert rig.drive.state is not State.OPERATION_ENABLED or rig.axis.controlword & ControlBit.HALT
+    assert abs(velocity_of(rig)) < 10
+
+
+def test_a_torque_that_0x6071_cannot_hold_is_refused_before_the_drive_has_power() -> None:
+    rig = rig_of(replace(JOINT, load=2.0), max_speed=50.0)
+    rig.node.values.store[objects.MAX_TORQUE] = 65_535
+    with pytest.raises(ValueRangeError, match="0x6071"):
+        rig.run(drive.apply_torque(rig.axis, 40.0, SECOND))
+    assert rig.drive.state is State.SWITCH_ON_DISABLED
+    assert rig.drive.mode == Mode.NO_MODE
 
 
 def test_a_torque_that_ends_in_time_on_a_drive_that_coasts_leaves_it_standing() -> None:

@@ -17,7 +17,7 @@ from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive.bounds import Bounds
 from canopen_proto.drive.following import Following, FollowingLost
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, RequestId
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureCancelled
@@ -266,7 +266,7 @@ def give(rig: Rig, mode: Mode, cycles: int) -> None:
 def stands_for_good(rig: Rig, mode: Mode) -> None:
     """It is halted, and no set-point is left for the RPDO."""
     assert abs(velocity_of(rig)) < 50
-    assert rig.axis.controlword & 0x100
+    assert rig.axis.controlword & 0x100 or rig.drive.state is State.SWITCH_ON_DISABLED
     key = {CSV: objects.TARGET_VELOCITY, CST: objects.TARGET_TORQUE}[mode]
     rig.bus.run(2 * CYCLE)
     assert rig.node.values.store[key] == 0
@@ -280,6 +280,33 @@ def test_bounds_that_are_left_halt_it(mode: Mode) -> None:
     ended = rig.outcome(request)
     assert isinstance(ended.error, drive.OutOfBounds)  # type: ignore[union-attr]
     assert "is beyond its limit" in str(ended.error)  # type: ignore[union-attr]
+    stands_for_good(rig, mode)
+
+
+@pytest.mark.parametrize("after", range(0, 3_600, 200))
+def test_a_cancel_while_it_gets_power_for_torques_lets_no_load_fall(after: int) -> None:
+    """after: us; the start takes 3.8 ms."""
+    device = DriveSettings(position=0, mechanics=replace(JOINT, load=2.0), track=Track(-math.inf, math.inf))
+    rig = Rig(Shape.STANDARD, pdos=False, drive=device)
+    request = rig.master.run(drive.start_cyclic_torque(rig.axis, CYCLE, sends_itself=True), rig.bus.now)
+    rig.bus.run(after * MICROSECOND)
+    rig.master.cancel(request, rig.bus.now)
+    assert isinstance(rig.outcome(request), ProcedureCancelled)
+    rig.bus.run(SECOND)
+    assert rig.drive.state is not State.OPERATION_ENABLED or rig.axis.controlword & 0x100
+    assert abs(velocity_of(rig)) < 10
+
+
+@pytest.mark.parametrize("mode", [CSV, CST])
+def test_a_drive_that_ignores_the_halt_is_stopped_if_the_watch_is_cancelled(mode: Mode) -> None:
+    """By its set-point in csv, by a quick stop in cst."""
+    rig = rig_of(mode, max_speed=5.0)
+    rig.ignore_halts()
+    request = kept(rig, mode)
+    give(rig, mode, 30)
+    assert abs(velocity_of(rig)) > 1_000
+    rig.master.cancel(request, rig.bus.now)
+    assert isinstance(rig.outcome(request), ProcedureCancelled)
     stands_for_good(rig, mode)
 
 

@@ -103,6 +103,13 @@ def test_speeds_acceleration_and_home_position_are_in_the_users_unit() -> None:
     assert rig.run(read_position(rig.axis)) == pytest.approx(-90)
 
 
+def test_rates_are_rounded_down_and_the_acceleration_has_its_own_unit() -> None:
+    rig = rig_with(replace(DEGREES, homing_method=35, homing_speed=0.0019, homing_acceleration=10.0, acceleration_unit=100.0))
+    rig.run(home(rig.axis))
+    assert rig.node.values.store[objects.HOMING_SPEED_SEARCH_SWITCH] == 1
+    assert rig.node.values.store[objects.HOMING_ACCELERATION] == 100
+
+
 def test_what_the_settings_leave_open_is_not_written() -> None:
     rig = rig_with(AxisSettings(counts_per_unit=1_000))
     before = dict(rig.node.values.store)

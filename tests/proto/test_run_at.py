@@ -17,8 +17,9 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.procedures.runner import ProcedureCancelled
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.simulated_drive.answers import Answer
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from tests.examples import examples
@@ -201,6 +202,29 @@ def test_a_velocity_that_0x6046_would_change_is_refused(velocity: float, is_refu
         assert stands(rig)
 
 
+@pytest.mark.parametrize(("velocity", "highest", "told"), [(1.6, 1.6, 1.0), (-1.6, 1.9, -1.0), (1.6, 2.0, 2.0)])
+def test_a_velocity_is_not_rounded_beyond_the_limit(velocity: float, highest: float, told: float) -> None:
+    """0x6042 counts whole turns a minute, which are degrees a second here."""
+    rig = rig_with(replace(DEGREES, max_speed=highest))
+    news: list[drive.Running] = []
+    rig.run(drive.run_at(rig.axis, velocity, mode=Mode.VELOCITY, duration=SECOND, news=news.append))
+    assert news[0].velocity == told
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("sides", [("min_position",), ("min_position", "max_position")])
+def test_a_drive_that_runs_the_other_way_is_halted_before_its_limit(direction: int, sides: tuple[str, ...]) -> None:
+    """As by a polarity (0x607E) of velocities alone; here its factor is told with the wrong sign."""
+    limits = {"min_position": -20.0, "max_position": 20.0}
+    rig = rig_with(replace(DEGREES, direction=direction, **{name: limits[name] for name in sides}))
+    rig.node.values.store[objects.VL_DIMENSION_FACTOR] = -1
+    rig.node.answer(0x604C, 1, Answer(value=1))
+    with pytest.raises(drive.LimitReached, match=r"came near -20 .*polarity \(0x607E\)"):
+        rig.run(drive.run_at(rig.axis, 10.0, mode=Mode.VELOCITY))
+    assert stands(rig)
+    assert -20 <= rig.run(drive.read_position(rig.axis)) < -10
+
+
 @given(
     mode=st.sampled_from(MODES),
     velocity=st.sampled_from([-30.0, -8.0, 3.0, 12.0, 30.0]),
@@ -307,6 +331,21 @@ def test_whenever_and_however_it_ends_the_drive_stands_or_has_no_power(
 
 def forever(rig: Rig, mode: Mode) -> Procedure[None]:
     return drive.run_at(rig.axis, 15.0, mode=mode)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("is_cancelled", [True, False])
+def test_a_drive_that_ignores_the_halt_is_stopped_by_its_target(mode: Mode, is_cancelled: bool) -> None:
+    rig = rig_with()
+    rig.ignore_halts()
+    request = rig.master.run(drive.run_at(rig.axis, 10.0, mode=mode, duration=3 * SECOND), rig.bus.now)
+    rig.bus.run(2 * SECOND)
+    assert speed(rig) == pytest.approx(10)
+    if is_cancelled:
+        rig.master.cancel(request, rig.bus.now)
+    ended = rig.outcome(request)
+    assert stands(rig)
+    assert isinstance(ended, ProcedureCancelled if is_cancelled else ProcedureFinished)
 
 
 @pytest.mark.parametrize("knows", [True, False])
