@@ -81,6 +81,7 @@ def evil_files() -> dict[str, str]:
         "good.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5\n",
         "units.toml": '[objects.2003]\nunit = "\\u001b[2J"\naliases = ["\\u001b[2J"]\ndescription = "\\u009b"\n',
         "odd.toml": '[objects."\\u001b[2J"]\nunit = "\\u001b"\n[objects.2003]\n"\\u001b" = 1\n',
+        "odd_cell.toml": '[buses."\\u001b[2J"]\nlocator = "\\u009b"\n[nodes.a]\nid = 5\nfile = "\\u001b.eds"\n"\\u001b" = 1\n',
         "odd.py": f"raise ValueError({EVIL!r})\n",
     }
 
@@ -138,6 +139,13 @@ COMMANDS = [
     ],
     ("drive", "5", "enable", "--seconds", "1", "-e", "device.eds", "--overlay", "odd.toml", *DEMO),
     ("drive", "5", "move", "5", "-e", "device.eds", "--overlay", "odd.toml", *DEMO),
+    ("drive", "5", "velocity", "5", "--seconds", "1", "-e", NAMED_EDS, *DEMO),
+    ("drive", "5", "torque", "5", "--seconds", "1", "-e", NAMED_EDS, *DEMO),
+    ("drive", "5", "plan", "-e", NAMED_EDS, *DEMO),
+    ("machine", "check", "odd_cell.toml"),
+    ("machine", "from-chains", "odd.csv", "-o", "new_cell.toml"),
+    ("machine", "from-chains", "good.csv", "-o", f"{EVIL[:-3]}.toml"),
+    ("scan", "-m", "odd_cell.toml"),
     ("eds", "show", "device.eds"),
     ("eds", "show", "odd.eds", "2300"),
     ("eds", "show", "device.dcf", "2300", "2003"),

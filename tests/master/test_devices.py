@@ -55,7 +55,8 @@ async def test_a_chain_finds_out_what_its_joints_are() -> None:
         arm = arm_of(master, 3, 4, own_pdos=True)
         await arm.initialise()
         assert [joint.axis.settings for joint in arm.devices] == [SCHUNK_POWERBALL, AxisSettings(homing=HomingStyle.STANDARD)]
-        again = master.load_chains(text=chain_text(3), axes=SCHUNK_POWERBALL, settings=ChainSettings())["arm"]
+        text = chain_text(3).replace("arm", "again")
+        again = master.load_chains(text=text, axes=SCHUNK_POWERBALL, settings=ChainSettings())["again"]
         assert again.devices[0] is arm.devices[0]
 
 

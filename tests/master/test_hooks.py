@@ -314,7 +314,7 @@ PERIOD = 1
         assert await node.read("statusword") == 0x221  # the drive took it
         await trio.sleep(1.1)
         assert rig.told[-1] == "node 5: ([6], 33)"
-        assert await rig.refused(node.write("modes_of_operation", 4)) == AbortCode.INVALID_VALUE
+        assert await rig.refused(node.write("modes_of_operation", 5)) == AbortCode.INVALID_VALUE
 
 
 @virtual_time

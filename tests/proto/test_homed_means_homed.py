@@ -92,7 +92,8 @@ def test_a_schunk_is_homed_when_it_stands_at_its_new_reference(reaction: Time, c
 @pytest.mark.parametrize("reaction", [0, 80 * MILLISECOND, 900 * MILLISECOND])
 def test_an_old_homing_error_does_not_fail_the_next_homing(reaction: Time, cycle: Time | None) -> None:
     rig = rig_of(Shape.STANDARD, reaction, cycle)
-    rig.axis.settings = replace(rig.axis.settings, homing_method=0)
+    rig.axis.settings = replace(rig.axis.settings, homing_method=None)
+    rig.node.values.store[objects.HOMING_METHOD] = 0  # the drive's own: it has none
     with pytest.raises(drive.HomingFailed, match="homing error"):
         rig.run(drive.home(rig.axis))
     rig.bus.take_events(HomingFinished)
