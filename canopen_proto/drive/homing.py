@@ -35,7 +35,7 @@ from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.units import read_number
 from canopen_proto.drive.watching import Watch, read_statusword
 from canopen_proto.machine import SECOND, Event, Time
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
 
 class HomingProgressed(Event):
@@ -91,7 +91,7 @@ def home(axis: Axis) -> Procedure[None]:
         yield from command(axis, int(Command.ENABLE_OPERATION))
         yield from command(axis, Command.ENABLE_OPERATION | ModeControl.START_HOMING)
         yield from _wait_for_end(axis)
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
     yield from command(axis, int(Command.ENABLE_OPERATION))

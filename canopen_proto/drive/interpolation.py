@@ -32,7 +32,7 @@ from canopen_proto.drive.synchronous import align_position, follow, prepare, req
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def start_interpolation(
     if buffer is not None:
         try:
             yield from _fill(axis, buffer)
-        except (Cancelled, ProcedureError) as cause:
+        except (Cancelled, Exception) as cause:
             yield from halt_after(axis, cause)
             raise
     return start

@@ -22,7 +22,7 @@ from canopen_proto.drive.halting import halt_after, halt_and_forget
 from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.machine import Event
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Wait, act, all_of
+from canopen_proto.procedures.steps import Cancelled, Procedure, Wait, act, all_of
 
 
 class OutOfBounds(DriveError):
@@ -52,7 +52,7 @@ def keep_within(
     try:
         yield from all_of(_until_lost(following), read_unsent([following]))
         raise AssertionError("the watch ends by an error")
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         following.end()
         yield from halt_after(axis, cause, stop)
         raise

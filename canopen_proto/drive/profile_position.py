@@ -17,7 +17,7 @@ from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
 from canopen_proto.machine import Time
 from canopen_proto.procedures.objects import read_if_present, read_int, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time, sleep
+from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeout, current_time, sleep
 from canopen_proto.remote_node import FRESH
 
 NO_WINDOW: Final = 2**32 - 1
@@ -74,7 +74,7 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
         axis.started_at = OBEYED
         yield from command(axis, _AT_ONCE | relation)
         yield from wait_for_target(axis, target, given_at, timeout, relative)
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
 

@@ -73,7 +73,7 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
             if {objects.CONTROLWORD, objects.TARGET_POSITION} & set(rpdo.mapping.muxes):
                 axis.node.enable_rpdo(number, now)
         yield from _give(axis, position, mode=Mode.PROFILE_POSITION)
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
     return axis.from_counts(position)

@@ -38,7 +38,7 @@ from canopen_proto.drive.watching import read_statusword, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import ABSENT, read_if_present, read_int, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed, current_time
 
 Align: TypeAlias = Callable[[Axis], Procedure[float]]
 """Makes what the drive has now its set-point, and returns it in the user's unit."""
@@ -241,7 +241,7 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
             stays=State.OPERATION_ENABLED,
         )
         axis.started_at = OBEYED
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
     return start

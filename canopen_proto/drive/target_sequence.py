@@ -41,7 +41,7 @@ from canopen_proto.drive.watching import Watch
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, StepTimeout, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeout, current_time
 
 _RELATIVE_OPTION: Final = 0b11
 """Bits 0 and 1 of 0x60F2; the others (rotary axis, request and response) stay as they are."""
@@ -125,7 +125,7 @@ def move_along(axis: Axis, targets: Iterable[Target], *, timeout: Time) -> Proce
         for number in range(len(points)):
             yield from feeder.give(number)
         yield from feeder.wait_for_end()
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
 

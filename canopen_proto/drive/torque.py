@@ -29,7 +29,7 @@ from canopen_proto.drive.synchronous import holding_torque
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
 from canopen_proto.machine import Time
 from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
 
 @accounted
@@ -80,7 +80,7 @@ def apply_torque(
             return True if heard_at >= end else None
 
         yield from watch.until(judge, duration + axis.settings.state_timeout)
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause, _stop)
         raise
     yield from _stop(axis)

@@ -39,7 +39,7 @@ from canopen_proto.drive.watching import POLL_INTERVAL, Watch
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 from canopen_proto.remote_node import FRESH
 
 VELOCITY_MODES: Final = (Mode.PROFILE_VELOCITY, Mode.VELOCITY)
@@ -89,7 +89,7 @@ def run_at(
     try:
         yield from run.start()
         yield from run.watch(duration)
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause, run.stop)
         raise
     yield from run.stop(axis)

@@ -25,7 +25,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, Re
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.objects import read_int, value_of
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, Wait, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed, Wait, current_time
 from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
@@ -146,7 +146,7 @@ class Watch(Generic[T]):
                 report = yield Wait(wake - now, node, self._concerns)
                 if report is not None:
                     self._take(report, (yield from current_time()))
-        except (Cancelled, ProcedureError):
+        except (Cancelled, Exception):
             self._take_back((yield from current_time()))
             raise
 

@@ -95,7 +95,7 @@ def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
     """Run a procedure that gives the drive power, and take the power away at its end, also if it fails or is cancelled."""
     try:
         result = yield from procedure
-    except (Cancelled, ProcedureError) as cause:
+    except (Cancelled, Exception) as cause:
         try:
             yield from shut_down(axis)
         except ProcedureError as error:

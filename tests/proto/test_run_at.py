@@ -333,6 +333,23 @@ def forever(rig: Rig, mode: Mode) -> Procedure[None]:
     return drive.run_at(rig.axis, 15.0, mode=mode)
 
 
+@pytest.mark.parametrize("at", [0, 1])
+def test_an_error_of_the_callers_own_code_halts_it_too(at: int) -> None:
+    """As a pipe that is broken while the news is printed."""
+    rig = rig_with()
+    heard: list[drive.Running] = []
+
+    def news(running: drive.Running) -> None:
+        heard.append(running)
+        if len(heard) > at:
+            raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        rig.run(drive.run_at(rig.axis, 10.0, news=news))
+    assert stands(rig)
+    assert rig.axis.controlword & 0x100
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("is_cancelled", [True, False])
 def test_a_drive_that_ignores_the_halt_is_stopped_by_its_target(mode: Mode, is_cancelled: bool) -> None:
